@@ -1,0 +1,34 @@
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: run test test-all check bench clean
+.DEFAULT_GOAL := run
+
+# One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	touch $@
+
+run: $(VENV)/installed  ## see a robot find its goal
+	$(BIN)/sixthsense run apartment --out runs/first --overwrite
+
+test: $(VENV)/installed  ## what CI runs
+	$(BIN)/python -m pytest -m "not slow" -n 2
+
+test-all: $(VENV)/installed  ## the slow statistics too
+	$(BIN)/python -m pytest -n 2
+
+check: $(VENV)/installed  ## style, types, imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(VENV)/installed  ## the figures in benchmarks/RESULTS.md
+	$(BIN)/python benchmarks/kernels.py
+	$(BIN)/python benchmarks/ekf_scaling.py
+
+clean:
+	rm -rf $(VENV) runs

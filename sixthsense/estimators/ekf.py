@@ -1,0 +1,149 @@
+"""The report's EKF-SLAM: one joint Gaussian over the pose and all landmarks (Smith, Self and Cheeseman 1990)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg.blas import dsyrk
+
+from sixthsense.estimators.base import Estimate
+from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import LandmarkId, Sighting, born_point, predict_points
+from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
+
+
+class EKF:
+    """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
+
+    State: x, y, theta of the robot, then x, y of each landmark, all in the world frame.
+    """
+
+    def __init__(self, start: Pose, start_cov: Array) -> None:
+        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero."""
+        cov = np.asarray(start_cov, dtype=np.float64)
+        if cov.shape != (3, 3):
+            raise ValueError(f"start_cov: expected shape (3, 3), got {cov.shape}")
+        self._pose = start
+        self._means = np.zeros((0, 2))
+        # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
+        self._cov = np.array(cov, order="F")
+        self._slots: dict[LandmarkId, int] = {}
+        self._pending = STANDSTILL
+        self._trajectory: list[Array] = []
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move by an increment; the covariance follows at the next call that needs it.
+
+        Folding increments first is exact: the Jacobians of composed motions multiply.
+        """
+        self._pending = self._pending.then(odometry)
+
+    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
+        self._propagate()
+        known = [i for i in sightings if i in self._slots]
+        if known:
+            self._correct([self._slots[i] for i in known], [sightings[i] for i in known])
+        self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
+        self._trajectory.append(self._pose.array())
+
+    def forget(self, ids: Collection[LandmarkId]) -> None:
+        """Marginalise landmarks out: their rows and columns go, all else stays as it was."""
+        gone = {self._slots[i] for i in ids}
+        if not gone:
+            return
+        keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
+        slots = np.array([slot for _, slot in keep], dtype=np.int64)
+        self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
+        self._means = self._means[slots]
+        self._slots = {i: k for k, (i, _) in enumerate(keep)}
+
+    def estimate(self) -> Estimate:
+        """The pose with all motion so far, its covariance, and the landmarks' means."""
+        self._propagate()
+        pose_cov = self._symmetric(np.arange(3))
+        return Estimate(self._pose, pose_cov, np.array(list(self._slots), dtype=np.int64), self._means.copy())
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
+        self._propagate()
+        return self._symmetric(_state_index(np.array([self._slots[i] for i in ids], dtype=np.int64)))
+
+    def trajectory(self) -> Array:
+        """(K, 3), the filtered pose at each update."""
+        return np.array(self._trajectory).reshape(-1, 3)
+
+    @property
+    def _size(self) -> int:
+        return 3 + 2 * len(self._slots)
+
+    def _symmetric(self, index: NDArray[np.int64]) -> Array:
+        rows, cols = index[:, None], index[None, :]
+        return self._cov[np.maximum(rows, cols), np.minimum(rows, cols)]
+
+    def _propagate(self) -> None:
+        """Sigma = Phi Sigma Phi^T + G Q G^T, what the report's eq. 8-9 should say; touches the pose's columns only."""
+        if self._pending is STANDSTILL:
+            return
+        phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
+        self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
+        self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
+        self._pose = self._pose @ self._pending.motion
+        self._pending = STANDSTILL
+
+    def _correct(self, slots: list[int], sightings: list[Sighting]) -> None:
+        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle."""
+        n, m = self._size, len(slots)
+        at = np.array(slots, dtype=np.int64)
+        predicted, by_pose, by_landmark = predict_points(self._pose, self._means[at])
+        innovation = np.concatenate([s.z for s in sightings]) - predicted.ravel()  # (2m,)
+        index = _state_index(at)  # (3 + 2m,)
+        H = np.zeros((2 * m, 3 + 2 * m))  # the columns of H that are not zero
+        for k in range(m):
+            H[2 * k : 2 * k + 2, :3] = by_pose[k]
+            H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark
+        columns = np.empty((n, len(index)), order="F")  # Sigma[:, index], from the lower triangle
+        for k, i in enumerate(index):
+            columns[i:, k] = self._cov[i:, i]
+            columns[:i, k] = self._cov[i, :i]
+        cross = columns @ H.T  # Sigma H^T, (n, 2m)
+        S = H @ cross[index]
+        for k, s in enumerate(sightings):
+            S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += s.cov
+        root = cholesky(0.5 * (S + S.T), lower=True, check_finite=False)
+        W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
+        shift = W @ solve_triangular(root, innovation, lower=True, check_finite=False)
+        self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+        self._pose = Pose.from_array(self._pose.array() + shift[:3])
+        self._means += shift[3:].reshape(-1, 2)
+
+    def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Append the landmarks that were born at the pose of this update."""
+        if not sightings:
+            return
+        n, k = self._size, len(sightings)
+        larger = np.empty((n + 2 * k, n + 2 * k), order="F")
+        larger[:n, :n] = self._cov
+        means, rows, noise = [], [], []
+        for sighting in sightings.values():
+            mean, by_pose, by_z = born_point(self._pose, sighting.z)
+            means.append(mean)
+            rows.append(by_pose)
+            noise.append(by_z @ sighting.cov @ by_z.T)
+        G = np.vstack(rows)  # (2k, 3)
+        pose_cov = self._symmetric(np.arange(3))
+        larger[n:, :n] = G @ np.vstack([pose_cov, self._cov[3:, :3]]).T
+        own = G @ pose_cov @ G.T + block_diag(*noise)
+        larger[n:, n:] = 0.5 * (own + own.T)
+        self._cov = larger
+        self._means = np.vstack([self._means, *means])
+        self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
+
+
+def _state_index(slots: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(3 + 2k,) places in the state of the pose and of the landmarks in `slots`."""
+    return np.concatenate([np.arange(3), (3 + 2 * slots[:, None] + np.arange(2)).ravel()])

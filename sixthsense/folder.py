@@ -1,0 +1,123 @@
+"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when all of it is there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import Config, save_config
+from sixthsense.geometry import Array
+from sixthsense.trace import Trace
+
+
+class FolderError(ValueError):
+    """One line that names the folder and what is wrong with it."""
+
+
+class RunFolder:
+    """Reserves a folder before the run and fills it after; an existing one stays whole until its successor is."""
+
+    def __init__(self, out: Path, config: Config, overwrite: bool = False) -> None:
+        """Create `OUT.partial` with the configuration in it.
+
+        Raises FolderError when `out` exists and may not be overwritten, or when nothing can be written there.
+        """
+        self.out = out
+        self.partial = out.with_name(out.name + ".partial")
+        if out.exists() and not overwrite:
+            raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
+        if out.exists() and not (out / "config.toml").is_file():
+            raise FolderError(f"--out: {out} is no run's folder, allowed: a new folder, or a run's to overwrite")
+        try:
+            if self.partial.exists():
+                shutil.rmtree(self.partial)
+            self.partial.mkdir(parents=True)
+            save_config(config, self.partial / "config.toml")
+        except OSError as error:
+            raise FolderError(f"--out: {self.partial} cannot be written ({error.strerror})") from None
+
+    def write(self, trace: Trace) -> dict[str, Any]:
+        """Write everything of a finished run but its figures; returns the metrics."""
+        write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
+        write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
+        if trace.truths:
+            write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths))
+        write_landmarks(self.partial, trace)
+        if trace.grid is not None:
+            write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
+        values = trace.metrics()
+        (self.partial / "metrics.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        return values
+
+    def finish(self) -> None:
+        """Give the folder its name."""
+        if self.out.exists():
+            # A rename, then a deletion: at no moment is there neither the old run nor the new one.
+            old = self.out.with_name(self.out.name + ".old")
+            if old.exists():
+                shutil.rmtree(old)
+            self.out.rename(old)
+            self.partial.rename(self.out)
+            shutil.rmtree(old)
+        else:
+            self.partial.rename(self.out)
+
+
+def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds with all their digits."""
+    with file.open("w", encoding="utf-8") as out:
+        for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
+            seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+            half = 0.5 * theta
+            out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
+
+
+def write_landmarks(folder: Path, trace: Trace) -> None:
+    """Write the landmarks for people (CSV) and the joint mean and covariance for the next run (NPZ)."""
+    estimate, records = trace.final, trace.records
+    with (folder / "landmarks.csv").open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["id", "kind", "x", "y", "cov_xx", "cov_xy", "cov_yy", "sightings"])
+        for k, i in enumerate(estimate.ids.tolist()):
+            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
+            x, y = estimate.landmarks[k].tolist()
+            cov = (block[0, 0], block[0, 1], block[1, 1])
+            writer.writerow([i, records[i].kind.name.lower(), x, y, *map(float, cov), records[i].sightings])
+    np.savez(
+        folder / "landmarks.npz",
+        ids=estimate.ids,
+        kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
+        mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
+        covariance=trace.joint_cov,
+    )
+
+
+def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
+    """Write (H, W) occupancy, -1 unknown, 0 free, 100 occupied, as map_server's PGM and YAML, cropped to the known."""
+    import yaml
+    from PIL import Image
+
+    known = occupancy >= 0
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if len(rows) == 0:
+        return
+    r0, c0 = int(rows[0]), int(cols[0])
+    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
+    grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
+    Image.fromarray(np.flipud(grey)).save(folder / "map.pgm")  # an image's first row is the map's top
+    meta = {
+        "image": "map.pgm",
+        "mode": "trinary",
+        "resolution": cell_m,
+        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    (folder / "map.yaml").write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")

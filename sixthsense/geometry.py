@@ -1,0 +1,104 @@
+"""Planar rigid motions, angles and segments. Metres, radians; x forward, y left, angles counter-clockwise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@overload
+def wrap_angle(angle: float) -> float: ...
+@overload
+def wrap_angle(angle: Array) -> Array: ...
+def wrap_angle(angle: float | Array) -> float | Array:
+    """Wrap an angle, or an array of them, into [-pi, pi); what lies there already keeps its bits."""
+    if isinstance(angle, np.ndarray):
+        wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
+        # The modulo of a tiny negative number rounds up to 2 pi itself.
+        wrapped = np.where(wrapped >= math.pi, -math.pi, wrapped)
+        return np.where((angle >= -math.pi) & (angle < math.pi), angle, wrapped)
+    if -math.pi <= angle < math.pi:
+        return float(angle)
+    turned = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return -math.pi if turned >= math.pi else float(turned)
+
+
+def rotation(theta: float) -> Array:
+    """The (2, 2) matrix that turns a vector by `theta`."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, -s], [s, c]])
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A rigid motion of the plane, `T_a_b`: frame b seen from frame a.
+
+    `T_a_b @ T_b_c` is a Pose; `T_a_b @ points_b` maps an (N, 2) or (2,) array into frame a.
+    """
+
+    x: float = 0.0
+    """metres"""
+    y: float = 0.0
+    """metres"""
+    theta: float = 0.0
+    """radians, kept in [-pi, pi)"""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", float(self.x))
+        object.__setattr__(self, "y", float(self.y))
+        object.__setattr__(self, "theta", wrap_angle(float(self.theta)))
+
+    @classmethod
+    def from_array(cls, values: Any) -> Pose:
+        """Build a pose from three numbers (x, y, theta); ValueError for any other count."""
+        array = np.asarray(values, dtype=np.float64)
+        if array.shape != (3,):
+            raise ValueError(f"pose: expected shape (3,), got {array.shape}")
+        return cls(array[0], array[1], array[2])
+
+    def array(self) -> Array:
+        """(3,): x, y, theta."""
+        return np.array([self.x, self.y, self.theta])
+
+    @property
+    def position(self) -> Array:
+        """(2,): x, y."""
+        return np.array([self.x, self.y])
+
+    def inverse(self) -> Pose:
+        """`T_b_a` of `T_a_b`."""
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, -self.theta)
+
+    @overload
+    def __matmul__(self, other: Pose) -> Pose: ...
+    @overload
+    def __matmul__(self, other: Array) -> Array: ...
+    def __matmul__(self, other: Pose | Array) -> Pose | Array:
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        if isinstance(other, Pose):
+            return Pose(
+                self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.theta + other.theta
+            )
+        points = np.asarray(other, dtype=np.float64)
+        if points.shape[-1:] != (2,):
+            raise ValueError(f"points: expected shape (N, 2) or (2,), got {points.shape}")
+        mapped = np.empty_like(points)
+        mapped[..., 0] = self.x + c * points[..., 0] - s * points[..., 1]
+        mapped[..., 1] = self.y + s * points[..., 0] + c * points[..., 1]
+        return mapped
+
+
+def point_segment_distance(point: Array, segments: Array) -> Array:
+    """(N,) distances from a (2,) point to (N, 2, 2) segments, in metres."""
+    start = segments[:, 0]
+    along = segments[:, 1] - start
+    length_sq = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
+    t = np.clip(np.einsum("ij,ij->i", point - start, along) / length_sq, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(start + t[:, None] * along - point, axis=1))

@@ -1,0 +1,184 @@
+"""The loop, from evidence to command, for a simulated world and for a log alike (DESIGN figure)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from sixthsense.association import Associator
+from sixthsense.config import Config, KeyScanConfig
+from sixthsense.estimators import make_estimator
+from sixthsense.features import extract
+from sixthsense.follow import Follower
+from sixthsense.geometry import Array, Pose
+from sixthsense.grid import Grid
+from sixthsense.logs.carmen import CarmenLog, Relations
+from sixthsense.motion import odometry
+from sixthsense.navigate import Driver, Navigator, Passenger
+from sixthsense.planners import make_planner
+from sixthsense.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.source import Command, Source, Tick
+from sixthsense.trace import Trace
+from sixthsense.world import World
+
+OnTick = Callable[[Tick], None]
+
+LOG_RADIUS_M = 0.2  # of a recorded robot whose configuration names none
+
+
+def run(config: Config, on_tick: OnTick | None = None) -> Trace:
+    """Simulate `config.scene` and drive its task.
+
+    Raises SceneError for a scene, start or goal that will not do. `on_tick` is called after every control tick.
+    """
+    scene = load_scene(config.scene)
+    start, goals, radius_m = mission(scene, config)
+    world_rng, ransac_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
+    source = World(scene.walls, start, radius_m, config, world_rng)
+    follower = Follower(config.follow, config.robot)
+    driver = Driver(goals, config.task == "tour", make_planner(config.planner), follower, config)
+    trace = Trace(config, scene, radius_m)
+    loop(source, start, driver, trace, ransac_rng, on_tick)
+    return trace
+
+
+def replay(log: CarmenLog, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
+    """Digest a recorded log with the same middle of the loop; the robot goes where it went.
+
+    With `relations` the metrics compare the trajectory with them.
+    """
+    ransac_rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(2)[1])
+    trace = Trace(config, None, config.robot.radius or LOG_RADIUS_M, relations=relations)
+    loop(log, log.start, Passenger(), trace, ransac_rng, on_tick)
+    return trace
+
+
+def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
+    """Start, goals (N, 2) and robot radius of a task, from the configuration or else from the scene.
+
+    Raises SceneError, naming the field, for a place that is missing, outside the region or too near a wall.
+    """
+    start = Pose(*config.start) if config.start is not None else scene.start
+    goal = config.goal if config.goal is not None else scene.goal
+    if config.task == "goal" and goal is None:
+        raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
+    if config.task == "tour" and not scene.tour:
+        raise SceneError(f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: goal")
+    if config.task == "tour":
+        goal = None
+    tour = scene.tour if goal is None else ()
+    check_placement(scene, start, goal, config.region, config.robot.radius, tour)
+    assert start is not None  # check_placement has seen to it
+    return start, np.array(tour or (goal,), dtype=np.float64), config.robot.radius or scene.radius
+
+
+def warm_up() -> None:
+    """Compile the hot loops, or load them compiled, so that the first key scan is as quick as the rest."""
+    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+    config = Config(max_time=2.0)
+    scene = Scene("room", walls, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
+    driver = Driver(np.array([[1.0, 1.0]]), False, make_planner("astar"), Follower(config.follow, config.robot), config)
+    rng = np.random.default_rng(0)
+    trace = Trace(config, scene, 0.2)
+    loop(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
+    trace.metrics()
+
+
+class KeyScans:
+    """Decides which scans are used: those after enough motion since the last one used."""
+
+    def __init__(self, config: KeyScanConfig) -> None:
+        self._config = config
+        self._first = True
+        self.since = Pose()
+        """motion since the last key scan, by odometry"""
+
+    def moved(self, motion: Pose) -> None:
+        """Take an increment of motion in."""
+        self.since = self.since @ motion
+
+    def take(self) -> bool:
+        """Whether a scan taken here is a key scan; if so, counting starts anew."""
+        distance, turn = math.hypot(self.since.x, self.since.y), abs(self.since.theta)
+        far = distance >= self._config.distance_m or turn >= self._config.turn_rad
+        if self._first or (far and (distance > 0.0 or turn > 0.0)):
+            self._first = False
+            self.since = Pose()
+            return True
+        return False
+
+
+def loop(
+    source: Source,
+    start: Pose,
+    navigator: Navigator,
+    trace: Trace,
+    rng: np.random.Generator,
+    on_tick: OnTick | None = None,
+) -> None:
+    """Run until the task is over, the source ends or `max_time` is reached; `start` is where the estimator begins."""
+    config, watch = trace.config, trace.stopwatch
+    estimator = make_estimator(config.estimator, start, np.zeros((3, 3)))
+    associator = Associator(config.association)
+    grid = Grid(config.grid, trace.radius_m)
+    keyscans = KeyScans(config.keyscans)
+    command, pose, dead_reckoned = Command(), start, start
+    before: Pose | None = None
+    deadline_ns = 0
+    began = time.perf_counter()
+    # One BLAS thread: with more, results differ from run to run, and small matrices are slower.
+    with threadpool_limits(limits=1, user_api="blas"):
+        while True:
+            watch.start()
+            tick = source.step(command)
+            watch.lap("sense")
+            if tick is None:
+                trace.outcome = "log ended"
+                break
+            if before is None:
+                deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
+            else:
+                increment = odometry(before, tick.odometry, config.assumed, config.keyscans)
+                estimator.predict(increment)
+                keyscans.moved(increment.motion)
+                pose, dead_reckoned = pose @ increment.motion, dead_reckoned @ increment.motion
+            before = tick.odometry
+            watch.lap("predict")
+            if tick.scan is not None and keyscans.take():
+                features = extract(tick.scan, config.assumed, config.features, rng)
+                watch.lap("extract")
+                association = associator.associate(features.sightings, estimator)
+                watch.lap("associate")
+                estimator.update(association.sightings)
+                estimator.forget(associator.cull())
+                estimate = estimator.estimate()
+                pose = estimate.pose
+                watch.lap("update")
+                grid.add(pose, tick.scan, features.walls)
+                watch.lap("grid")
+                navigator.look(grid, pose)
+                watch.lap("plan")
+                watch.key_scan()
+                trace.add_key_scan(tick, estimate, association, features.walls)
+            command = navigator.step(pose, tick.stamp_ns)
+            trace.add_tick(tick, dead_reckoned)
+            if tick.scan is not None:
+                trace.add_scan(tick, pose, dead_reckoned, keyscans.since)
+            if on_tick is not None:
+                on_tick(tick)
+            if tick.collided or navigator.outcome is not None:
+                trace.outcome = navigator.outcome or "collided"
+                break
+            if tick.stamp_ns >= deadline_ns:
+                trace.outcome = "tour ended" if config.task == "tour" else "out of time"
+                break
+    trace.wall_time_s = time.perf_counter() - began
+    trace.final = estimator.estimate()
+    trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
+    trace.trajectory = estimator.trajectory()
+    trace.records, trace.culled = associator.records, associator.culled
+    trace.plans, trace.grid = navigator.plans, grid
