@@ -1,3 +1,10 @@
-"""Sixth Sense: a workbench for 2-D laser SLAM."""
+"""Sixth Sense: a workbench for 2-D laser SLAM.
+
+The public names are flat; `__init__.pyi` lists them, and each is imported when it is first used.
+"""
+
+import lazy_loader
 
 __version__ = "0.1.0"
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -77,6 +77,7 @@ class Associator:
     def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what fits none is a candidate or a landmark."""
         self._scan += 1
+        self._candidates = [c for c in self._candidates if self._scan - c.last_scan <= self._config.candidate_scans]
         estimate = estimator.estimate()
         if not sightings:
             return Association({}, 0, 0.0, 0)
@@ -102,7 +103,6 @@ class Associator:
                 accepted[self._next_id] = sightings[k]
                 self.records[self._next_id] = Record(sightings[k].kind, 1, self._scan)
                 self._next_id += 1
-        self._candidates = [c for c in self._candidates if self._scan - c.last_scan <= self._config.candidate_scans]
         return Association(accepted, len(sightings) - len(accepted), nis, 2 * len(known))
 
     def cull(self) -> list[LandmarkId]:

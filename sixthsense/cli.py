@@ -4,25 +4,27 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import io
-import re
 import sys
 import time
+import typing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 
-from sixthsense.config import Config, ConfigError, load_config, preset
+from sixthsense.config import Config, load_config, merge, preset
+from sixthsense.errors import InputError
+from sixthsense.options import Table, UsageError, parse
 
 if TYPE_CHECKING:
     from sixthsense.folder import RunFolder
+    from sixthsense.logs.carmen import CarmenLog, Relations
     from sixthsense.source import Tick
     from sixthsense.trace import Trace
 
-T = TypeVar("T")
+C = TypeVar("C", bound="Common")
 
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 EXIT_CODES = {"goal reached": DONE, "tour ended": DONE, "log ended": DONE, "interrupted": INTERRUPTED}
@@ -41,17 +43,13 @@ commands:
 """
 
 
-class UsageError(ValueError):
-    """One line for a command line that will not do."""
-
-
 @dataclass(frozen=True)
 class Common:
     """Options that every command with a run folder has."""
 
-    config_file: Annotated[Path | None, tyro.conf.arg(name="config")] = None
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """TOML file, partial or whole, over the preset; a run folder's config.toml repeats that run."""
-    out: Path | None = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
@@ -62,7 +60,7 @@ class Common:
 class Run(Common):
     """Put a robot into a scene it has never seen and let it reach its goals."""
 
-    scene_name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
+    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
     realtime: bool = False
     """Hold the simulated clock back to the wall's."""
@@ -72,9 +70,9 @@ class Run(Common):
 class Replay(Common):
     """Digest a recorded log: CARMEN .log or .clf, plain, .gz or .bz2."""
 
-    log: Annotated[Path, tyro.conf.Positional] = Path()
+    log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
     """The log."""
-    relations: Path | None = None
+    relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """Hand-checked relations between poses (Kuemmerle et al. 2009) to measure the trajectory against."""
 
 
@@ -91,109 +89,113 @@ def main(argv: Sequence[str] | None = None) -> int:
         return commands[args[0]](args[1:])
     except BrokenPipeError:
         return FAILED
-    except ValueError as error:
-        # Every complaint about what the user gave us is a ValueError of one line.
-        if not isinstance(error, _bad_input()):
-            raise
-        print(f"sixthsense: {error}", file=sys.stderr)
-        return BAD_INPUT
+    except InputError as error:
+        return _complain(str(error))
+    except OSError as error:
+        return _complain(f"{error.filename or 'output'}: {error.strerror or error}")
     except KeyboardInterrupt:
         print("sixthsense: interrupted", file=sys.stderr)
         return INTERRUPTED
 
 
-def _bad_input() -> tuple[type[ValueError], ...]:
-    from sixthsense.folder import FolderError
-    from sixthsense.logs import LogError
-    from sixthsense.scene import SceneError
-
-    return UsageError, ConfigError, SceneError, LogError, FolderError
+def _complain(message: str) -> int:
+    print(f"sixthsense: {' '.join(message.split())}", file=sys.stderr)
+    return BAD_INPUT
 
 
-def _parse(command: type[T], args: list[str], name: str, default: Any = None) -> T:
-    """Parse words into a command's options; UsageError, one line, for what it does not understand."""
-    help_wanted = any(word in ("-h", "--help") for word in args)
-    errors = io.StringIO()
-    try:
-        with contextlib.nullcontext() if help_wanted else contextlib.redirect_stderr(errors):
-            options: T = tyro.cli(command, prog=f"sixthsense {name}", args=args, default=default)
-            return options
-    except SystemExit as stop:
-        if stop.code in (0, None):
-            raise
-        raise UsageError(_one_line(errors.getvalue())) from None
+def _help(command: type[Common], name: str, base: str) -> int:
+    """Print a command's options, with the values they have by default."""
+    with contextlib.suppress(SystemExit):
+        tyro.cli(command, prog=f"sixthsense {name}", args=["--help"], default=command(settings=preset(base)))
+    return DONE
 
 
-def _one_line(message: str) -> str:
-    """The gist of a parser's framed, wrapped message."""
-    rows = [row.strip(" │╭╮╰╯─-").strip() for row in message.splitlines()]
-    body: list[str] = []
-    for row in rows[1:]:
-        if row.startswith(("Argument helptext", "For full helptext", "Perhaps you meant", "Arguments similar")):
-            break
-        if row:
-            body.append(row)
-    line = re.sub(r"\s+", " ", " ".join(body))
-    return re.sub(r"^Error parsing (\S+): \1", r"\1", line) or "the command line was not understood"
+def _parse(command: type[C], place: str, base: str, args: list[str]) -> tuple[C, Table]:
+    """A command's options, and the table of those fields of Config that flags set.
 
-
-def _resolve(command: type[T], args: list[str], name: str, base: str) -> T:
-    """Options with their precedence: defaults < preset < configuration file < flags."""
-    first: Any = _parse(command, args, name)
-    named = _given("--preset", args)
-    settings = preset(first.settings.preset if named else base) if named or base != "default" else None
-    if first.config_file is not None:
-        settings = load_config(first.config_file, settings if named else None)
-    default = dataclasses.replace(first, settings=settings or preset())
-    return _parse(command, args, name, default)
+    `place` names the option that stands by itself, `base` the preset where none is named. Precedence is defaults <
+    preset < configuration file < flags; a ConfigError names the flag, or the file and its field.
+    """
+    own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", place)}
+    given, table = parse(args, own, place)
+    settings = preset(table.get("preset", base))
+    if "config" in given:
+        settings = load_config(given["config"], settings if "preset" in table else None, base)
+    return command(**given, settings=merge(settings, table, "--")), table
 
 
 def _run(args: list[str]) -> int:
-    options = _resolve(Run, args, "run", "default")
+    if _wants_help(args):
+        return _help(Run, "run", "default")
+    options, flags = _parse(Run, "scene", "default", args)
     config = options.settings
-    if options.scene_name is not None:
-        config = dataclasses.replace(config, scene=options.scene_name)
-    if config.goal is not None and not _given("--task", args):
+    if options.scene is not None:
+        config = dataclasses.replace(config, scene=options.scene)
+    if flags.get("goal") is not None and "task" not in flags:
         config = dataclasses.replace(config, task="goal")
     if Path(config.scene).suffix:
         # The run can then be repeated from its configuration wherever one stands.
         config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
-    from sixthsense.run import mission, run, warm_up
+    from sixthsense.loop import mission, run, warm_up
     from sixthsense.scene import load_scene
 
     scene = load_scene(config.scene)
     mission(scene, config)
-    folder = _folder(options, config, f"{scene.name}-{config.estimator}")
-    _announce_compilation()
-    warm_up()
-    with _Progress(f"{scene.name}, {config.task}", config.max_time, options.realtime) as progress:
-        trace = run(config, progress)
-    title = f"{scene.name} · {config.estimator} · {config.preset} · seed {config.seed}: {trace.outcome}"
-    return _finish(folder, trace, title)
+    label = f"{scene.name}, {config.task}"
+    with _folder(options, config, f"{scene.name}-{config.estimator}") as folder:
+        _announce_compilation()
+        warm_up()
+        with _Progress(label, config.max_time, options.realtime) as progress:
+            trace = run(config, progress)
+        title = f"{scene.name} · {config.estimator} · {config.preset} · seed {config.seed}: {trace.outcome}"
+        return _finish(folder, trace, title)
 
 
 def _replay(args: list[str]) -> int:
-    options = _resolve(Replay, args, "replay", "intel")
+    if _wants_help(args):
+        return _help(Replay, "replay", "intel")
+    options, flags = _parse(Replay, "log", "intel", args)
     config = options.settings
+    for name in ("scene", "task", "goal", "start", "region", "planner", "follow", "world"):
+        if name in flags:
+            raise UsageError(f"--{name}: found on replay, allowed: options of what a log leaves open, not of the robot")
+    if options.log is None:
+        raise UsageError("log: found nothing, allowed: a CARMEN file")
     from sixthsense.logs import open_log
     from sixthsense.logs.carmen import read_relations
-    from sixthsense.run import replay, warm_up
+    from sixthsense.loop import replay, warm_up
 
     relations = read_relations(options.relations) if options.relations is not None else None
     log = open_log(options.log, config.laser)
+    if relations is not None:
+        _check_relations(relations, log, options)
+    name = Path(options.log).name
     if log.backward_stamps:
-        note = f"note: {options.log.name}: stamps run backwards at {log.backward_stamps} scans; replayed in file order"
+        note = f"note: {name}: stamps run backwards at {log.backward_stamps} scans; replayed in file order"
         print(note, file=sys.stderr)
-    folder = _folder(options, config, f"{options.log.name.split('.')[0]}-{config.estimator}")
-    _announce_compilation()
-    warm_up()
-    with _Progress(options.log.name, log.duration_s, False) as progress:
-        trace = replay(log, config, relations, progress)
-    return _finish(folder, trace, f"{options.log.name} · {config.estimator}: {trace.outcome}")
+    with _folder(options, config, f"{name.split('.')[0]}-{config.estimator}") as folder:
+        _announce_compilation()
+        warm_up()
+        with _Progress(name, log.duration_s, False) as progress:
+            trace = replay(log, config, relations, progress)
+        return _finish(folder, trace, f"{name} · {config.estimator}: {trace.outcome}")
+
+
+def _check_relations(relations: Relations, log: CarmenLog, options: Replay) -> None:
+    """Raise UsageError for a relation that names no scan of the log."""
+    import numpy as np
+
+    from sixthsense.metrics import relations_error
+
+    stamps = np.array([t.log_stamp_s for t in log.ticks if t.scan is not None], dtype=np.float64)
+    try:
+        relations_error(stamps, np.zeros((len(stamps), 3)), relations.stamps, relations.poses)
+    except ValueError as error:
+        raise UsageError(f"{options.relations}: {error}, allowed: stamps of scans in {options.log}") from None
 
 
 def _scenes(args: list[str]) -> int:
-    if args and args[0] in ("-h", "--help"):
+    if _wants_help(args):
         print("usage: sixthsense scenes\n\nList the scenes that ship.")
         return DONE
     if args:
@@ -208,8 +210,8 @@ def _scenes(args: list[str]) -> int:
     return DONE
 
 
-def _given(flag: str, args: list[str]) -> bool:
-    return any(word == flag or word.startswith(flag + "=") for word in args)
+def _wants_help(args: list[str]) -> bool:
+    return "-h" in args or "--help" in args
 
 
 def _folder(options: Common, config: Config, stem: str) -> RunFolder:

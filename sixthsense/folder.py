@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config, save_config
+from sixthsense.errors import InputError
 from sixthsense.geometry import Array
 from sixthsense.trace import Trace
 
 
-class FolderError(ValueError):
+class FolderError(InputError):
     """One line that names the folder and what is wrong with it."""
 
 
@@ -28,19 +30,35 @@ class RunFolder:
 
         Raises FolderError when `out` exists and may not be overwritten, or when nothing can be written there.
         """
+        if out.name in ("", ".."):
+            raise FolderError(f"--out: found {str(out)!r}, allowed: a path that ends in a name")
         self.out = out
         self.partial = out.with_name(out.name + ".partial")
-        if out.exists() and not overwrite:
-            raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
-        if out.exists() and not (out / "config.toml").is_file():
-            raise FolderError(f"--out: {out} is no run's folder, allowed: a new folder, or a run's to overwrite")
         try:
+            if out.exists() and not overwrite:
+                raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
+            for folder in (out, self.partial):
+                if folder.exists() and not (folder / "config.toml").is_file():
+                    raise FolderError(f"--out: {folder} is no run's folder, allowed: a new one, or a run's")
             if self.partial.exists():
                 shutil.rmtree(self.partial)
+            self._made = [parent for parent in self.partial.parents if not parent.exists()]
             self.partial.mkdir(parents=True)
             save_config(config, self.partial / "config.toml")
         except OSError as error:
-            raise FolderError(f"--out: {self.partial} cannot be written ({error.strerror})") from None
+            raise FolderError(
+                f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
+            ) from None
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Leave nothing behind of a run that bad input has stopped; any other end keeps what there is."""
+        if kind is not None and issubclass(kind, InputError):
+            shutil.rmtree(self.partial, ignore_errors=True)
+            for parent in self._made:
+                parent.rmdir()
 
     def write(self, trace: Trace) -> dict[str, Any]:
         """Write everything of a finished run but its figures; returns the metrics."""
@@ -58,13 +76,11 @@ class RunFolder:
     def finish(self) -> None:
         """Give the folder its name."""
         if self.out.exists():
-            # A rename, then a deletion: at no moment is there neither the old run nor the new one.
-            old = self.out.with_name(self.out.name + ".old")
-            if old.exists():
-                shutil.rmtree(old)
-            self.out.rename(old)
+            # Renames, then a deletion: at no moment is there neither the old run nor the new one.
+            aside = Path(tempfile.mkdtemp(prefix=f".{self.out.name}.", dir=self.out.parent))
+            self.out.rename(aside / self.out.name)
             self.partial.rename(self.out)
-            shutil.rmtree(old)
+            shutil.rmtree(aside)
         else:
             self.partial.rename(self.out)
 

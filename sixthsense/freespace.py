@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sixthsense.errors import InputError
 from sixthsense.geometry import Array
 
 MAX_CELLS = 100_000_000
@@ -128,11 +129,11 @@ class FreeSpace:
 def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]:
     """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive, whole numbers both.
 
-    Raises ValueError when they are more than `MAX_CELLS`, or so far out that floats no longer tell them apart.
+    Raises InputError when they are more than `MAX_CELLS`, or so far out that floats no longer tell them apart.
     """
     height, width = high - low
     if not (height * width <= MAX_CELLS and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
-        raise ValueError(
+        raise InputError(
             f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
             f"allowed: at most {MAX_CELLS:,} cells, within 2^48 of the origin"
         )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.config import GridConfig
+from sixthsense.errors import InputError
 from sixthsense.freespace import MAX_CELLS, TOUCH, Bools, FreeSpace, cell_box
 from sixthsense.geometry import Array, Pose
 from sixthsense.laser import Scan
@@ -34,12 +35,17 @@ def line_cells(r0: int, c0: int, r1: int, c1: int) -> NDArray[np.int64]:
     return np.stack([cells // width + row, cells % width + col], axis=1)
 
 
+MOST_REACH = 1000  # cells of inflation; a disc of more takes longer to draw than a robot to drive
+
+
 class Grid:
     """Hit grid and sense grid in one: counts hits and passes per cell, grows as the robot sees.
 
     Evidence is counted once per scan: in one scan a cell gains at most one hit and one pass, and a hit beats a pass,
     so that beams grazing along a wall do not erase it. A cell is an obstacle when it has at least `min_hits` hits and
-    at most `passes_per_hit` passes per hit, so that a stray return does not block for ever.
+    at most `passes_per_hit` passes per hit, so that a stray return does not block for ever. A hit makes an obstacle at
+    once, however long the cell has been free: of earlier passes no more are kept than it takes to just not undo it.
+    Hits beyond `max_hits` are not kept either, so that a wall that was drawn in the wrong place can go.
 
     Obstacles are inflated by the robot's true disc: a cell is blocked when a disc of `radius_m` + `clearance_m` about
     its centre touches the square of an obstacle cell. A robot anywhere else in a cell that is not blocked is at most
@@ -51,7 +57,10 @@ class Grid:
         if not (math.isfinite(radius_m) and radius_m >= 0.0):
             raise ValueError(f"radius_m: found {radius_m}, allowed: at least 0")
         self._config = config
-        self._stencil = _disc((radius_m + config.clearance_m) / config.cell_m)
+        reach = (radius_m + config.clearance_m) / config.cell_m
+        if reach > MOST_REACH:
+            raise InputError(f"grid: found an inflation of {reach:.0f} cells, allowed: at most {MOST_REACH}")
+        self._stencil = _disc(reach)
         self.clear()
 
     def clear(self) -> None:
@@ -66,7 +75,8 @@ class Grid:
         """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
 
         A beam that returned hits the cell of its end and passes those before it; one without a return (at or beyond
-        the scan's maximum) passes all up to the maximum; a NaN, zero or negative range is no evidence. Raises
+        the scan's maximum) passes all up to the maximum, or none if so configured; a NaN, zero or negative range is no
+        evidence. Raises
         ValueError for walls of another shape, for a pose, walls or maximum that are not finite, and when the grid
         would grow beyond 100 million cells; the grid is then unchanged.
         """
@@ -77,7 +87,7 @@ class Grid:
             raise ValueError(f"max_range: found {scan.max_range}, allowed: a finite number")
         T_world_laser = T_world_robot @ scan.T_robot_laser
         ranges = scan.ranges.astype(np.float64)
-        valid = ranges > 0.0
+        valid = (ranges > 0.0) & (self._config.no_return_passes | (ranges < scan.max_range))
         returned = ranges[valid] < scan.max_range
         reach = np.minimum(ranges[valid], scan.max_range)
         angles = scan.bearings[valid] + T_world_laser.theta
@@ -93,7 +103,7 @@ class Grid:
         _add(
             self._hits, self._passes, self._seen, self._obstacles, self._cover, self._stamp, self._flat_stencil,
             local[0], local[1 : 1 + len(ends)], returned, local[1 + len(ends) :],
-            self._scans, self._config.min_hits, self._config.passes_per_hit,
+            self._scans, self._config.min_hits, self._config.max_hits, self._config.passes_per_hit,
         )  # fmt: skip
 
     def free_space(self, *points_world: ArrayLike) -> FreeSpace:
@@ -190,14 +200,16 @@ def _line(r0: int, c0: int, r1: int, c1: int, width: int, cells: NDArray[np.int6
 @numba.njit(cache=True, error_model="numpy")
 def _hit(
     cell: int, mark: int, hits: Ints, passes: Ints, obstacles: Bools, cover: Ints, stamp: Ints,
-    stencil: NDArray[np.int64], min_hits: int, passes_per_hit: float,
+    stencil: NDArray[np.int64], min_hits: int, max_hits: int, passes_per_hit: float,
 ) -> None:  # fmt: skip
     """Count a hit, once per scan, and inflate the cell if that makes it an obstacle; all arrays flat."""
     if stamp[cell] == mark:
         return
     stamp[cell] = mark
-    hits[cell] += 1
-    if not obstacles[cell] and hits[cell] >= min_hits and passes[cell] <= passes_per_hit * hits[cell]:
+    hits[cell] = min(hits[cell] + 1, max_hits)
+    # However long a cell has been free: a robot that sees an obstacle there now must not run into it.
+    passes[cell] = min(passes[cell], int(passes_per_hit * hits[cell]))
+    if not obstacles[cell] and hits[cell] >= min_hits:
         obstacles[cell] = True
         for offset in stencil:
             cover[cell + offset] += 1
@@ -207,7 +219,7 @@ def _hit(
 def _add(
     hits2: Ints, passes2: Ints, seen2: Bools, obstacles2: Bools, cover2: Ints, stamp2: Ints,
     stencil: NDArray[np.int64], laser: NDArray[np.int64], ends: NDArray[np.int64], returned: Bools,
-    walls: NDArray[np.int64], scan: int, min_hits: int, passes_per_hit: float,
+    walls: NDArray[np.int64], scan: int, min_hits: int, max_hits: int, passes_per_hit: float,
 ) -> None:  # fmt: skip
     """Count one scan: cells (row, col) of the laser (2,), of the beams' ends (N, 2), of the walls' ends (2 W, 2)."""
     hits, passes, seen, obstacles = hits2.ravel(), passes2.ravel(), seen2.ravel(), obstacles2.ravel()
@@ -219,10 +231,10 @@ def _add(
         cell = ends[i, 0] * width + ends[i, 1]
         seen[cell] = True
         if returned[i]:
-            _hit(cell, hit, hits, passes, obstacles, cover, stamp, stencil, min_hits, passes_per_hit)
+            _hit(cell, hit, hits, passes, obstacles, cover, stamp, stencil, min_hits, max_hits, passes_per_hit)
     for j in range(0, len(walls), 2):
         for k in range(_line(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1], width, line)):
-            _hit(line[k], hit, hits, passes, obstacles, cover, stamp, stencil, min_hits, passes_per_hit)
+            _hit(line[k], hit, hits, passes, obstacles, cover, stamp, stencil, min_hits, max_hits, passes_per_hit)
     for i in range(len(ends)):
         count = _line(laser[0], laser[1], ends[i, 0], ends[i, 1], width, line)
         for k in range(count - 1 if returned[i] else count):

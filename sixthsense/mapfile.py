@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.geometry import Array, Pose
-from sixthsense.scene import SceneError, check_keys, read_text
+from sixthsense.scenefields import SceneError, check_keys, read_text
 
 MAX_PIXELS = 100_000_000
 TOLERANCE_CELLS = 0.5

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sixthsense.config import AssumedConfig, Distribution, KeyScanConfig, MotionNoise
-from sixthsense.geometry import Array, Pose
+from sixthsense.geometry import Array, Pose, rotation
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
@@ -93,10 +93,10 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig, keyscans: KeySca
     The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9); slip
     adds to it, and so does a small floor without which the covariance has rank 2, or 1 when turning on the spot.
     """
-    motion = before.inverse() @ after
+    if before == after:
+        return STANDSTILL  # differencing would leave rounding errors that look like motion
+    motion = _corrected(before.inverse() @ after, assumed)
     distance, turn = arc(motion)
-    if distance == 0.0 and turn == 0.0:
-        return Odometry(motion, np.zeros((3, 3)))
     noise = assumed.motion
     half = 0.5 * turn
     c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
@@ -116,6 +116,17 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig, keyscans: KeySca
     position += assumed.floor_m**2 * share
     heading += assumed.floor_rad**2 * share
     return Odometry(motion, (g * q) @ g.T + np.diag([position, position, heading]))
+
+
+def _corrected(motion: Pose, assumed: AssumedConfig) -> Pose:
+    """The increment freed of the wheels' known systematic errors (Borenstein and Feng 1996)."""
+    if assumed.wheel_scale_error == 0.0 and assumed.drift_rad_per_m == 0.0:
+        return motion
+    scale = 1.0 + assumed.wheel_scale_error
+    bend = assumed.wheel_scale_error * motion.theta + assumed.drift_rad_per_m * scale * arc(motion)[0]
+    # Bending an arc turns its chord by half as much as its end.
+    chord = rotation(0.5 * bend) @ np.array([scale * motion.x, scale * motion.y])
+    return Pose(chord[0], chord[1], motion.theta + bend)
 
 
 def _sinc(angle: float) -> float:

@@ -29,6 +29,8 @@ class Navigator(Protocol):
 
     outcome: Outcome | None
     """why the task is over, None while it is not"""
+    at_the_end: str
+    """the outcome when time is up before that"""
     plans: list[Array]
     """every planned path, (N, 2) each, world frame"""
 
@@ -46,6 +48,7 @@ class Passenger:
 
     def __init__(self) -> None:
         self.outcome: Outcome | None = None
+        self.at_the_end = "log ended"
         self.plans: list[Array] = []
 
     def look(self, grid: Grid, pose: Pose) -> None:
@@ -62,6 +65,7 @@ class Driver:
     def __init__(self, goals: Array, rounds: bool, planner: Planner, follower: Follower, config: Config) -> None:
         """Head for `goals` (N, 2), world frame, in turn; `rounds` starts over after the last."""
         self.outcome: Outcome | None = None
+        self.at_the_end = "tour ended" if rounds else "out of time"
         self.plans: list[Array] = []
         self._goals: Iterator[Array] = itertools.cycle(goals) if rounds else iter(goals)
         self._goal = next(self._goals)
@@ -72,6 +76,9 @@ class Driver:
         self._planned = False
         self._turn_left = 0.0
         self._heading: float | None = None  # last seen while turning to look around
+        # A slow robot may take long to turn around, or to get anywhere at all.
+        robot = config.robot
+        self._patience_ns = 1e9 * max(_STUCK_S, 4.0 * math.pi / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
         self._anchor: tuple[int, Pose] | None = None
 
     def look(self, grid: Grid, pose: Pose) -> None:
@@ -107,7 +114,9 @@ class Driver:
             free = self._space.nearest_free(start, _ESCAPE_M)
             if free is not None:
                 way_out, start = start[None], free
-        plan = self._planner.plan(self._space, start, self._goal)
+        # A goal that the inflation covers by a hair is reached as well from the nearest free place within the slack.
+        goal = self._space.nearest_free(self._goal, self._config.follow.goal_slack_m)
+        plan = self._planner.plan(self._space, start, self._goal if goal is None else goal)
         self._planned = plan.found
         if not plan.found:
             if self._heading is None:
@@ -133,5 +142,5 @@ class Driver:
     def _watch(self, pose: Pose, stamp_ns: int) -> None:
         if self._anchor is None or math.dist(pose.position, self._anchor[1].position) > _STUCK_M:
             self._anchor = (stamp_ns, pose)
-        elif stamp_ns - self._anchor[0] > _STUCK_S * 1e9:
+        elif stamp_ns - self._anchor[0] > self._patience_ns:
             self.outcome = "stuck"

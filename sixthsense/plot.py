@@ -13,9 +13,12 @@ from sixthsense.trace import Trace
 
 # Okabe and Ito's palette: told apart by the colour-blind too.
 TRUTH, ESTIMATE, ODOMETRY, LANDMARK, PLAN = "#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73"
-WALL, FREE = "#56B4E9", "#F0F0F0"
+WALL, WALL_FOUND = "#4D4D4D", "#CC79A7"
 
 CHI2_95 = 5.991  # 2 degrees of freedom
+
+_WIDTH_IN, _LOW_IN, _HIGH_IN = 11.0, 3.0, 11.0
+_FRAME_IN = 1.0  # title, axis label and legend
 
 
 def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
@@ -35,7 +38,7 @@ def draw_grid(ax: Any, trace: Trace) -> None:
         return
     rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    shade = np.select([part == 100, part == 0], [0.35, 0.93], 1.0)
+    shade = np.select([part == 100, part == 0], [0.7, 0.94], 1.0)
     cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
     extent = (
         x0 + cols[0] * cell,
@@ -64,19 +67,28 @@ def draw_map(ax: Any, trace: Trace) -> None:
     from matplotlib.collections import PolyCollection
 
     draw_grid(ax, trace)
-    draw_segments(ax, walls_found(trace), colors=WALL, linewidths=0.6, alpha=0.35, label="walls found", zorder=1)
     if trace.scene is not None:
-        draw_segments(ax, trace.scene.walls, colors=TRUTH, linewidths=1.0, label="walls, true", zorder=2)
-    for k, plan in enumerate(trace.plans):
-        label = "planned" if k == 0 else None
-        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=0.8, linestyle="--", alpha=0.7, label=label, zorder=3)
+        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="walls, true", zorder=1)
+    # Thousands of scans of one wall would hide all else: the more there are, the fainter each.
+    style = {"colors": WALL_FOUND, "linewidths": 0.7, "alpha": min(1.0, 15.0 / (1.0 + len(trace.trajectory)) ** 0.5)}
+    draw_segments(ax, walls_found(trace), label="walls found", zorder=2, **style)
+    for k, plan in enumerate(reversed(trace.plans)):
+        # Each plan was dropped for the next one: all but the last are there, but stay in the background.
+        style = (
+            {"linewidth": 1.0, "linestyle": "--", "label": "planned last"}
+            if k == 0
+            else {"linewidth": 0.4, "alpha": 0.25}
+        )
+        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
     odometry = np.array(trace.odometry).reshape(-1, 3)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
     estimates = np.array(trace.estimates).reshape(-1, 3)
     if trace.truths:
         truth = np.array(trace.truths)
-        ax.plot(truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.6, label="driven, true", zorder=4)
-    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.0, label="driven, estimated", zorder=5)
+        ax.plot(
+            truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="driven, true", zorder=6
+        )
+    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=5)
     landmarks = trace.final.landmarks
     if len(landmarks):
         outlines = [
@@ -87,25 +99,40 @@ def draw_map(ax: Any, trace: Trace) -> None:
         label = "landmarks, 95 %"
         ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
     if len(estimates):
-        ax.plot(estimates[0, 0], estimates[0, 1], "o", color=ESTIMATE, markersize=6, label="start", zorder=7)
-        ax.plot(estimates[-1, 0], estimates[-1, 1], "s", color=ESTIMATE, markersize=6, label="end", zorder=7)
+        style = {"color": ESTIMATE, "markersize": 7, "markeredgewidth": 1.6, "linestyle": "none", "zorder": 7}
+        ax.plot(*estimates[0, :2], marker="o", markerfacecolor="white", label="start", **style)
+        ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
     ax.set_aspect("equal")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
-    ax.autoscale_view()
+    _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
 
 
-def save_map(trace: Trace, file: Path, title: str) -> None:
-    """Write the map figure as an image."""
+def _frame(ax: Any, points: list[Array]) -> None:
+    """Show what was mapped, whole, and of a dead reckoning that strays far from it no more than fits in."""
+    low, high = np.array(ax.dataLim.min), np.array(ax.dataLim.max)
+    inner = np.concatenate([np.zeros((0, 2)), *points])
+    if len(inner):
+        slack = 0.15 * (inner.max(axis=0) - inner.min(axis=0)).max() + 0.5
+        low, high = np.maximum(low, inner.min(axis=0) - slack), np.minimum(high, inner.max(axis=0) + slack)
+    margin = 0.02 * (high - low).max()
+    ax.set_xlim(low[0] - margin, high[0] + margin)
+    ax.set_ylim(low[1] - margin, high[1] + margin)
+
+
+def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
+    """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     # Without pyplot no window system is asked for and no global state is touched.
-    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
+    figure = Figure(layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     draw_map(ax, trace)
-    ax.set_title(title)
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    figure.set_size_inches(_WIDTH_IN, min(max(_WIDTH_IN * (y1 - y0) / (x1 - x0), _LOW_IN), _HIGH_IN) + _FRAME_IN)
+    ax.set_title(title if title is not None else trace.outcome)
     figure.legend(loc="outside lower center", ncols=5, frameon=False)
-    file.parent.mkdir(exist_ok=True)
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(file, dpi=130)

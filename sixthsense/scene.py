@@ -7,30 +7,35 @@ Three formats are read: TOML (walls and polygons, the format of the shipped scen
 from __future__ import annotations
 
 import math
-import reprlib
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from sixthsense.geometry import Array, Pose, point_segment_distance
+from sixthsense.scenefields import (
+    Point,
+    Region,
+    SceneError,
+    check_keys,
+    read_floats,
+    read_list,
+    read_numbers,
+    read_point,
+    read_polygon,
+    read_positive,
+    read_region,
+    read_text,
+    read_wall,
+)
 
-Point = tuple[float, float]
-Region = tuple[float, float, float, float]
+__all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
 DEFAULT_RADIUS_M = 0.2
-_LIMIT_M = 1e6
-_SHORTEST_WALL_M = 1e-6
 _SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons")
-_POLYGON_KEYS = ("points", "closed")
 _SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
-
-
-class SceneError(ValueError):
-    """One line that names the file, the field or line, what was found and what is allowed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,42 +117,22 @@ def check_placement(
     the field: no start at all, a disc of `radius` that touches a wall, a goal outside the region, a region whose
     corners are reversed, a radius that is not positive, anything not finite.
     """
-    radius = _positive("radius", radius) if radius else scene.radius
-    bounds = scene.region if region is None else _region("region", region)
+    radius = read_positive("radius", radius) if radius else scene.radius
+    bounds = scene.region if region is None else read_region("region", region)
     if isinstance(start, Pose):
         start = (start.x, start.y, start.theta)
     if start is None and scene.start is not None:
         start = (scene.start.x, scene.start.y, scene.start.theta)
     if start is None:
         raise SceneError(f"start: missing, the scene {scene.name} has none of its own, allowed: x y theta")
-    x, y, _ = _numbers("start", start, "x y theta")
+    x, y, _ = read_numbers("start", start, "x y theta")
     _check_clear("start", (x, y), scene, radius)
     goals = [] if goal is None else [("goal", goal)]
     goals += [(f"tour, entry {k}", place) for k, place in enumerate(tour, 1)]
     for where, values in goals:
-        place = _point(where, values)
+        place = read_point(where, values)
         _check_inside(where, place, bounds)
         _check_clear(where, place, scene, radius)
-
-
-def read_text(path: Path) -> str:
-    """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is none."""
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise SceneError(f"cannot be read ({error.strerror or error})") from None
-    except UnicodeDecodeError as error:
-        raise SceneError(f"byte {error.start} is not UTF-8, allowed: a text file") from None
-
-
-def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
-    """Raise SceneError for the first key of `table` that is not known, or of `required` that is missing."""
-    for key in table:
-        if key not in known:
-            raise SceneError(f"{where}{key}: no such field, allowed: {', '.join(known)}")
-    for key in required:
-        if key not in table:
-            raise SceneError(f"{where}{key}: missing, required are {', '.join(required)}")
 
 
 def _from_toml(path: Path) -> Scene:
@@ -160,18 +145,20 @@ def _from_toml(path: Path) -> Scene:
         raise SceneError(f"is not usable TOML ({str(error).split(';')[0]})") from None
     check_keys("", table, _SCENE_KEYS, ("start", "radius"))
     segments = [
-        _wall(f"walls, entry {k}", values) for k, values in enumerate(_list("walls", table.get("walls", [])), 1)
+        read_wall(f"walls, entry {k}", values) for k, values in enumerate(read_list("walls", table.get("walls", [])), 1)
     ]
-    for k, polygon in enumerate(_list("polygons", table.get("polygons", [])), 1):
-        segments += _polygon(f"polygons, entry {k}", polygon)
+    for k, polygon in enumerate(read_list("polygons", table.get("polygons", [])), 1):
+        segments += read_polygon(f"polygons, entry {k}", polygon)
     if not segments:
         raise SceneError("walls: found none, allowed: at least one wall or polygon")
     walls = np.array(segments)
-    region = _region("region", table["region"]) if "region" in table else _bounds(walls)
-    tour = tuple(_point(f"tour, entry {k}", values) for k, values in enumerate(_list("tour", table.get("tour", [])), 1))
-    goal = _point("goal", table["goal"]) if "goal" in table else None
-    start = Pose(*_numbers("start", table["start"], "x y theta"))
-    scene = Scene(path.stem, walls, start, _positive("radius", table["radius"]), goal, tour, region)
+    region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
+    tour = tuple(
+        read_point(f"tour, entry {k}", values) for k, values in enumerate(read_list("tour", table.get("tour", [])), 1)
+    )
+    goal = read_point("goal", table["goal"]) if "goal" in table else None
+    start = Pose(*read_numbers("start", table["start"], "x y theta"))
+    scene = Scene(path.stem, walls, start, read_positive("radius", table["radius"]), goal, tour, region)
     _check_inside("start", (start.x, start.y), region)
     check_placement(scene, goal=goal, tour=tour)
     return scene
@@ -182,89 +169,14 @@ def _from_scn(path: Path) -> Scene:
     if not rows:
         raise SceneError("line 1: missing, allowed: x y theta radius")
     number, words = rows[0]
-    x, y, theta, radius = _numbers(f"line {number}", _floats(words), "x y theta radius")
+    x, y, theta, radius = read_numbers(f"line {number}", read_floats(words), "x y theta radius")
     if len(rows) == 1:
         raise SceneError(f"line {number + 1}: missing, allowed: at least one wall x1 y1 x2 y2")
-    walls = np.array([_wall(f"line {number}", _floats(words)) for number, words in rows[1:]])
-    radius = _positive(f"line {number}, radius", radius)
+    walls = np.array([read_wall(f"line {number}", read_floats(words)) for number, words in rows[1:]])
+    radius = read_positive(f"line {number}, radius", radius)
     scene = Scene(path.stem, walls, Pose(x, y, theta), radius, None, (), _bounds(walls))
     check_placement(scene)
     return scene
-
-
-def _floats(words: list[str]) -> list[float | str]:
-    """Words as numbers where they are; the rest stays for the error message to show."""
-    values: list[float | str] = []
-    for word in words:
-        try:
-            values.append(float(word))
-        except ValueError:
-            values.append(word)
-    return values
-
-
-def _list(where: str, value: Any) -> list[Any]:
-    if not isinstance(value, list):
-        raise SceneError(f"{where}: found {reprlib.repr(value)}, allowed: a list")
-    return value
-
-
-def _numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
-    """As many finite floats as there are `names`."""
-    count = len(names.split())
-    found = list(values) if isinstance(values, (list, tuple, np.ndarray)) else []
-    usable = (
-        len(found) == count
-        and all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in found)
-        and all(abs(v) <= _LIMIT_M for v in found)  # false for NaN
-    )
-    if not usable:
-        raise SceneError(
-            f"{where}: found {reprlib.repr(values)}, allowed: {count} numbers ({names}), none beyond {_LIMIT_M:.0e}"
-        )
-    return tuple(float(v) for v in found)
-
-
-def _positive(where: str, value: Any) -> float:
-    usable = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not usable or not 0.0 < value <= _LIMIT_M:
-        raise SceneError(f"{where}: found {reprlib.repr(value)}, allowed: a number above 0, metres")
-    return float(value)
-
-
-def _point(where: str, values: Any) -> Point:
-    x, y = _numbers(where, values, "x y")
-    return x, y
-
-
-def _region(where: str, values: Any) -> Region:
-    x0, y0, x1, y1 = _numbers(where, values, "x0 y0 x1 y1")
-    if not (x0 < x1 and y0 < y1):
-        raise SceneError(f"{where}: found [{x0:g}, {y0:g}, {x1:g}, {y1:g}], allowed: x0 < x1 and y0 < y1")
-    return x0, y0, x1, y1
-
-
-def _wall(where: str, values: Any) -> list[Point]:
-    x1, y1, x2, y2 = _numbers(where, values, "x1 y1 x2 y2")
-    if math.hypot(x2 - x1, y2 - y1) < _SHORTEST_WALL_M:
-        raise SceneError(f"{where}: found a wall of no length at ({x1:g}, {y1:g}), allowed: two different ends")
-    return [(x1, y1), (x2, y2)]
-
-
-def _polygon(where: str, table: Any) -> list[list[Point]]:
-    """The sides of a closed outline, or of an open polyline."""
-    if not isinstance(table, dict):
-        raise SceneError(f"{where}: found {reprlib.repr(table)}, allowed: a table with {', '.join(_POLYGON_KEYS)}")
-    check_keys(f"{where}, ", table, _POLYGON_KEYS, ("points",))
-    closed = table.get("closed", True)
-    if not isinstance(closed, bool):
-        raise SceneError(f"{where}, closed: found {reprlib.repr(closed)}, allowed: true or false")
-    points = [_point(f"{where}, point {k}", p) for k, p in enumerate(_list(f"{where}, points", table["points"]), 1)]
-    least = 3 if closed else 2
-    if len(points) < least:
-        raise SceneError(f"{where}, points: found {len(points)}, allowed: at least {least}")
-    ends = [*points[1:], points[0]] if closed else points[1:]
-    return [_wall(f"{where}, side {k}", [*a, *b]) for k, (a, b) in enumerate(zip(points, ends, strict=False), 1)]
 
 
 def _bounds(walls: Array) -> Region:

@@ -79,7 +79,9 @@ class PlainGrid:
         for a, b in T_world_robot @ walls_robot:
             hit.update(tuple(map(int, cell)) for cell in line_cells(*self.cell(a), *self.cell(b)))
         for cell in hit:
-            self.hits[cell] = self.hits.get(cell, 0) + 1
+            self.hits[cell] = min(self.hits.get(cell, 0) + 1, self.config.max_hits)
+            if cell in self.passes:
+                self.passes[cell] = min(self.passes[cell], int(self.config.passes_per_hit * self.hits[cell]))
         for cell in crossed - hit:
             self.passes[cell] = self.passes.get(cell, 0) + 1
 
@@ -122,7 +124,7 @@ def test_a_bresenham_line_to_itself_is_one_cell() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    config = replace(CONFIG, min_hits=1 + seed % 2, passes_per_hit=1.0 + seed % 3)
+    config = replace(CONFIG, min_hits=1 + seed % 2, max_hits=3, passes_per_hit=1.0 + seed % 3)
     grid, plain = Grid(config, 0.2), PlainGrid(config)
     for _ in range(8):
         pose = random_pose(rng)
@@ -184,6 +186,25 @@ def test_a_stray_return_is_cleared_by_enough_passes() -> None:
     grid.add(Pose(0.05, 0.05), through, NO_WALLS)
     assert not grid.free_space().is_blocked((2.05, 0.05))
     assert grid.free_space().is_blocked((5.05, 0.05))
+
+
+def test_an_obstacle_where_all_was_free_for_long_blocks_at_once() -> None:
+    grid = Grid(CONFIG, 0.2)
+    for _ in range(100):
+        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
+    assert not grid.free_space().is_blocked((2.05, 0.05))
+    grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
+    assert grid.free_space().is_blocked((2.05, 0.05))
+
+
+def test_a_wall_that_was_seen_for_long_and_is_gone_goes() -> None:
+    config = replace(CONFIG, max_hits=5, passes_per_hit=4.0)
+    grid = Grid(config, 0.2)
+    for _ in range(100):
+        grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
+    for gone in range(22):
+        assert grid.free_space().is_blocked((2.05, 0.05)) == (gone <= 20)
+        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
 
 
 def test_fewer_hits_than_asked_make_no_obstacle() -> None:

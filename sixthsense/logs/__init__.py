@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sixthsense.errors import InputError
+
 if TYPE_CHECKING:
     from sixthsense.config import LaserConfig
     from sixthsense.logs.carmen import CarmenLog
@@ -13,7 +15,7 @@ _CARMEN = (".log", ".clf", ".carmen")
 _COMPRESSED = (".gz", ".bz2")
 
 
-class LogError(ValueError):
+class LogError(InputError):
     """One line that names the file and line, what was found and what is allowed."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import time
 from collections.abc import Callable
@@ -42,7 +43,7 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     follower = Follower(config.follow, config.robot)
     driver = Driver(goals, config.task == "tour", make_planner(config.planner), follower, config)
     trace = Trace(config, scene, radius_m)
-    loop(source, start, driver, trace, ransac_rng, on_tick)
+    drive(source, start, driver, trace, ransac_rng, on_tick)
     return trace
 
 
@@ -53,7 +54,7 @@ def replay(log: CarmenLog, config: Config, relations: Relations | None = None, o
     """
     ransac_rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(2)[1])
     trace = Trace(config, None, config.robot.radius or LOG_RADIUS_M, relations=relations)
-    loop(log, log.start, Passenger(), trace, ransac_rng, on_tick)
+    drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
 
 
@@ -84,8 +85,11 @@ def warm_up() -> None:
     driver = Driver(np.array([[1.0, 1.0]]), False, make_planner("astar"), Follower(config.follow, config.robot), config)
     rng = np.random.default_rng(0)
     trace = Trace(config, scene, 0.2)
-    loop(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
+    drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
     trace.metrics()
+    # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
+    gc.collect()
+    gc.freeze()
 
 
 class KeyScans:
@@ -112,7 +116,7 @@ class KeyScans:
         return False
 
 
-def loop(
+def drive(
     source: Source,
     start: Pose,
     navigator: Navigator,
@@ -126,9 +130,9 @@ def loop(
     associator = Associator(config.association)
     grid = Grid(config.grid, trace.radius_m)
     keyscans = KeyScans(config.keyscans)
-    command, pose, dead_reckoned = Command(), start, start
+    command, pose = Command(), start
     before: Pose | None = None
-    deadline_ns = 0
+    deadline_ns, T_world_odom = 0, Pose()
     began = time.perf_counter()
     # One BLAS thread: with more, results differ from run to run, and small matrices are slower.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -141,11 +145,12 @@ def loop(
                 break
             if before is None:
                 deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
+                T_world_odom = start @ tick.odometry.inverse()
             else:
                 increment = odometry(before, tick.odometry, config.assumed, config.keyscans)
                 estimator.predict(increment)
                 keyscans.moved(increment.motion)
-                pose, dead_reckoned = pose @ increment.motion, dead_reckoned @ increment.motion
+                pose = pose @ increment.motion
             before = tick.odometry
             watch.lap("predict")
             if tick.scan is not None and keyscans.take():
@@ -165,16 +170,17 @@ def loop(
                 watch.key_scan()
                 trace.add_key_scan(tick, estimate, association, features.walls)
             command = navigator.step(pose, tick.stamp_ns)
+            dead_reckoned = T_world_odom @ tick.odometry
             trace.add_tick(tick, dead_reckoned)
             if tick.scan is not None:
                 trace.add_scan(tick, pose, dead_reckoned, keyscans.since)
             if on_tick is not None:
                 on_tick(tick)
-            if tick.collided or navigator.outcome is not None:
-                trace.outcome = navigator.outcome or "collided"
-                break
-            if tick.stamp_ns >= deadline_ns:
-                trace.outcome = "tour ended" if config.task == "tour" else "out of time"
+            outcome: str | None = "collided" if tick.collided else navigator.outcome
+            if outcome is None and tick.stamp_ns >= deadline_ns:
+                outcome = navigator.at_the_end
+            if outcome is not None:
+                trace.outcome = outcome
                 break
     trace.wall_time_s = time.perf_counter() - began
     trace.final = estimator.estimate()

@@ -1,0 +1,112 @@
+"""How the EKF's update grows with the map, beside one pass over an array as large as its covariance."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from harness import Figures, alternate, arguments, print_figures, single_threaded, write_json
+from numpy.typing import NDArray
+
+from sixthsense.estimators.ekf import EKF
+from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import Kind, Sighting, predict_points
+from sixthsense.motion import Odometry
+
+SIZES = (10, 30, 100, 300, 1000, 2000)
+SEEN = 10
+REACH = {"n1000_m10_passes": "<= 3"}
+
+NOISE_M = 0.02
+MOTION = Pose(0.1, 0.0, 0.01)
+ODOMETRY = Odometry(MOTION, 1e-5 * np.eye(3))
+
+Sightings = dict[int, Sighting]
+
+
+def sight(ids: NDArray[np.int64], landmarks: Array, truth: Pose, rng: np.random.Generator) -> Sightings:
+    """Noisy sightings of some of the landmarks (n, 2)."""
+    exact, _, _ = predict_points(truth, landmarks[ids])
+    noisy = exact + rng.normal(0.0, NOISE_M, exact.shape)
+    return {int(i): Sighting(Kind.CORNER, z, NOISE_M**2 * np.eye(2)) for i, z in zip(ids, noisy, strict=True)}
+
+
+def update_figures(n: int, repeats: int, seen: int = SEEN) -> Figures:
+    """Milliseconds of a key scan's prediction and update of `n` landmarks, and of the pass; their ratio.
+
+    The pass reads and writes every number of a column-major (3 + 2n, 3 + 2n) array once; a filter that keeps a dense
+    covariance has to do at least half of that, a triangle's worth.
+    """
+    rng = np.random.default_rng(n)
+    landmarks = rng.uniform(-50.0, 50.0, (n, 2))
+    truth = Pose()
+    # Uncertain at the birth of the map, so that all landmarks are correlated.
+    ekf = EKF(truth, np.diag([1e-2, 1e-2, 1e-3]))
+    ekf.update(sight(np.arange(n), landmarks, truth, rng))
+    scans = []
+    for _ in range(repeats + 3):
+        truth = truth @ MOTION
+        scans.append(sight(rng.choice(n, seen, replace=False), landmarks, truth, rng))
+    whole = np.asfortranarray(rng.normal(size=(3 + 2 * n, 3 + 2 * n)))
+
+    def update(sightings: Sightings) -> None:
+        ekf.predict(ODOMETRY)
+        ekf.update(sightings)
+
+    def one_pass(_: Sightings) -> None:
+        nonlocal whole
+        whole *= 1.0000001
+
+    ms = alternate(scans, update, one_pass)[3:]  # the first touch memory that was never touched
+    error_m = math.hypot(*(ekf.estimate().pose.position - truth.position))
+    assert error_m < 1.0, "a filter that lost its way measures nothing"
+    ours, full = np.median(ms, axis=0)
+    name = f"n{n}_m{seen}"
+    return {f"{name}_ms": float(ours), f"{name}_pass_ms": float(full), f"{name}_passes": float(ours / full)}
+
+
+def scaling_figures(sizes: tuple[int, ...] = SIZES, repeats: int = 100) -> Figures:
+    """The figures of all sizes of map."""
+    figures: Figures = {}
+    for n in sizes:
+        figures |= update_figures(n, repeats)
+    return figures
+
+
+def save_figure(file: Path, figures: Figures, sizes: tuple[int, ...] = SIZES) -> None:
+    """Draw both curves, log-log."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    update = [figures[f"n{n}_m{SEEN}_ms"] for n in sizes]
+    one_pass = [figures[f"n{n}_m{SEEN}_pass_ms"] for n in sizes]
+    ax.loglog(sizes, update, "o-", label=f"update with {SEEN} sightings")
+    ax.loglog(sizes, one_pass, "s--", label="one pass over the covariance")
+    ax.set_xticks(sizes, [f"{n}" for n in sizes])
+    ax.minorticks_off()
+    ax.set_xlabel("landmarks in the map")
+    ax.set_ylabel("time (ms, median)")
+    ax.set_title("EKF-SLAM: cost of a batch update, one BLAS thread")
+    ax.grid(alpha=0.3)
+    ax.legend()
+    figure.savefig(file, dpi=150)
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="write a PNG of the two curves")
+    options = parser.parse_args()
+    with single_threaded():
+        figures = scaling_figures()
+    print_figures(figures, REACH)
+    write_json(options.json, figures)
+    if options.figure is not None:
+        save_figure(options.figure, figures)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""The Intel Research Lab's log: the trajectory against its hand-checked relations, beside the wheels' own."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from harness import Figures, arguments, machine, print_table, write_json
+
+from sixthsense import metrics
+from sixthsense.config import Config, preset
+from sixthsense.logs import open_log
+from sixthsense.logs.carmen import CarmenLog, Relations, read_relations
+from sixthsense.loop import replay, warm_up
+
+ERRORS = ("relations_trans_m_mean", "relations_trans_m_std", "relations_rot_deg_mean", "relations_rot_deg_std")
+
+
+def replay_figures(log: CarmenLog, relations: Relations, config: Config, seeds: int) -> Figures:
+    """Replay the log with each seed, which feeds RANSAC alone: errors per seed and their medians, odometry's, speed."""
+    figures: Figures = {}
+    speeds: list[float] = []
+    for seed in range(seeds):
+        trace = replay(CarmenLog(log.ticks), dataclasses.replace(config, seed=seed), relations)
+        result = trace.metrics()
+        figures |= {f"seed{seed}.{key}": result[key] for key in ERRORS}
+        speeds.append(result["realtime_factor"])
+        if seed == 0:
+            stamps = np.array(trace.log_stamps_s)
+            way, angle = metrics.relations_error(stamps, np.array(trace.odometry), relations.stamps, relations.poses)
+            turn = np.degrees(angle)
+            errors = (way.mean(), way.std(), turn.mean(), turn.std())
+            figures |= {f"odometry.{key}": float(error) for key, error in zip(ERRORS, errors, strict=True)}
+    for key in ERRORS:
+        figures[f"{key}_median"] = float(np.median([figures[f"seed{seed}.{key}"] for seed in range(seeds)]))
+    figures["realtime_factor_median"] = float(np.median(speeds))
+    return figures
+
+
+def rows(figures: Figures, seeds: int) -> list[list[str]]:
+    """The table: a line per seed, their median, and raw odometry."""
+
+    def line(name: str, keys: list[str]) -> list[str]:
+        way, way_std, turn, turn_std = (figures[key] for key in keys)
+        return [name, f"{way:.3f} ± {way_std:.3f}", f"{turn:.2f} ± {turn_std:.2f}"]
+
+    lines = [["trajectory", "translation, m", "rotation, degrees"]]
+    lines += [line(f"seed {seed}", [f"seed{seed}.{key}" for key in ERRORS]) for seed in range(seeds)]
+    lines.append(line("median", [f"{key}_median" for key in ERRORS]))
+    lines.append(line("raw odometry", [f"odometry.{key}" for key in ERRORS]))
+    return lines
+
+
+def main() -> int:
+    parser = arguments(__doc__)
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 0 to N - 1 (5)")
+    options = parser.parse_args()
+    if options.seeds < 1:
+        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    folder = Path(os.environ.get("SIXTHSENSE_DATA", "")) / "intel"
+    files = folder / "intel.clf.bz2", folder / "intel.relations"
+    if "SIXTHSENSE_DATA" not in os.environ or not all(file.is_file() for file in files):
+        print("intel.py: SIXTHSENSE_DATA must be a folder with intel/intel.clf.bz2 and .relations", file=sys.stderr)
+        return 2
+    warm_up()
+    config = preset("intel")
+    began = time.perf_counter()
+    log, relations = open_log(files[0], config.laser), read_relations(files[1])
+    reading_s = time.perf_counter() - began
+    figures = replay_figures(log, relations, config, options.seeds)
+    figures |= {"log_s": log.duration_s, "reading_s": reading_s}
+    print(machine())
+    print_table(rows(figures, options.seeds))
+    speed = figures["realtime_factor_median"]
+    print(f"a log of {log.duration_s:.0f} s, {len(log.scans)} scans: read in {reading_s:.1f} s, ", end="")
+    print(f"replayed in {log.duration_s / speed:.1f} s, {speed:.0f} times as fast as recorded")
+    write_json(options.json, figures)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,33 @@
+__version__: str
+
+from .config import Config as Config
+from .config import ConfigError as ConfigError
+from .config import load_config as load_config
+from .config import merge as merge
+from .config import preset as preset
+from .config import save_config as save_config
+from .errors import InputError as InputError
+from .estimators import Estimate as Estimate
+from .estimators import Estimator as Estimator
+from .estimators import make_estimator as make_estimator
+from .features import Features as Features
+from .features import extract as extract
+from .geometry import Pose as Pose
+from .grid import Grid as Grid
+from .landmarks import Kind as Kind
+from .landmarks import Sighting as Sighting
+from .laser import Scan as Scan
+from .laser import cast_rays as cast_rays
+from .logs import open_log as open_log
+from .logs.carmen import read_relations as read_relations
+from .loop import replay as replay
+from .loop import run as run
+from .planners import Plan as Plan
+from .planners import Planner as Planner
+from .planners import make_planner as make_planner
+from .plot import save_map as save_map
+from .scene import Scene as Scene
+from .scene import load_scene as load_scene
+from .scene import shipped_scenes as shipped_scenes
+from .trace import Trace as Trace
+from .world import World as World

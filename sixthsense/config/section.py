@@ -1,0 +1,124 @@
+"""Sections of a configuration that check themselves: the one validator, whatever a value came from."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+import sys
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
+
+from sixthsense.errors import InputError
+
+C = TypeVar("C", bound="Section")
+
+_LARGEST = sys.float_info.max
+
+
+class ConfigError(InputError):
+    """One line that names the field, what was found and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Range:
+    """The interval a number must lie in; an open lower end excludes `low` itself."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        above = value > self.low if self.open_low else value >= self.low
+        return above and value <= self.high
+
+    def __str__(self) -> str:
+        if self.high < math.inf:
+            return f"{'above ' if self.open_low else ''}{self.low:g} to {self.high:g}"
+        return f"above {self.low:g}" if self.open_low else f"at least {self.low:g}"
+
+
+class Section:
+    """A node of the tree: on creation each field is checked against its annotation and coerced to it."""
+
+    def __post_init__(self) -> None:
+        for name, hint in _hints(type(self)).items():
+            object.__setattr__(self, name, _checked(name, hint, getattr(self, name)))
+
+
+def _hints(cls: type) -> dict[str, Any]:
+    return typing.get_type_hints(cls, include_extras=True)
+
+
+def _checked(name: str, hint: Any, value: Any) -> Any:
+    """`value` coerced to `hint`; ConfigError naming the field otherwise."""
+    origin = typing.get_origin(hint)
+    if origin is Annotated:
+        base, bounds = typing.get_args(hint)
+        value = _checked(name, base, value)
+        if value not in bounds:
+            raise ConfigError(f"{name}: found {value!r}, allowed: {bounds}")
+        return value
+    if origin is Literal:
+        choices = typing.get_args(hint)
+        if value not in choices:
+            raise ConfigError(f"{name}: found {value!r}, allowed: {', '.join(map(str, choices))}")
+        return value
+    if origin in (typing.Union, types.UnionType):
+        inner = next(a for a in typing.get_args(hint) if a is not type(None))
+        return None if value is None else _checked(name, inner, value)
+    if origin is tuple:
+        args = typing.get_args(hint)
+        if not isinstance(value, (tuple, list)) or len(value) != len(args):
+            raise ConfigError(f"{name}: found {value!r}, allowed: {len(args)} numbers")
+        return tuple(_checked(name, a, v) for a, v in zip(args, value, strict=True))
+    if hint is float:
+        real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
+            raise ConfigError(f"{name}: found {value!r}, allowed: a finite number")
+        return float(value)
+    if hint is int:
+        if isinstance(value, bool) or not isinstance(value, numbers.Integral):
+            raise ConfigError(f"{name}: found {value!r}, allowed: a whole number")
+        return int(value)
+    if not isinstance(value, hint):
+        kind = {bool: "true or false", str: "a text"}.get(hint, f"a table of {hint.__name__}")
+        raise ConfigError(f"{name}: found {value!r}, allowed: {kind}")
+    return value
+
+
+def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
+    """`base` with the fields that `table` (nested, as a TOML file is) names replaced.
+
+    Raises ConfigError with the dotted name of a field that does not exist or whose value is not allowed.
+    """
+    known = {f.name: f for f in dataclasses.fields(typing.cast(Any, base))}
+    changes: dict[str, Any] = {}
+    for key, value in table.items():
+        name = key.replace("-", "_")
+        if name not in known:
+            raise ConfigError(f"{path}{key}: no such field, allowed: {', '.join(known)}")
+        current = getattr(base, name)
+        if isinstance(current, Section):
+            if not isinstance(value, Mapping):
+                raise ConfigError(f"{path}{key}: found {value!r}, allowed: a table")
+            changes[name] = merge(current, value, f"{path}{key}.")
+        else:
+            try:
+                changes[name] = _checked(key, _hints(type(base))[name], value)
+            except ConfigError as error:
+                raise ConfigError(f"{path}{error}") from None
+    return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
+
+
+def as_table(section: Section) -> dict[str, Any]:
+    """The tree as nested plain values, absent (None) fields left out, ready for TOML."""
+    table: dict[str, Any] = {}
+    for f in dataclasses.fields(typing.cast(Any, section)):
+        value = getattr(section, f.name)
+        if value is not None:
+            table[f.name] = as_table(value) if isinstance(value, Section) else value
+    return table
