@@ -270,7 +270,7 @@ class _Progress:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
 
-    def __call__(self, tick: Tick) -> None:
+    def __call__(self, tick: Tick, trace: Trace) -> None:
         if self._first_ns is None:
             self._first_ns, self._began = tick.stamp_ns, time.monotonic()
         now_s = 1e-9 * (tick.stamp_ns - self._first_ns)

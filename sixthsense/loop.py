@@ -17,6 +17,7 @@ from sixthsense.features import extract
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
+from sixthsense.interrupt import deferred_interrupt
 from sixthsense.logs.carmen import CarmenLog, Relations
 from sixthsense.motion import odometry
 from sixthsense.navigate import Driver, Navigator, Passenger
@@ -26,7 +27,7 @@ from sixthsense.source import Command, Source, Tick
 from sixthsense.trace import Trace
 from sixthsense.world import World
 
-OnTick = Callable[[Tick], None]
+OnTick = Callable[[Tick, Trace], None]
 
 LOG_RADIUS_M = 0.2  # of a recorded robot whose configuration names none
 
@@ -34,7 +35,8 @@ LOG_RADIUS_M = 0.2  # of a recorded robot whose configuration names none
 def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     """Simulate `config.scene` and drive its task.
 
-    Raises SceneError for a scene, start or goal that will not do. `on_tick` is called after every control tick.
+    Raises SceneError for a scene, start or goal that will not do. `on_tick` is called after every tick with
+    it and the trace so far; Ctrl-C ends the run in order, as "interrupted".
     """
     scene = load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
@@ -131,11 +133,12 @@ def drive(
     grid = Grid(config.grid, trace.radius_m)
     keyscans = KeyScans(config.keyscans)
     command, pose = Command(), start
+    trace.plans = navigator.plans
     before: Pose | None = None
     deadline_ns, T_world_odom = 0, Pose()
     began = time.perf_counter()
     # One BLAS thread: with more, results differ from run to run, and small matrices are slower.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"), deferred_interrupt() as interrupted:
         while True:
             watch.start()
             tick = source.step(command)
@@ -175,10 +178,12 @@ def drive(
             if tick.scan is not None:
                 trace.add_scan(tick, pose, dead_reckoned, keyscans.since)
             if on_tick is not None:
-                on_tick(tick)
+                on_tick(tick, trace)
             outcome: str | None = "collided" if tick.collided else navigator.outcome
             if outcome is None and tick.stamp_ns >= deadline_ns:
                 outcome = navigator.at_the_end
+            if outcome is None and interrupted():
+                outcome = "interrupted"
             if outcome is not None:
                 trace.outcome = outcome
                 break
@@ -187,4 +192,4 @@ def drive(
     trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
     trace.trajectory = estimator.trajectory()
     trace.records, trace.culled = associator.records, associator.culled
-    trace.plans, trace.grid = navigator.plans, grid
+    trace.grid = grid
