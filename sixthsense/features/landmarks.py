@@ -15,7 +15,8 @@ from sixthsense.features.lines import fit_line
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array
 
-CORNER, END = 0, 1
+CORNER, END = 0, 1  # kinds
+NOTHING, LOOSE = -1, -2  # what a line's first or last return leads to, if not a line it meets in a corner
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -107,6 +108,85 @@ def _clear_of(points: Array, index: Indices, corner: Array, radius: float) -> In
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _mark_corners(
+    points: Array,
+    piece_of_line: Indices,
+    lines: Array,
+    where: Indices,
+    cyclic: bool,
+    max_gap: float,
+    min_angle: float,
+    leads_to: Indices,
+) -> None:
+    """Set in `leads_to` (L, 2) the neighbour that each line meets in a corner at its first and its last return."""
+    count = len(lines)
+    for j in range(count):
+        after = j + 1
+        if after == count or piece_of_line[after] != piece_of_line[j]:
+            if not (cyclic and after == count and count > 2):
+                continue
+            after = 0
+        meet = intersect(lines[j], lines[after])
+        a, b = points[where[j, 2]], points[where[after, 1]]
+        near_a = math.hypot(meet[0] - a[0], meet[1] - a[1]) <= max_gap
+        near_b = math.hypot(meet[0] - b[0], meet[1] - b[1]) <= max_gap
+        if abs(math.sin(lines[j, 0] - lines[after, 0])) >= math.sin(min_angle) and near_a and near_b:
+            leads_to[j, 1], leads_to[after, 0] = after, j
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_ends(
+    ranges: Array,
+    bearings: Array,
+    pieces: Indices,
+    piece_of_line: Indices,
+    lines: Array,
+    where: Indices,
+    closed: bool,
+    max_range: float,
+    margin: float,
+    min_points: int,
+    threshold: float,
+    leads_to: Indices,
+) -> None:
+    """Set `LOOSE` in `leads_to` (L, 2) where a line's first or last return is its wall's own end."""
+    n = len(ranges)
+    for j in range(len(lines)):
+        piece = pieces[piece_of_line[j]]
+        if piece[1] - piece[0] < min_points:  # rule 4
+            continue
+        for side, k, step, last in ((0, piece[0], -1, 0), (1, piece[1] - 1, 1, n - 1)):
+            edge = (k + step) % n if closed or k != last else -1
+            if where[j, 1 + side] == k and _wall_ends(
+                k, step, edge, ranges, bearings, lines[j], max_range, margin, threshold
+            ):
+                leads_to[j, side] = LOOSE
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fit_sides(
+    points: Array, lines: Array, owner: Indices, leads_to: Indices, sigma_range: float, sigma_bearing: float
+) -> Array:
+    """(L, 2, 5): the line as each of its landmarks may use it, so that no return is used for both; NaN for none."""
+    sides = np.full((len(lines), 2, 5), np.nan)
+    for j in range(len(lines)):
+        mine = np.flatnonzero(owner == j)
+        for side in range(2):
+            other = leads_to[j, side]
+            if other >= 0:
+                turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
+                mine = _clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+        middle = len(mine) // 2 if leads_to[j, 0] != NOTHING and leads_to[j, 1] != NOTHING else -1
+        for side in range(2):
+            half = mine
+            if middle >= 0:
+                half = mine[:middle] if side == 0 else mine[middle:]
+            if leads_to[j, side] != NOTHING and len(half) >= 3:
+                sides[j, side] = fit_line(points, half, sigma_range, sigma_bearing)
+    return sides
+
+
+@numba.njit(cache=True, error_model="numpy")
 def find_landmarks(
     points: Array,
     ranges: Array,
@@ -133,59 +213,26 @@ def find_landmarks(
 
     Takes the stages' results in the scan's rolled order. Returns (K,) kinds and (K, 5) x, y, xx, xy, yy.
     """
-    n, count = len(ranges), len(lines)
-    spacing = abs(bearings[1] - bearings[0])
-    # What each line's first and last return lead to: -1 nothing, -2 a loose end, else the line it meets in a corner.
-    at = np.full((count, 2), -1, np.int64)
-    for j in range(count):
-        after = j + 1
-        if after == count or piece_of_line[after] != piece_of_line[j]:
-            after = 0 if cyclic and after == count and count > 2 else -1
-        if use_corners and after >= 0:
-            meet = intersect(lines[j], lines[after])
-            turn = abs(math.sin(lines[j, 0] - lines[after, 0]))
-            a, b = points[where[j, 2]], points[where[after, 1]]
-            near_a = math.hypot(meet[0] - a[0], meet[1] - a[1]) <= max_gap
-            near_b = math.hypot(meet[0] - b[0], meet[1] - b[1]) <= max_gap
-            if turn >= math.sin(min_angle) and near_a and near_b:
-                at[j, 1], at[after, 0] = after, j
-        if use_ends and not cyclic:
-            piece = pieces[piece_of_line[j]]
-            if piece[1] - piece[0] < min_points:  # rule 4
-                continue
-            for side, k, step, last in ((0, piece[0], -1, 0), (1, piece[1] - 1, 1, n - 1)):
-                edge = (k + step) % n if closed or k != last else -1
-                if where[j, 1 + side] == k and _wall_ends(
-                    k, step, edge, ranges, bearings, lines[j], max_range, margin, threshold
-                ):
-                    at[j, side] = -2
-
-    halves = np.full((count, 2, 5), np.nan)
-    for j in range(count):
-        mine = np.flatnonzero(owner == j)
-        for side in range(2):
-            if at[j, side] >= 0:
-                meet = intersect(lines[j], lines[at[j, side]])
-                turn = abs(math.sin(lines[j, 0] - lines[at[j, side], 0]))
-                mine = _clear_of(points, mine, meet, 4.0 * sigma_range / turn)
-        both = at[j, 0] != -1 and at[j, 1] != -1
-        for side in range(2):
-            half = mine
-            if both:
-                half = mine[: len(mine) // 2] if side == 0 else mine[len(mine) // 2 :]
-            if at[j, side] != -1 and len(half) >= 3:
-                halves[j, side] = fit_line(points, half, sigma_range, sigma_bearing)
-
+    count, spacing = len(lines), abs(bearings[1] - bearings[0])
+    leads_to = np.full((count, 2), NOTHING, np.int64)  # from each line's first and last return
+    if use_corners:
+        _mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, leads_to)
+    if use_ends and not cyclic:
+        _mark_ends(
+            ranges, bearings, pieces, piece_of_line, lines, where, closed, max_range, margin, min_points, threshold,
+            leads_to,
+        )  # fmt: skip
+    sides = _fit_sides(points, lines, owner, leads_to, sigma_range, sigma_bearing)
     kinds = np.empty(2 * count, np.int64)
     found = np.empty((2 * count, 5))
     k = 0
     for j in range(count):
-        if at[j, 1] >= 0:
-            kinds[k], found[k] = CORNER, intersect(halves[j, 1], halves[at[j, 1], 0])
+        if leads_to[j, 1] >= 0:
+            kinds[k], found[k] = CORNER, intersect(sides[j, 1], sides[leads_to[j, 1], 0])
             k += 1
         for side, step in ((0, -spacing), (1, spacing)):
-            if at[j, side] == -2:
+            if leads_to[j, side] == LOOSE:
                 bearing = bearings[where[j, 1 + side]]
-                kinds[k], found[k] = END, loose_end(halves[j, side], bearing, step, sigma_bearing)
+                kinds[k], found[k] = END, loose_end(sides[j, side], bearing, step, sigma_bearing)
                 k += 1
     return kinds[:k].copy(), found[:k].copy()
