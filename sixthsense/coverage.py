@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numba
@@ -151,10 +152,46 @@ def coverage(
     """
     if not area.mask.any():
         return math.nan
+    seen = np.zeros(area.mask.shape, dtype=np.bool_)
+    for _ in _swept(area, poses, bearings, mount, max_range, walls, seen):
+        pass
+    return float(np.count_nonzero(seen & area.mask) / np.count_nonzero(area.mask))
+
+
+def coverage_over_time(
+    area: VisibleArea,
+    poses: Array,
+    bearings: Array,
+    mount: tuple[float, float, float],
+    max_range: float,
+    walls: Array,
+) -> Array:
+    """(S,) `coverage` after each scan, of the same arguments; NaN throughout if there is no such area."""
+    shares = np.full(len(poses), math.nan)
+    if not area.mask.any():
+        return shares
+    seen = np.zeros(area.mask.shape, dtype=np.bool_)
+    whole, share = np.count_nonzero(area.mask), 0.0
+    for k, is_new in enumerate(_swept(area, poses, bearings, mount, max_range, walls, seen)):
+        if is_new:
+            share = np.count_nonzero(seen & area.mask) / whole
+        shares[k] = share
+    return shares
+
+
+def _swept(
+    area: VisibleArea,
+    poses: Array,
+    bearings: Array,
+    mount: tuple[float, float, float],
+    max_range: float,
+    walls: Array,
+    seen: Mask,
+) -> Iterator[bool]:
+    """Mark what each scan's beams cross in `seen`, one scan a step; whether it was more than a repetition."""
     T_robot_laser = Pose(*mount)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
     origin = np.array(area.origin)
-    seen = np.zeros(area.mask.shape, dtype=np.bool_)
     last: Pose | None = None
     for row in poses:
         pose = Pose.from_array(row)
@@ -162,10 +199,11 @@ def coverage(
             moved = math.hypot(pose.x - last.x, pose.y - last.y)
             turned = abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
+                yield False
                 continue
         last = pose
         _sweep(pose @ T_robot_laser, bearings, walls, max_range, origin, area.cell_m, seen)
-    return float(np.count_nonzero(seen & area.mask) / np.count_nonzero(area.mask))
+        yield True
 
 
 def _sweep(

@@ -61,7 +61,17 @@ class RunFolder:
                 parent.rmdir()
 
     def write(self, trace: Trace) -> dict[str, Any]:
-        """Write everything of a finished run but its figures; returns the metrics."""
+        """Write everything of a finished run but its figures; returns the metrics.
+
+        Raises OSError, naming a file or the folder, when it cannot be written.
+        """
+        try:
+            return self._write(trace)
+        except OSError as error:
+            error.filename = error.filename or str(self.partial)  # a full disk names none
+            raise
+
+    def _write(self, trace: Trace) -> dict[str, Any]:
         write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
         write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
         if trace.truths:

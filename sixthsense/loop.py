@@ -52,12 +52,24 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
 def replay(log: CarmenLog, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
     """Digest a recorded log with the same middle of the loop; the robot goes where it went.
 
-    With `relations` the metrics compare the trajectory with them.
+    With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
+    scene, if that still loads, in `config`.
     """
+    scene = _recorded_scene(log, config)
+    radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
     ransac_rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(2)[1])
-    trace = Trace(config, None, config.robot.radius or LOG_RADIUS_M, relations=relations)
+    trace = Trace(config, scene, radius_m, relations=relations)
     drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
+
+
+def _recorded_scene(log: CarmenLog, config: Config) -> Scene | None:
+    if log.ticks[0].truth is None:
+        return None
+    try:
+        return load_scene(config.scene)
+    except SceneError:
+        return None  # the record outlives the file
 
 
 def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:

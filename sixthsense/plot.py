@@ -13,7 +13,9 @@ from sixthsense.trace import Trace
 
 # Okabe and Ito's palette: told apart by the colour-blind too.
 TRUTH, ESTIMATE, ODOMETRY, LANDMARK, PLAN = "#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73"
-WALL, WALL_FOUND = "#4D4D4D", "#CC79A7"
+WALL, WALL_FOUND, SIGHTING, SEEN = "#4D4D4D", "#CC79A7", "#56B4E9", "#D3E9F7"
+CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, SIGHTING, TRUTH)
+"""For what differs in number alone: runs, partitions."""
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 
@@ -62,10 +64,29 @@ def walls_found(trace: Trace) -> Array:
     return np.concatenate([np.zeros((0, 2, 2)), *placed])
 
 
-def draw_map(ax: Any, trace: Trace) -> None:
-    """Draw truth, estimate, landmarks with 95 % ellipses, walls found, and the path planned and driven."""
+def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
+    """Draw the final landmarks with their 95 % ellipses, these so many times as large as they are."""
     from matplotlib.collections import PolyCollection
 
+    landmarks = trace.final.landmarks
+    outlines = [
+        ellipse(mean, enlarged**2 * trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k])
+        for k, mean in enumerate(landmarks)
+    ]
+    ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
+    label = "landmarks, 95 %" + (f", {enlarged:g} times enlarged" if enlarged != 1.0 else "")
+    ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
+
+
+def label_plane(ax: Any) -> None:
+    """Make axes a plane: metres on both, of one length."""
+    ax.set_aspect("equal")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+
+
+def draw_map(ax: Any, trace: Trace) -> None:
+    """Draw truth, estimate, landmarks with 95 % ellipses, walls found, and the path planned and driven."""
     draw_grid(ax, trace)
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="walls, true", zorder=1)
@@ -91,20 +112,12 @@ def draw_map(ax: Any, trace: Trace) -> None:
     ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=5)
     landmarks = trace.final.landmarks
     if len(landmarks):
-        outlines = [
-            ellipse(mean, trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k])
-            for k, mean in enumerate(landmarks)
-        ]
-        ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
-        label = "landmarks, 95 %"
-        ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
+        draw_landmarks(ax, trace)
     if len(estimates):
         style = {"color": ESTIMATE, "markersize": 7, "markeredgewidth": 1.6, "linestyle": "none", "zorder": 7}
         ax.plot(*estimates[0, :2], marker="o", markerfacecolor="white", label="start", **style)
         ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
-    ax.set_aspect("equal")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
+    label_plane(ax)
     _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
 
 
@@ -120,19 +133,35 @@ def _frame(ax: Any, points: list[Array]) -> None:
     ax.set_ylim(low[1] - margin, high[1] + margin)
 
 
-def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
-    """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
+def new_figure(width_in: float, height_in: float) -> Any:
+    """An empty figure that asks for no window system and touches no global state, as pyplot's would."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    # Without pyplot no window system is asked for and no global state is touched.
-    figure = Figure(layout="constrained")
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Any, file: Path | str) -> None:
+    """Write a figure as a PNG; the folder is made if it is missing."""
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    # Equal axes leave room that the layout has not foreseen; cut it off, and cut no title.
+    figure.savefig(file, dpi=130, bbox_inches="tight", pad_inches=0.12)
+
+
+def map_height(ax: Any, width_in: float) -> float:
+    """Inches that a map of a given width asks for, within reason, its frame and legend included."""
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LOW_IN), _HIGH_IN) + _FRAME_IN)
+
+
+def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
+    """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
+    figure = new_figure(_WIDTH_IN, _WIDTH_IN)
     ax = figure.add_subplot()
     draw_map(ax, trace)
-    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    figure.set_size_inches(_WIDTH_IN, min(max(_WIDTH_IN * (y1 - y0) / (x1 - x0), _LOW_IN), _HIGH_IN) + _FRAME_IN)
+    figure.set_size_inches(_WIDTH_IN, map_height(ax, _WIDTH_IN))
     ax.set_title(title if title is not None else trace.outcome)
     figure.legend(loc="outside lower center", ncols=5, frameon=False)
-    Path(file).parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=130)
+    save(figure, file)

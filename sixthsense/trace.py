@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,6 +116,26 @@ class Trace:
     """the map"""
     _last_position: Array | None = None
 
+    @classmethod
+    def load(cls, folder: str | Path) -> Trace:
+        """Read the folder of a run, or the `.partial` that a killed run has left, back into a Trace.
+
+        The estimates are made anew from the recorded evidence with the folder's configuration, which repeats the run
+        exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one). The times
+        are those of the repetition. Raises InputError for a folder that is no run's, or has recorded nothing.
+        """
+        from sixthsense.config import load_config
+        from sixthsense.logs.runfolder import read_run
+        from sixthsense.loop import replay
+
+        path = Path(folder)
+        config = load_config(path / "config.toml")
+        log = read_run(path, config.laser)
+        trace = replay(log, config)
+        trace.plans = list(log.plans)
+        trace.outcome = _outcome(path / "metrics.json")
+        return trace
+
     def add_tick(self, tick: Tick, odometry: Pose) -> None:
         """Record the way made; `odometry` is the dead-reckoned pose in the world frame."""
         position = (tick.truth or odometry).position
@@ -155,7 +177,8 @@ class Trace:
         if self.truths:
             out["collisions"] = int(self.outcome == "collided")
             out |= self._errors()
-            out |= self._coverage()
+            if self.scene is not None:
+                out |= self._coverage(self.scene)
         out |= self._consistency()
         out |= self._relations()
         out["landmarks"] = len(self.records)
@@ -167,14 +190,13 @@ class Trace:
         out |= self._timing(sim_time_s)
         return out
 
-    def _coverage(self) -> dict[str, float]:
-        assert self.scene is not None
+    def _coverage(self, scene: Scene) -> dict[str, float]:
         laser = self.config.laser
-        region = self.config.region or self.scene.region
+        region = self.config.region or scene.region
         start = (float(self.truths[0][0]), float(self.truths[0][1]))
-        area = visible_area(self.scene.walls, region, start, self.radius_m, laser.max_range)
+        area = visible_area(scene.walls, region, start, self.radius_m, laser.max_range)
         poses = np.array(self.truths)
-        share = coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, self.scene.walls)
+        share = coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, scene.walls)
         return {"coverage": share} if np.isfinite(share) else {}
 
     def _relations(self) -> dict[str, float]:
@@ -238,3 +260,11 @@ class Trace:
             out |= metrics.scan_times(whole)
             out |= {f"stage_ms_mean.{stage}": self.stopwatch.totals[stage] / len(rows) for stage in STAGES}
         return out
+
+
+def _outcome(file: Path) -> str:
+    """Why a run ended, from its metrics; a run without them was stopped."""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["outcome"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return "interrupted"

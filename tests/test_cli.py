@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from sixthsense import cli
+from sixthsense.cli.common import parse_command
+from sixthsense.cli.run import Run
 from sixthsense.config import Config, load_config, preset
 from sixthsense.loop import warm_up
 
@@ -69,8 +71,8 @@ def metrics(folder: Path) -> dict[str, object]:
 
 
 BAD_LINES = [
-    ("rn", "command: found 'rn', allowed: run, replay, scenes"),
-    ("--version", "command: found '--version', allowed: run, replay, scenes"),
+    ("rn", "command: found 'rn', allowed: run, replay, calibrate, report, scenes"),
+    ("--version", "command: found '--version', allowed: run, replay, calibrate, report, scenes"),
     ("scenes extra", "scenes: found 'extra', allowed: no further words"),
     ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),
@@ -166,7 +168,7 @@ def test_a_bad_scene_file_ends_in_one_line(here: Path, capsys: pytest.CaptureFix
             "cut.log line 5: found FLASER with 4 ranges of 9 fields, allowed: 15 (a CARMEN line cut",
         ),
         ("cut.clf", LOG + "FLAS", "cut.clf line 6: found 'FLAS', a CARMEN line cut short"),
-        ("log.bag", LOG, "log.bag: found no known kind of log, allowed: CARMEN (.log, .clf, .carmen"),
+        ("log.csv", LOG, "log.csv: found no known kind of log, allowed: CARMEN (.log, .clf, .carmen"),
         ("empty.log", "", "empty.log: found no FLASER line"),
         (
             "other.log",
@@ -322,7 +324,7 @@ def test_a_run_as_a_program_prints_its_table_and_the_folder(here: Path) -> None:
 
 
 def settings(*args: str, base: str = "default") -> Config:
-    options, _ = cli._parse(cli.Run, "scene", base, list(args))
+    options, _ = parse_command(Run, "scene", base, list(args))
     return options.settings
 
 

@@ -5,7 +5,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from sixthsense.cli import DONE, EXIT_CODES, INTERRUPTED
+from sixthsense.cli.exits import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose

@@ -52,6 +52,26 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
     return given, table
 
 
+def words(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table]:
+    """Read the words of a command that takes any number of them, and no field of the Config tree.
+
+    `own` gives the type of each option by name. Returns the words that stand by themselves, and the options given.
+    Raises UsageError, listing what is allowed, for an option that does not exist and a flag without a value.
+    """
+    hints = {f"--{name}": hint for name, hint in own.items()}
+    rest = list(reversed(args))  # the next one last
+    plain: list[str] = []
+    given: Table = {}
+    while rest:
+        word = rest.pop()
+        if word.startswith("-"):
+            flag, value = _option(word, rest, hints)
+            given[flag.removeprefix("--")] = value
+        else:
+            plain.append(word)
+    return plain, given
+
+
 def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
     """Every field of the Config tree as a flag, and its type."""
     for name, hint in typing.get_type_hints(section, include_extras=True).items():

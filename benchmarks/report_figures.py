@@ -1,0 +1,326 @@
+"""Counterparts of the report's figures, each found and drawn anew; docs/report_figures.md says what they show."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from recording import Recording, draw_truth, features_of, legend, panels, record, scene_of, window
+
+from sixthsense import figures as fig
+from sixthsense import plot
+from sixthsense.cli import main as sixthsense
+from sixthsense.config import preset
+from sixthsense.features import Features
+from sixthsense.geometry import Array, Pose, point_segment_distance
+from sixthsense.loop import warm_up
+from sixthsense.metrics import true_landmarks
+from sixthsense.planners.shortcut import shortcut
+from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
+from sixthsense.scene import Scene
+
+SCAN = 48  # key scan of the apartment in which much is to be seen: corridor, living room, bath, kitchen
+WITHOUT_IEP = preset("default", features={"split": {"enabled": False}})
+# Three times the noise, known as such, and RANSAC's best pair as it is: bad landmarks come about.
+ROUGH: dict[str, Any] = {
+    "world": {"laser": {"range_m": 0.03}},
+    "assumed": {"laser": {"range_m": 0.03}},
+    "features": {"lines": {"least_squares": False}},
+    "task": "tour",
+    "max_time": 80.0,
+    "seed": 2,
+}
+
+
+@functools.cache
+def apartment() -> Recording:
+    """The run that most figures are of."""
+    return record(preset("default"))
+
+
+def calibration(file: Path) -> None:
+    """Figure 1: errors of landmarks with their fitted covariance, as `sixthsense calibrate` draws them."""
+    with tempfile.TemporaryDirectory() as folder:
+        noise = Path(folder) / "noise.toml"
+        if sixthsense(["calibrate", "apartment", "--out", str(noise)]) != 0:
+            raise SystemExit("the calibration has failed")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(noise.with_suffix(".png"), file)
+
+
+def pipeline() -> Any:
+    """Figure 2: one scan on its way to landmarks."""
+    run = apartment()
+    pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
+    figure, axes = panels(2, 3, 12.0, 9.2)
+    titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "RANSAC, least squares", "landmarks"
+    for ax, title in zip(axes, titles, strict=True):
+        draw_truth(ax, scene_of(run), near=pose.position, reach_m=5.0)
+        fig.draw_robot(ax, pose, run.trace.radius_m)
+        ax.set_title(title)
+        ax.label_outer()
+    fig.draw_beams(axes[0], pose, scan)
+    fig.draw_returns(axes[1], pose, scan)
+    fig.draw_partitions(axes[2], pose, scan, features.pieces)
+    fig.draw_partitions(axes[3], pose, scan, features.spans, least=run.trace.config.features.lines.min_points)
+    bare = Features(features.walls, (), features.pieces, features.spans)
+    fig.draw_detections(axes[4], pose, bare)
+    fig.draw_detections(axes[5], pose, features)
+    legend(figure)
+    return figure
+
+
+def partitions() -> Any:
+    """Figure 3: partitions by discontinuity, and by iterative end points."""
+    run = apartment()
+    pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
+    figure, axes = panels(1, 2, 12.0, 6.2)
+    least = run.trace.config.features.lines.min_points
+    for ax, parts, by in zip(axes, (features.pieces, features.spans), ("discontinuity", "IEP"), strict=True):
+        draw_truth(ax, scene_of(run), "#E4E4E4", pose.position, 5.0)
+        fig.draw_partitions(ax, pose, scan, parts, least)
+        fig.draw_robot(ax, pose, run.trace.radius_m)
+        ax.set_title(f"{sum(len(part) >= least for part in parts)} partitions of {least} returns or more, by {by}")
+    return figure
+
+
+def detections() -> Any:
+    """Figure 4: walls and landmarks that one scan shows."""
+    run = apartment()
+    figure, (ax,) = panels(1, 1, 11.0, 8.2)
+    draw_truth(ax, scene_of(run))
+    fig.draw_returns(ax, run.pose(SCAN), run.scans[SCAN], size=6.0)
+    fig.draw_detections(ax, run.pose(SCAN), run.features(SCAN))
+    fig.draw_robot(ax, run.pose(SCAN), run.trace.radius_m)
+    legend(figure)
+    return figure
+
+
+def state() -> Any:
+    """Figure 5: landmarks of the state, with their covariance."""
+    run = apartment()
+    figure, (ax,) = panels(1, 1, 11.0, 8.2)
+    draw_truth(ax, scene_of(run))
+    plot.draw_landmarks(ax, run.trace, enlarged=10.0)
+    way = np.array(run.trace.estimates)[:, :2]
+    ax.plot(way[:, 0], way[:, 1], color=ESTIMATE, linewidth=1.0, label="driven, estimated")
+    fig.draw_robot(ax, run.trace.final.pose, run.trace.radius_m)
+    legend(figure)
+    return figure
+
+
+def hit_grid() -> Any:
+    """Figure 6: layout, detections, beams, hit grid."""
+    run = apartment()
+    pose = run.pose(SCAN)
+    figure, axes = panels(2, 2, 12.0, 8.8)
+    for ax, title in zip(axes, ("layout", "detected walls and landmarks", "laser", "hit grid so far"), strict=True):
+        draw_truth(ax, scene_of(run), WALL if title == "layout" else "#C8C8C8")
+        fig.draw_robot(ax, pose, run.trace.radius_m)
+        ax.set_title(title)
+        ax.label_outer()
+    fig.draw_detections(axes[1], pose, run.features(SCAN))
+    fig.draw_beams(axes[2], pose, run.scans[SCAN])
+    fig.draw_hits(axes[3], run.grid(SCAN), run.trace.config.grid.cell_m)
+    return figure
+
+
+def made_at(run: Recording, plan: int) -> int:
+    """The key scan at which a plan was made."""
+    return next(k for k, count in enumerate(run.plans) if count > plan)
+
+
+def length(path: Array) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def replanning() -> Any:
+    """Figure 7: a plan, and the one that replaced it; of all, where the way to go grew most."""
+    run = apartment()
+    plans = run.trace.plans
+    made = [made_at(run, n) for n in range(len(plans))]
+    # What a plan costs in all: the way driven until it was made, and the plan.
+    costs = np.array([length(run.way(k)) + length(plan) for k, plan in zip(made, plans, strict=True)])
+    i = int(np.argmax(np.diff(costs)))
+    figure, axes = panels(1, 2, 13.0, 5.2)
+    for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "planned anew")):
+        k = made[n]
+        draw_truth(ax, scene_of(run))
+        fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
+        if n > i:
+            ax.plot(*plans[i].T, color=PLAN, linewidth=1.0, linestyle=":", zorder=4, label="plan given up")
+        fig.draw_path(ax, plans[n])
+        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        window(ax, np.concatenate(plans[i : i + 2]))
+        ax.set_title(f"{title} at {run.time_s(k):.1f} s, {length(plans[n]):.1f} m to go")
+    legend(figure)
+    return figure
+
+
+def trajectory() -> Any:
+    """Figure 8: plans, their short cuts, and the way point headed for; of all, the three that gain most."""
+    run = apartment()
+    rows = []
+    for n, plan in enumerate(run.trace.plans):
+        k = made_at(run, n)
+        optimised = shortcut(run.grid(k).free_space(plan[0], plan[-1]), plan)
+        rows.append((length(plan) - length(optimised), k, plan, optimised))
+    best = sorted(sorted(rows, key=lambda row: row[0])[-3:], key=lambda row: row[1])
+    figure, axes = panels(1, 3, 15.0, 5.4)
+    for ax, (gain, k, plan, optimised) in zip(axes, best, strict=True):
+        draw_truth(ax, scene_of(run))
+        fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
+        fig.draw_path(ax, plan, optimised)
+        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        window(ax, plan)
+        said = f"{len(plan)} way points, {len(optimised)} after, {100 * gain:.0f} cm saved"
+        ax.set_title(f"{run.time_s(k):.1f} s: {said}", fontsize=10)
+    legend(figure)
+    return figure
+
+
+def seen_region() -> Any:
+    """Figure 9: the region seen."""
+    run = apartment()
+    figure, axes = panels(1, 2, 13.0, 5.0)
+    for ax, k in zip(axes, (SCAN, len(run.scans) - 1), strict=True):
+        draw_truth(ax, scene_of(run), WALL)
+        space = run.grid(k).free_space()
+        fig.draw_seen(ax, space)
+        ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.2)
+        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        ax.set_title(f"{run.time_s(k):.1f} s: {space.seen.sum() * space.cell_m**2:.0f} m² seen")
+    return figure
+
+
+def moments() -> Any:
+    """Figure 10: moments of a run."""
+    run = apartment()
+    figure, axes = panels(3, 2, 12.0, 12.8)
+    for ax, k in zip(axes, np.linspace(0, len(run.scans) - 1, 6).astype(int), strict=True):
+        grid, landmarks = run.grid(k), run.trace.key_estimates[k].landmarks
+        draw_truth(ax, scene_of(run))
+        fig.draw_seen(ax, grid.free_space())
+        fig.draw_hits(ax, grid, run.trace.config.grid.cell_m)
+        if run.plans[k]:
+            fig.draw_path(ax, run.trace.plans[run.plans[k] - 1])
+        ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.4, zorder=6, label="driven, estimated")
+        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.2, "zorder": 7}
+        ax.scatter(landmarks[:, 0], landmarks[:, 1], s=22.0, label="landmarks in the state", **style)
+        fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
+        ax.set_title(f"{run.time_s(k):.1f} s")
+        ax.label_outer()
+    legend(figure)
+    return figure
+
+
+def bridge(pose: Pose, features: Features, scene: Scene) -> float:
+    """How far a wall detected from the true `pose` strays from all true walls at most, metres."""
+    along = np.linspace(0.0, 1.0, 21)[:, None]
+    points = [a + along * (b - a) for a, b in pose @ features.walls]
+    return max((point_segment_distance(p, scene.walls).min() for part in points for p in part), default=0.0)
+
+
+def iep() -> Any:
+    """Figure 11: RANSAC on first-level partitions, and on second-level; the scan in which the former strays most."""
+    run = apartment()
+    scene = scene_of(run)
+    poses = [Pose.from_array(row) for row in run.trace.key_truths]
+    rough = [features_of(scan, WITHOUT_IEP) for scan in run.scans]
+    fine = [run.features(k) for k in range(len(run.scans))]
+    gain = [bridge(p, a, scene) - bridge(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
+    k = int(np.argmax(gain))
+    figure, axes = panels(1, 2, 13.0, 6.4)
+    for ax, features, of in ((axes[0], rough[k], "first"), (axes[1], fine[k], "second")):
+        draw_truth(ax, scene, near=poses[k].position, reach_m=3.6)
+        fig.draw_returns(ax, poses[k], run.scans[k])
+        fig.draw_detections(ax, poses[k], features)
+        fig.draw_robot(ax, poses[k], run.trace.radius_m)
+        off = bridge(poses[k], features, scene)
+        ax.set_title(f"RANSAC on {of}-level partitions: at most {off:.2f} m off")
+    legend(figure)
+    return figure
+
+
+def bad_landmark(run: Recording) -> tuple[int, int, float, Array]:
+    """Of the landmarks culled, the one farthest from any true one: key scans of birth and end, how far, and where."""
+    true = true_landmarks(scene_of(run).walls)
+    seen: dict[int, tuple[int, Array]] = {}
+    found: list[tuple[int, int, float, Array]] = []
+    for k, estimate in enumerate(run.trace.key_estimates):
+        now = dict(zip(estimate.ids.tolist(), estimate.landmarks, strict=True))
+        for i in set(seen) - set(now):
+            born, where = seen.pop(i)
+            found.append((born, k, float(np.linalg.norm(true - where, axis=1).min()), where))
+        for i, where in now.items():
+            seen[i] = seen.get(i, (k, where))[0], where
+    return max(found, key=lambda row: row[2])
+
+
+def culling() -> Any:
+    """Figure 12: a bad landmark before and after it was culled."""
+    run = record(preset("default", **ROUGH))
+    born, culled, off, where = bad_landmark(run)
+    figure, axes = panels(1, 2, 13.0, 6.4)
+    for ax, k, said in ((axes[0], culled - 1, f"born at {run.time_s(born):.1f} s"), (axes[1], culled, "culled")):
+        landmarks = run.trace.key_estimates[k].landmarks
+        draw_truth(ax, scene_of(run), near=where, reach_m=2.5)
+        ax.scatter(landmarks[:, 0], landmarks[:, 1], s=60.0, facecolors="none", edgecolors=SIGHTING, linewidths=1.8,
+                   label="landmarks in the state", zorder=6)  # fmt: skip
+        true = true_landmarks(scene_of(run).walls)
+        ax.scatter(true[:, 0], true[:, 1], s=30.0, marker="+", color=WALL, label="true corners and ends", zorder=7)
+        ax.scatter(*where, s=260.0, facecolors="none", edgecolors=LANDMARK, linewidths=1.2, zorder=5)
+        ax.annotate(f"{off:.2f} m from any true one", where, (0, 16), textcoords="offset points", ha="center")
+        ax.set_title(f"{run.time_s(k):.1f} s: {said}")
+    legend(figure)
+    return figure
+
+
+FIGURES: dict[int, tuple[str, Callable[[], Any]]] = {
+    2: ("pipeline", pipeline),
+    3: ("partitions", partitions),
+    4: ("detections", detections),
+    5: ("landmarks", state),
+    6: ("hit_grid", hit_grid),
+    7: ("replanning", replanning),
+    8: ("trajectory", trajectory),
+    9: ("seen", seen_region),
+    10: ("moments", moments),
+    11: ("iep", iep),
+    12: ("culling", culling),
+}
+
+
+def shrink(file: Path) -> None:
+    """Store a PNG with a palette: drawings have few colours, and a repository keeps every version."""
+    from PIL import Image
+
+    with Image.open(file) as image:
+        image.convert("RGB").quantize(128, dither=Image.Dither.NONE).save(file, optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/figures"), metavar="DIR", help="folder to write into")
+    parser.add_argument("--only", type=int, nargs="+", choices=[1, *FIGURES], metavar="N", help="these figures alone")
+    options = parser.parse_args()
+    warm_up()
+    for number in options.only or [1, *FIGURES]:
+        name, make = FIGURES.get(number, ("calibration", None))
+        file = options.out / f"figure{number:02d}_{name}.png"
+        if make is None:
+            calibration(file)
+        else:
+            plot.save(make(), file)
+        shrink(file)
+        print(f"{file}  {file.stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()

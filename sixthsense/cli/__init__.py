@@ -1,0 +1,57 @@
+"""The command line: a shell around the library; the only place that prints or exits."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+
+from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from sixthsense.cli.options import UsageError
+from sixthsense.errors import InputError
+
+COMMANDS = ("run", "replay", "calibrate", "report", "scenes")
+
+USAGE = """\
+usage: sixthsense COMMAND ...
+
+A workbench for 2-D laser SLAM.
+
+commands:
+  run [SCENE]    put a robot into a scene and let it reach its goals
+  replay LOG     digest a real robot's log with the same code
+  calibrate SCENE
+                 measure the robot's noise where the truth is known, for `run --config`
+  report RUN_DIR ...
+                 figures of one run, or of several side by side with a table
+  scenes         list the scenes that ship
+
+`sixthsense COMMAND --help` lists a command's options.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 1 the robot failed, 2 bad input, 130 interrupted."""
+    args = list(sys.argv[1:] if argv is None else argv)
+    if not args or args[0] in ("-h", "--help"):
+        print(USAGE, end="")
+        return DONE if args else BAD_INPUT
+    try:
+        if args[0] not in COMMANDS:
+            raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}")
+        code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])
+        return code
+    except BrokenPipeError:
+        return FAILED
+    except InputError as error:
+        return _complain(str(error))
+    except OSError as error:
+        return _complain(f"{error.filename or 'output'}: {error.strerror or error}")
+    except KeyboardInterrupt:
+        print("sixthsense: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _complain(message: str) -> int:
+    print(f"sixthsense: {' '.join(message.split())}", file=sys.stderr)
+    return BAD_INPUT

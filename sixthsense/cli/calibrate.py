@@ -1,0 +1,56 @@
+"""`sixthsense calibrate`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sixthsense.cli.common import Common, announce_compilation, parse_command, show_help, wants_help
+from sixthsense.cli.exits import DONE
+from sixthsense.cli.options import UsageError
+
+
+@dataclass(frozen=True)
+class Calibrate(Common):
+    """Measure the robot's noise where the truth is known, and write what `run --config` shall assume."""
+
+    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
+    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file to write, a partial configuration; its figure lies beside it, as .png."""
+    overwrite: bool = False
+    """Replace the file and its figure if they exist."""
+    samples: int = 100
+    """Samples of motion, one every half second."""
+
+
+def command(args: list[str]) -> int:
+    """Measure the robot's noise."""
+    if wants_help(args):
+        return show_help(Calibrate, "calibrate", "default")
+    options, _ = parse_command(Calibrate, "scene", "default", args)
+    if options.out is None:
+        raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")
+    if not isinstance(options.samples, int):  # a word that is no number comes as it is
+        raise UsageError(f"--samples: found {options.samples!r}, allowed: a whole number")
+    from tqdm import tqdm
+
+    from sixthsense.calibrate import calibrate, check_free, summary, write
+    from sixthsense.loop import warm_up
+
+    config = options.settings
+    if options.scene is not None:
+        config = dataclasses.replace(config, scene=options.scene)
+    check_free(options.out, options.overwrite)
+    announce_compilation()
+    warm_up()
+    with tqdm(total=options.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:
+        found = calibrate(config, options.samples, bar.update)
+    write(found, config, options.out, f"calibration · {Path(config.scene).stem} · {config.preset} · seed {config.seed}")
+    print("\n".join(summary(found)))
+    print(f"written to {options.out} and {options.out.with_suffix('.png')}")
+    return DONE

@@ -1,0 +1,154 @@
+"""What the commands share: options, help, the run's folder, the progress bar and the table at the end."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, TypeVar
+
+import tyro
+
+from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
+from sixthsense.cli.options import Table, parse
+from sixthsense.config import Config, load_config, merge, preset
+
+if TYPE_CHECKING:
+    from sixthsense.folder import RunFolder
+    from sixthsense.loop import OnTick
+    from sixthsense.source import Tick
+    from sixthsense.trace import Trace
+
+C = TypeVar("C", bound="Common")
+
+
+@dataclass(frozen=True)
+class Common:
+    """Options that every command with a run folder has."""
+
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """TOML file, partial or whole, over the preset; a run folder's config.toml repeats that run."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder to write; by default a new one under runs/."""
+    overwrite: bool = False
+    """Replace the folder if it exists."""
+    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+
+def show_help(command: type[Common], name: str, base: str) -> int:
+    """Print a command's options, with the values they have by default."""
+    with contextlib.suppress(SystemExit):
+        tyro.cli(command, prog=f"sixthsense {name}", args=["--help"], default=command(settings=preset(base)))
+    return DONE
+
+
+def parse_command(
+    command: type[C], place: str, base: str | Callable[[str | None], str | Config], args: list[str]
+) -> tuple[C, Table]:
+    """A command's options, and the table of those fields of Config that flags set.
+
+    `place` names the option that stands by itself, `base` is the preset where none is named, or the whole
+    configuration; it may depend on what stands at `place`. Precedence is defaults <
+    preset < configuration file < flags; a ConfigError names the flag, or the file and its field.
+    """
+    own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", place)}
+    given, table = parse(args, own, place)
+    start = base(given.get(place)) if callable(base) else base
+    settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
+    if "config" in given:
+        whole = "preset" in table or isinstance(start, Config)
+        settings = load_config(given["config"], settings if whole else None, str(start))
+    return command(**given, settings=merge(settings, table, "--")), table
+
+
+def wants_help(args: list[str]) -> bool:
+    """Whether the words ask for help, wherever they do."""
+    return "-h" in args or "--help" in args
+
+
+def run_folder(options: Common, config: Config, stem: str) -> RunFolder:
+    """The folder that the options name, or a new one under runs/ that begins with `stem`."""
+    from sixthsense.folder import RunFolder
+
+    if options.out is not None:
+        return RunFolder(options.out, config, options.overwrite)
+    return RunFolder(numbered(stem), config)
+
+
+def numbered(stem: str) -> Path:
+    """The first folder under runs/ that is not taken."""
+    number = 1
+    while (out := Path("runs") / f"{stem}-{number}").exists() or out.with_name(out.name + ".partial").exists():
+        number += 1
+    return out
+
+
+def announce_compilation() -> None:
+    """Say in one line why a first run does not start at once."""
+    import numba
+
+    cache: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    folder = Path(cache) if cache else Path(__file__).parents[1]
+    if not any(folder.rglob("*.nbi")):
+        print("compiling the hot loops, once; this takes about half a minute ...", file=sys.stderr)
+
+
+def finish(folder: RunFolder, trace: Trace, title: str) -> int:
+    """Write the folder, print the table, and say how it ended."""
+    from sixthsense.plot import save_map
+
+    metrics = folder.write(trace)
+    save_map(trace, folder.partial / "figures" / "map.png", title)
+    folder.finish()
+    width = max(map(len, metrics))
+    for key, value in metrics.items():
+        print(f"{key:{width}}  {value:.4g}" if isinstance(value, float) else f"{key:{width}}  {value}")
+    print(f"written to {folder.out}/")
+    return EXIT_CODES.get(trace.outcome, FAILED)
+
+
+def each(*hooks: OnTick) -> OnTick:
+    """One hook for the loop that calls several."""
+
+    def call(tick: Tick, trace: Trace) -> None:
+        for hook in hooks:
+            hook(tick, trace)
+
+    return call
+
+
+class Progress:
+    """A progress bar over the source's time, silent when not a terminal; with `realtime` it also holds the clock."""
+
+    def __init__(self, label: str, total_s: float, realtime: bool) -> None:
+        self._label = label
+        self._total_s = total_s
+        self._realtime = realtime
+        self._first_ns: int | None = None
+        self._shown_s = 0.0
+        self._began = 0.0
+
+    def __enter__(self) -> Progress:
+        from tqdm import tqdm
+
+        form = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s, {elapsed} so far"
+        self._bar = tqdm(total=self._total_s, desc=self._label, disable=None, leave=False, bar_format=form)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        """Move on to a tick's time."""
+        if self._first_ns is None:
+            self._first_ns, self._began = tick.stamp_ns, time.monotonic()
+        now_s = 1e-9 * (tick.stamp_ns - self._first_ns)
+        if now_s - self._shown_s >= 0.1:
+            self._bar.update(now_s - self._shown_s)
+            self._shown_s = now_s
+        if self._realtime:
+            time.sleep(max(0.0, self._began + now_s - time.monotonic()))

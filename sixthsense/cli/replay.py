@@ -1,0 +1,124 @@
+"""`sixthsense replay`."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from sixthsense.cli.common import (
+    Common,
+    Progress,
+    announce_compilation,
+    each,
+    finish,
+    parse_command,
+    run_folder,
+    show_help,
+    wants_help,
+)
+from sixthsense.cli.options import Table, UsageError
+from sixthsense.config import Config, load_config, preset
+
+if TYPE_CHECKING:
+    from sixthsense.logs.carmen import CarmenLog, Relations
+
+LOG_TIME_S = 1e6  # a log is replayed to its end
+
+
+@dataclass(frozen=True)
+class Replay(Common):
+    """Digest a recorded log: CARMEN .log or .clf, plain, .gz or .bz2; a ROS 1 or ROS 2 bag; or the folder of a run."""
+
+    log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
+    """The log."""
+    relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Hand-checked relations between poses (Kuemmerle et al. 2009) to measure the trajectory against."""
+    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME]")] = None
+    """Topics of a bag to use, where it has several of scans or of odometry."""
+
+
+def command(args: list[str]) -> int:
+    """Replay a log."""
+    if wants_help(args):
+        return show_help(Replay, "replay", "intel")
+    options, flags = parse_command(Replay, "log", _replay_base, args)
+    config = options.settings
+    for name in ("scene", "task", "goal", "start", "region", "planner", "follow", "world"):
+        if name in flags:
+            raise UsageError(f"--{name}: found on replay, allowed: options of what a log leaves open, not of the robot")
+    if options.log is None:
+        raise UsageError("log: found nothing, allowed: a CARMEN file, a bag, the folder of a run")
+    _check_bag_options(options, flags)
+    from sixthsense.bag import BagWriter
+    from sixthsense.logs import open_log
+    from sixthsense.logs.carmen import read_relations
+    from sixthsense.logs.rosbag import BagLog
+    from sixthsense.loop import replay, warm_up
+
+    relations = read_relations(options.relations) if options.relations is not None else None
+    log = open_log(options.log, config.laser, options.topic.split(",") if options.topic else ())
+    if relations is not None:
+        _check_relations(relations, log, options)
+    name = Path(options.log).resolve().name
+    if isinstance(log, BagLog):
+        config = dataclasses.replace(config, laser=log.laser)
+        if log.cut_short:
+            print(f"note: {name}: its run was stopped; the {log.duration_s:.1f} s of it are used", file=sys.stderr)
+    if log.backward_stamps:
+        note = f"note: {name}: stamps run backwards at {log.backward_stamps} scans; replayed in file order"
+        print(note, file=sys.stderr)
+    with run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}") as folder:
+        announce_compilation()
+        warm_up()
+        with BagWriter(folder.partial) as bag, Progress(name, log.duration_s, False) as progress:
+            trace = replay(log, config, relations, each(bag, progress))
+        return finish(folder, trace, f"{name} · {config.estimator}: {trace.outcome}")
+
+
+def _replay_base(log: str | None) -> str | Config:
+    """What flags go over: a run's own configuration, the default robot for a bag, that of Intel for CARMEN."""
+    from sixthsense.logs import is_bag, is_run_folder
+
+    path = Path(log or "")
+    if log is not None and is_run_folder(path):
+        return load_config(path / "config.toml")
+    return preset(max_time=LOG_TIME_S) if log is not None and is_bag(path) else "intel"
+
+
+def _check_bag_options(options: Replay, flags: Table) -> None:
+    """Raise UsageError for options that go with another kind of log, or that would cost the log itself."""
+    from sixthsense.logs import is_bag, is_run_folder
+
+    path = Path(options.log or "")
+    if options.topic is not None and (is_run_folder(path) or not is_bag(path)):
+        raise UsageError("--topic: found on a log that is no bag of ROS, allowed: on a bag")
+    if is_run_folder(path) and "preset" in flags:
+        raise UsageError("--preset: found on the folder of a run, allowed: single fields over its config.toml")
+    if is_run_folder(path) or is_bag(path):
+        for field_name in flags.get("laser", {}):
+            if field_name != "mount":
+                raise UsageError(
+                    f"--laser.{field_name}: found on a bag, which describes its laser, allowed: --laser.mount"
+                )
+    if options.out is not None:
+        partial = options.out.with_name((options.out.name or "run") + ".partial").resolve()
+        if partial in (path.resolve(), *path.resolve().parents):
+            raise UsageError(f"--out: found {options.out}, whose .partial is the log itself, allowed: another folder")
+
+
+def _check_relations(relations: Relations, log: CarmenLog, options: Replay) -> None:
+    """Raise UsageError for a relation that names no scan of the log."""
+    import numpy as np
+
+    from sixthsense.metrics import relations_error
+
+    stamps = np.array([t.log_stamp_s for t in log.ticks if t.scan is not None], dtype=np.float64)
+    try:
+        relations_error(stamps, np.zeros((len(stamps), 3)), relations.stamps, relations.poses)
+    except ValueError as error:
+        raise UsageError(f"{options.relations}: {error}, allowed: stamps of scans in {options.log}") from None

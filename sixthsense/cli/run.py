@@ -1,0 +1,61 @@
+"""`sixthsense run`."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from sixthsense.cli.common import (
+    Common,
+    Progress,
+    announce_compilation,
+    each,
+    finish,
+    parse_command,
+    run_folder,
+    show_help,
+    wants_help,
+)
+
+
+@dataclass(frozen=True)
+class Run(Common):
+    """Put a robot into a scene it has never seen and let it reach its goals."""
+
+    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
+    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    realtime: bool = False
+    """Hold the simulated clock back to the wall's."""
+
+
+def command(args: list[str]) -> int:
+    """Simulate a scene."""
+    if wants_help(args):
+        return show_help(Run, "run", "default")
+    options, flags = parse_command(Run, "scene", "default", args)
+    config = options.settings
+    if options.scene is not None:
+        config = dataclasses.replace(config, scene=options.scene)
+    if flags.get("goal") is not None and "task" not in flags:
+        config = dataclasses.replace(config, task="goal")
+    if Path(config.scene).suffix:
+        # The run can then be repeated from its configuration wherever one stands.
+        config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
+    from sixthsense.bag import BagWriter
+    from sixthsense.loop import mission, run, warm_up
+    from sixthsense.scene import load_scene
+
+    scene = load_scene(config.scene)
+    mission(scene, config)
+    label = f"{scene.name}, {config.task}"
+    with run_folder(options, config, f"{scene.name}-{config.estimator}") as folder:
+        announce_compilation()
+        warm_up()
+        with BagWriter(folder.partial) as bag, Progress(label, config.max_time, options.realtime) as progress:
+            trace = run(config, each(bag, progress))
+        title = f"{scene.name} · {config.estimator} · {config.preset} · seed {config.seed}: {trace.outcome}"
+        return finish(folder, trace, title)

@@ -1,0 +1,70 @@
+"""What a calibration found: measurement noise of each kind of landmark, and propagation noise (report figure 1)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sixthsense.geometry import Array
+from sixthsense.landmarks import Kind
+from sixthsense.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
+
+if TYPE_CHECKING:
+    from sixthsense.calibrate import Calibration
+    from sixthsense.noise import PropagationErrors
+
+_WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
+
+
+def draw_sighting_errors(ax: Any, errors: Array, name: str) -> None:
+    """Draw (N, 2) errors of sightings, metres, robot's frame, and the 95 % ellipse of their zero-mean Gaussian."""
+    shown = 1e3 * errors
+    ax.scatter(shown[:, 0], shown[:, 1], s=9, color=LANDMARK, linewidths=0.0, zorder=3, label="samples")
+    if len(shown):
+        outline = ellipse(np.zeros(2), shown.T @ shown / len(shown))
+        ax.fill(outline[:, 0], outline[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
+        ax.plot(outline[:, 0], outline[:, 1], color=ESTIMATE, linewidth=1.4, label="95 %, mean 0")
+        mean = shown.mean(axis=0)
+        ax.plot(*mean, marker="+", color=TRUTH, markersize=9, linestyle="none", zorder=4, label="sample mean")
+        _frame(ax, max(float(np.abs(outline).max()), float(np.percentile(np.abs(shown), 99.5))))
+    ax.set_xlabel("error ahead [mm]")
+    ax.set_ylabel("error to the left [mm]")
+    ax.set_title(f"{name}, {len(errors)} sightings")
+
+
+def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
+    """Draw the way's and the heading's errors in units of their assumed sigmas, before and after calibration."""
+    circle = ellipse(np.zeros(2), np.eye(2))
+    ax.fill(circle[:, 0], circle[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
+    ax.plot(circle[:, 0], circle[:, 1], color=ESTIMATE, linewidth=1.4, label="95 %, mean 0")
+    for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
+        units = errors.normalised
+        label = f"{when}: NEES {errors.nees.mean():.2f}"
+        ax.scatter(units[:, 0], units[:, 2], s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
+    _frame(ax, max(4.0, float(np.abs(np.concatenate([before.normalised, after.normalised])[:, [0, 2]]).max())))
+    ax.set_xlabel("error ahead [assumed sigmas]")
+    ax.set_ylabel("error of the heading [assumed sigmas]")
+    ax.set_title(f"propagation, {len(after.errors)} samples")
+
+
+def _frame(ax: Any, reach: float) -> None:
+    """A square about zero."""
+    ax.set_xlim(-1.05 * reach, 1.05 * reach)
+    ax.set_ylim(-1.05 * reach, 1.05 * reach)
+    ax.set_aspect("equal")
+    ax.locator_params(nbins=7)
+
+
+def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
+    """Write the figure of a calibration as a PNG: measurement noise per kind, propagation noise (report figure 1)."""
+    figure = new_figure(_WIDTH_IN, _HEIGHT_IN)
+    corners, ends, propagation = figure.subplots(1, 3)
+    draw_sighting_errors(corners, found.landmarks[1].of(Kind.CORNER), "corners")
+    draw_sighting_errors(ends, found.landmarks[1].of(Kind.END), "loose ends")
+    draw_propagation_errors(propagation, *found.propagation)
+    for ax in (corners, ends, propagation):
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize="small")
+    figure.suptitle(title)
+    save(figure, file)

@@ -1,0 +1,62 @@
+"""What the robot knows of where it may go, and the way it takes (report figures 6 to 9)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sixthsense.freespace import Bools, FreeSpace
+from sixthsense.geometry import Array, Pose
+from sixthsense.grid import Grid
+from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, label_plane
+
+_INFLATED = "#F6CFBF"
+
+
+def _shade(ax: Any, mask: Bools, origin: tuple[float, float], cell_m: float, color: str, zorder: float) -> None:
+    """Colour the cells of (H, W) `mask`."""
+    from matplotlib.colors import to_rgba
+
+    image = np.zeros((*mask.shape, 4))
+    image[mask] = to_rgba(color)
+    height, width = mask.shape
+    extent = (origin[0], origin[0] + width * cell_m, origin[1], origin[1] + height * cell_m)
+    limits = ax.get_xlim(), ax.get_ylim()
+    ax.imshow(image, origin="lower", extent=extent, interpolation="nearest", zorder=zorder)
+    # A grid is as large as has been of use to it, which says nothing on what is to be looked at.
+    ax.set(xlim=limits[0], ylim=limits[1])
+    label_plane(ax)
+
+
+def draw_seen(ax: Any, space: FreeSpace) -> None:
+    """Colour the cells that a beam has crossed or ended in: the sense grid."""
+    _shade(ax, space.seen, space.origin, space.cell_m, SEEN, 0.1)
+
+
+def draw_hits(ax: Any, grid: Grid, cell_m: float) -> None:
+    """Colour the hit grid's obstacle cells, and paler the cells in which the robot's centre would touch one."""
+    space = grid.free_space()
+    _shade(ax, space.blocked, space.origin, space.cell_m, _INFLATED, 0.2)
+    _shade(ax, grid.obstacles, grid.origin, cell_m, LANDMARK, 0.3)
+
+
+def draw_path(ax: Any, plan: Array, optimised: Array | None = None) -> None:
+    """Draw a planned path (N, 2), and if given the optimised one (M, 2) with the way point that is headed for."""
+    ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=1.6, zorder=5, label="planned")
+    if optimised is not None:
+        ax.plot(optimised[:, 0], optimised[:, 1], color=ESTIMATE, linewidth=1.6, zorder=6, label="optimised")
+        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 2.0, "zorder": 7}
+        ax.scatter(*optimised[min(1, len(optimised) - 1)], s=90.0, label="local goal", **style)
+    ax.scatter(*plan[-1], s=80.0, marker="*", color=PLAN, zorder=7, label="goal")
+    label_plane(ax)
+
+
+def draw_robot(ax: Any, pose: Pose, radius_m: float) -> None:
+    """Draw the robot as the disc that it is, with a line ahead."""
+    from matplotlib.patches import Circle
+
+    ax.add_patch(Circle((pose.x, pose.y), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.2, zorder=8))
+    nose = pose.position + radius_m * np.array([math.cos(pose.theta), math.sin(pose.theta)])
+    ax.plot([pose.x, nose[0]], [pose.y, nose[1]], color=WALL, linewidth=1.2, zorder=9)

@@ -1,0 +1,168 @@
+"""How a run went: errors and their promised size, consistency, coverage over time; and where the time went."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import chi2
+
+from sixthsense import metrics
+from sixthsense.coverage import coverage_over_time, visible_area
+from sixthsense.geometry import Array, wrap_angle
+from sixthsense.laser import beam_bearings
+from sixthsense.plot import CYCLE, ESTIMATE, TRUTH
+from sixthsense.trace import STAGES, Trace
+
+_BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """One of the pose's three numbers, as a figure shows it."""
+
+    name: str
+    """of the axis"""
+    unit: str
+    """of the axis"""
+    scale: float
+    """metres or radians to that unit"""
+
+
+COMPONENTS = (Component("x", "m", 1.0), Component("y", "m", 1.0), Component("heading", "°", float(np.degrees(1.0))))
+
+
+def key_times(trace: Trace) -> Array:
+    """(K,) seconds from the first scan to each key scan."""
+    return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+
+
+def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE) -> None:
+    """Draw the error of x, y or heading (0, 1, 2) at key scans, and the ±3σ within which the estimator puts it.
+
+    The trace has truth.
+    """
+    shown = COMPONENTS[component]
+    t = key_times(trace)
+    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates]).reshape(-1, 3)
+    error = (poses - np.array(trace.key_truths).reshape(-1, 3))[:, component]
+    if component == 2:
+        error = wrap_angle(error)
+    variance = np.array([estimate.pose_cov[component, component] for estimate in trace.key_estimates])
+    bound = 3.0 * np.sqrt(np.maximum(variance, 0.0)) * shown.scale
+    ax.fill_between(t, -bound, bound, label="±3σ", **_BAND)  # noqa: RUF001
+    ax.axhline(0.0, color=TRUTH, linewidth=0.5)
+    ax.plot(t, shown.scale * error, color=color, linewidth=1.0, label="error")
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(f"error of {shown.name} [{shown.unit}]")
+    ax.margins(x=0.0)
+
+
+def draw_nees(
+    ax: Any,
+    trace: Trace,
+    frame: Literal["world", "invariant"],
+    color: str = ESTIMATE,
+    label: str | None = None,
+    band: bool = True,
+) -> None:
+    """Draw the pose's NEES at key scans, in world or right-invariant coordinates, with the 95 % band of one run.
+
+    The trace has truth. It begins where the covariance has full rank; `band` off for all but the first run on the axes.
+    """
+    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates]).reshape(-1, 3, 3)
+    first = metrics.full_rank_from(covs)
+    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates]).reshape(-1, 3)[first:]
+    truth = np.array(trace.key_truths).reshape(-1, 3)[first:]
+    covs = covs[first:]
+    values = np.zeros(0)
+    if len(poses):
+        by_world = frame == "world"
+        values = metrics.nees_world(poses - truth, covs) if by_world else metrics.nees_invariant(poses, truth, covs)
+    limits = metrics.nees_band(1)
+    if band:
+        ax.axhspan(*limits, label="95 % band", **_BAND)
+        ax.axhline(3.0, color=TRUTH, linewidth=0.5)
+    if len(values):
+        said = f"mean {values.mean():.2f}, {100 * metrics.share_in_band(values, limits):.0f} % in band"
+        label = said if label is None else f"{label}: {said}"
+        ax.plot(key_times(trace)[first:], values, color=color, linewidth=1.0, label=label)
+    ax.set_yscale("log")
+    # A NEES near nought is a lucky moment; it need not set the scale.
+    _rise(ax, 0.03, max(30.0, 1.5 * values.max(initial=0.0)))
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel(f"pose NEES, {frame} [1]")
+    ax.margins(x=0.0)
+
+
+def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None, band: bool = True) -> None:
+    """Draw each key scan's normalised innovation squared per degree of freedom, with its 95 % band.
+
+    The band depends on how many landmarks were matched; it is this run's.
+    """
+    dof = np.array([association.dof for association in trace.associations], dtype=np.int64)
+    nis = np.array([association.nis for association in trace.associations])
+    t = key_times(trace)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        per_dof = np.where(dof > 0, nis / dof, np.nan)  # a gap where nothing was matched
+        low, high = (np.where(dof > 0, chi2.ppf(share, dof) / dof, np.nan) for share in (0.025, 0.975))
+    tops = [per_dof]
+    if band:
+        tops.append(high)
+        ax.fill_between(t, low, high, label="95 % band", **_BAND)
+        ax.axhline(1.0, color=TRUTH, linewidth=0.5)
+    if dof.any():
+        said = f"mean {nis.sum() / dof.sum():.2f}"
+        label = said if label is None else f"{label}: {said}"
+        ax.plot(t, per_dof, color=color, linewidth=1.0, marker=".", markersize=2.5, label=label)
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("NIS per dof [1]")
+    _rise(ax, 0.0, 1.05 * max(np.nanmax(top, initial=1.0) for top in tops))
+    ax.margins(x=0.0)
+
+
+def _rise(ax: Any, low: float, high: float) -> None:
+    """Set the lower limit, and the upper one unless what was drawn before, here or on a shared axis, needs more."""
+    ax.set_ylim(low, high if ax.get_autoscaley_on() else max(high, ax.get_ylim()[1]))
+
+
+def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None) -> None:
+    """Draw the share of the area visible from where the robot can go that beams have crossed, over time.
+
+    The trace has truth and a scene.
+    """
+    assert trace.scene is not None
+    laser, walls = trace.config.laser, trace.scene.walls
+    region = trace.config.region or trace.scene.region
+    poses = np.array(trace.truths).reshape(-1, 3)
+    start = (float(poses[0, 0]), float(poses[0, 1]))
+    area = visible_area(walls, region, start, trace.radius_m, laser.max_range)
+    share = coverage_over_time(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
+    said = f"{area.square_metres:.0f} m² can be seen"
+    label = said if label is None else f"{label}: {said}"
+    t = 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+    ax.plot(t, 100.0 * share, color=color, linewidth=1.4, label=label)
+    ax.set_ylim(0.0, 102.0)
+    ax.set_xlabel("time [s]")
+    ax.set_ylabel("area seen [% of the visible]")
+    ax.margins(x=0.0)
+
+
+def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str] | None = None) -> None:
+    """Draw what each stage took per key scan on average, milliseconds, one bar a stage for each run's metrics."""
+    stages = [stage for stage in STAGES if any(f"stage_ms_mean.{stage}" in run for run in runs)]
+    height = 0.8 / max(len(runs), 1)
+    for k, run in enumerate(runs):
+        values = np.array([run.get(f"stage_ms_mean.{stage}", np.nan) for stage in stages], dtype=np.float64)
+        places = np.arange(len(stages)) + (k - 0.5 * (len(runs) - 1)) * height
+        words = [] if labels is None else [labels[k]]
+        if "scan_ms_p50" in run:
+            words.append(f"a key scan: median {run['scan_ms_p50']:.2g} ms, 99 % below {run['scan_ms_p99']:.2g} ms")
+        bars = ax.barh(places, values, height, color=CYCLE[k % len(CYCLE)], label=": ".join(words) or None)
+        ax.bar_label(bars, fmt="%.2g", padding=3, fontsize=min(8.0, 30.0 * height))
+    ax.set_yticks(np.arange(len(stages)), stages)
+    ax.invert_yaxis()
+    ax.set_xlabel("mean time per key scan [ms]")
+    ax.margins(x=0.1)

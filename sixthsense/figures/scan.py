@@ -1,0 +1,65 @@
+"""What one scan shows, stage by stage (report figures 2, 3, 4 and 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from sixthsense.features import Features
+from sixthsense.features.partition import Indices
+from sixthsense.geometry import Array, Pose
+from sixthsense.laser import Scan
+from sixthsense.plot import CYCLE, LANDMARK, SIGHTING, WALL_FOUND, draw_segments, ellipse, label_plane
+
+_RETURN = "#666666"
+
+
+def _points(pose: Pose, scan: Scan) -> Array:
+    """(N, 2) where the beams end, world frame; a beam that met nothing ends at NaN."""
+    points = np.where(np.isfinite(scan.ranges)[:, None], scan.points_robot, np.nan)
+    return pose @ points
+
+
+def draw_beams(ax: Any, pose: Pose, scan: Scan, color: str = LANDMARK) -> None:
+    """Draw the beams of a scan taken at `pose`; those that met nothing reach to the maximum range."""
+    lengths = np.where(np.isfinite(scan.ranges), scan.ranges, scan.max_range).astype(np.float64)
+    T_world_laser = pose @ scan.T_robot_laser
+    bearings = scan.bearings
+    ends = T_world_laser @ np.stack([lengths * np.cos(bearings), lengths * np.sin(bearings)], axis=1)
+    starts = np.broadcast_to(T_world_laser.position, ends.shape)
+    style = {"colors": color, "linewidths": 0.3, "alpha": 0.6, "zorder": 1}
+    draw_segments(ax, np.stack([starts, ends], axis=1), label="beams", **style)
+    label_plane(ax)
+
+
+def draw_returns(ax: Any, pose: Pose, scan: Scan, color: str = _RETURN, size: float = 4.0) -> None:
+    """Draw where the beams of a scan taken at `pose` ended."""
+    points = _points(pose, scan)
+    ax.scatter(points[:, 0], points[:, 1], s=size, color=color, linewidths=0.0, zorder=3, label="laser returns")
+    label_plane(ax)
+
+
+def draw_partitions(ax: Any, pose: Pose, scan: Scan, parts: Sequence[Indices], least: int = 1) -> None:
+    """Draw each partition's returns in a colour of its own, and grey those in none; fewer than `least` are none."""
+    points = _points(pose, scan)
+    draw_returns(ax, pose, scan, color="#BBBBBB", size=3.0)
+    for k, part in enumerate(part for part in parts if len(part) >= least):
+        ax.scatter(*points[part].T, s=8.0, color=CYCLE[k % len(CYCLE)], linewidths=0.0, zorder=4)
+
+
+def draw_detections(ax: Any, pose: Pose, features: Features, enlarged: float = 0.0) -> None:
+    """Draw the walls (pink) and landmarks (cyan circles) that one scan from `pose` shows.
+
+    `enlarged` draws the sightings' 95 % ellipses too, so many times as large as they are.
+    """
+    draw_segments(ax, pose @ features.walls, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="walls detected")
+    if features.sightings:
+        points = pose @ np.array([sighting.z for sighting in features.sightings])
+        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.6, "zorder": 5}
+        ax.scatter(points[:, 0], points[:, 1], s=50.0, label="landmarks detected", **style)
+        for sighting in features.sightings if enlarged else ():
+            outline = pose @ ellipse(sighting.z, enlarged**2 * sighting.cov)
+            ax.plot(outline[:, 0], outline[:, 1], color=LANDMARK, linewidth=0.8, zorder=6)
+    label_plane(ax)

@@ -1,0 +1,120 @@
+"""The folder of a run as a log: the evidence its bag recorded, to the bit, as far as the bag goes."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from sixthsense.config import LaserConfig
+from sixthsense.errors import InputError
+from sixthsense.geometry import Array, Pose
+from sixthsense.logs import LogError
+from sixthsense.logs.messages import LASER_SCAN, ODOMETRY, planar, scan, stamp_ns
+from sixthsense.logs.rosbag import BagLog
+from sixthsense.source import Tick
+
+TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
+_TYPES = {"/odom": ODOMETRY, "/truth": TRUTH, "/scan": LASER_SCAN, "/plan": PLAN}
+_LARGEST_CHUNK = 1 << 28  # bytes; ours have one million
+
+
+def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
+    """Read what a run's folder, or its `.partial`, has recorded: odometry, scans, truth and plans.
+
+    `laser` is that of the folder's configuration; beams and ranges are the bag's. A bag without its end is read up to
+    its last whole chunk. Raises LogError for a folder without a bag, or one without a scan.
+    """
+    file = Path(folder) / "bag" / "bag_0.mcap"
+    ticks: list[Tick] = []
+    plans: list[Array] = []
+    reader = _Chunks(file)
+    place = Pose(*laser.mount)
+    try:
+        for topic, record_ns, message in reader.messages():
+            if topic == "/odom":
+                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+                ticks.append(Tick(record_ns, pose))
+            elif topic == "/plan":
+                points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
+                plans.append(np.array(points, dtype=np.float64).reshape(-1, 2))
+            elif ticks and topic == "/truth":
+                ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
+            elif ticks:
+                # The message has the range's digits of a float32 only.
+                known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
+                ticks[-1] = replace(ticks[-1], scan=scan(message, place, max_range=known))
+                own = stamp_ns(message) / 1e9
+                ticks[-1] = replace(ticks[-1], log_stamp_s=own)
+    except InputError:
+        raise
+    except Exception as error:  # the checksums were right, and yet it is no message
+        raise LogError(f"{file}: found a message that cannot be read ({error}), allowed: a bag of a run") from None
+    if not any(tick.scan is not None for tick in ticks):
+        raise LogError(f"{file}: found no scan{' before it ends' * reader.cut_short}, allowed: a bag of a run")
+    log = BagLog(ticks, laser)
+    log.plans, log.cut_short = tuple(plans), reader.cut_short
+    return log
+
+
+class _Chunks:
+    """The messages of an MCAP file, chunk by chunk, up to where it ends or is damaged."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+        self.cut_short = True
+
+    def messages(self) -> Iterator[tuple[str, int, Any]]:
+        """Topic, record time in ns, and message; only topics that a log is made of."""
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Message
+        from rosbags.typesys import Stores, get_typestore
+
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        topics: dict[int, str] = {}
+        try:
+            with self._file.open("rb") as stream:
+                for record in self._records(stream):
+                    if isinstance(record, Channel):
+                        topics[record.id] = record.topic
+                    elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
+                        yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
+        except FileNotFoundError:
+            raise LogError(
+                f"{self._file}: no such file, allowed: the folder of a run that has recorded a bag"
+            ) from None
+        except OSError as error:
+            raise LogError(f"{self._file}: cannot be read ({error.strerror})") from None
+        except (McapError, struct.error):
+            raise LogError(f"{self._file}: is no MCAP file, allowed: a bag of a run") from None
+
+    def _records(self, stream: IO[bytes]) -> Iterator[Any]:
+        """The records within whole chunks."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Chunk, DataEnd
+        from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
+
+        read_magic(ReadDataStream(stream))
+        records = iter(
+            StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=_LARGEST_CHUNK).records
+        )
+        while True:
+            try:
+                record = next(records)
+                if isinstance(record, DataEnd):
+                    self.cut_short = False
+                    return
+                if not isinstance(record, Chunk):
+                    continue
+                if record.uncompressed_size > _LARGEST_CHUNK:
+                    return
+                content = breakup_chunk(record, validate_crc=True)
+            except Exception:
+                # The writer was stopped here; half a record fails in as many ways as there are fields. A checksum
+                # guards each chunk, so that what was read before is right.
+                return
+            yield from content
