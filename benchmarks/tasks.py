@@ -54,6 +54,7 @@ COLUMNS: tuple[tuple[str, str, str, Callable[[Sequence[float]], Any]], ...] = (
     ("NEES", "pose_nees_world_mean", "_mean", np.mean),
     ("NIS/dof", "nis_mean_per_dof", "_mean", np.mean),
     ("coverage", "coverage", "_median", np.median),
+    ("true m to goal, max", "goal_error_m", "_max", np.max),
 )
 
 

@@ -70,12 +70,12 @@ def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], ob
     seed = int(ransac_rng.integers(2**31))
     walls, driven = drive_samples(config, samples, world_rng, drive_rng, on_sample)
     landmarks = true_landmarks(walls)
-    before, keyscans = config.assumed, config.keyscans
+    before = config.assumed
     with threadpool_limits(limits=1, user_api="blas"):  # as in the loop: one seed gives one result, bit for bit
-        motion, systematic = fit_motion(driven, before, keyscans)
+        motion, systematic = fit_motion(driven, before)
         after = fit_laser(driven, landmarks, motion, config, seed)
         moved, saw = (
-            [propagation_errors(driven, assumed, keyscans) for assumed in (before, after)],
+            [propagation_errors(driven, assumed) for assumed in (before, after)],
             [landmark_errors(driven, landmarks, assumed, config, seed) for assumed in (before, after)],
         )
     return Calibration(after, samples, systematic, (moved[0], moved[1]), (saw[0], saw[1]))

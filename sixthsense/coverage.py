@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sixthsense.geometry import Array, Pose
+from sixthsense.geometry import Array, Pose, point_segment_distance
 from sixthsense.laser import cast_rays
 
 Mask = NDArray[np.bool_]
@@ -113,6 +113,9 @@ def visible_area(
     origin: Array = low - (np.ceil((low - bottom) / cell_m) + 1.0) * cell_m
     width, height = np.ceil((top - origin) / cell_m).astype(np.int64) + 1
     # A disc smaller than a cell must not slip from one cell to the next through a wall between their centres.
+    touching = (
+        point_segment_distance(np.asarray(start, dtype=np.float64), walls).min() < radius if len(walls) else False
+    )
     radius = max(radius, 0.51 * cell_m)
     clearances = np.full((height, width), np.inf)
     flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
@@ -121,6 +124,8 @@ def visible_area(
     y = origin[1] + (np.arange(height) + 0.5) * cell_m
 
     reachable = _connected(clearances >= radius, (np.asarray(start) - origin) / cell_m)
+    if reachable is None and not touching:
+        reachable = np.zeros((height, width), dtype=np.bool_)  # too tight a place for cells of this size to tell
     if reachable is None:
         raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]

@@ -6,6 +6,7 @@ import csv
 import json
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,10 @@ class FolderError(InputError):
 class RunFolder:
     """Reserves a folder before the run and fills it after; an existing one stays whole until its successor is."""
 
-    def __init__(self, out: Path, config: Config, overwrite: bool = False) -> None:
-        """Create `OUT.partial` with the configuration in it.
+    def __init__(
+        self, out: Path, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+    ) -> None:
+        """Create `OUT.partial` with the configuration in it, and of a replay what was `replayed`.
 
         Raises FolderError when `out` exists and may not be overwritten, or when nothing can be written there.
         """
@@ -44,7 +47,7 @@ class RunFolder:
                 shutil.rmtree(self.partial)
             self._made = [parent for parent in self.partial.parents if not parent.exists()]
             self.partial.mkdir(parents=True)
-            save_config(config, self.partial / "config.toml")
+            save_config(config, self.partial / "config.toml", replayed)
         except OSError as error:
             raise FolderError(
                 f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
@@ -72,10 +75,11 @@ class RunFolder:
             raise
 
     def _write(self, trace: Trace) -> dict[str, Any]:
-        write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
-        write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
+        origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
+        write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
+        write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
         if trace.truths:
-            write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths))
+            write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
         write_landmarks(self.partial, trace)
         if trace.grid is not None:
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
@@ -95,11 +99,14 @@ class RunFolder:
             self.partial.rename(self.out)
 
 
-def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
-    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds with all their digits."""
+def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
+
+    Since the run began, because a double cannot tell two stamps of a log apart that are 1 ns apart in 1970's seconds.
+    """
     with file.open("w", encoding="utf-8") as out:
         for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
-            seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+            seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
             half = 0.5 * theta
             out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
 

@@ -1,4 +1,4 @@
-"""The loop, from evidence to command, for a simulated world and for a log alike (DESIGN figure)."""
+"""The loop, from evidence to command, for a simulated world and for a log alike (CONTRIBUTING.md draws it)."""
 
 from __future__ import annotations
 
@@ -55,6 +55,7 @@ def replay(log: CarmenLog, config: Config, relations: Relations | None = None, o
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
     scene, if that still loads, in `config`.
     """
+    log.rewind()
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
     ransac_rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(2)[1])
@@ -162,7 +163,7 @@ def drive(
                 deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
                 T_world_odom = start @ tick.odometry.inverse()
             else:
-                increment = odometry(before, tick.odometry, config.assumed, config.keyscans)
+                increment = odometry(before, tick.odometry, config.assumed)
                 estimator.predict(increment)
                 keyscans.moved(increment.motion)
                 pose = pose @ increment.motion
@@ -185,6 +186,7 @@ def drive(
                 watch.key_scan()
                 trace.add_key_scan(tick, estimate, association, features.walls)
             command = navigator.step(pose, tick.stamp_ns)
+            watch.lap("plan")
             dead_reckoned = T_world_odom @ tick.odometry
             trace.add_tick(tick, dead_reckoned)
             if tick.scan is not None:

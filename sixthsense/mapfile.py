@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import reprlib
 import warnings
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.section import shown
 from sixthsense.geometry import Array, Pose
-from sixthsense.scenefields import SceneError, check_keys, read_text
+from sixthsense.scenefields import SceneError, check_keys, read_name, read_text
 
 MAX_PIXELS = 100_000_000
 TOLERANCE_CELLS = 0.5
@@ -41,25 +41,24 @@ def read_map(file: Path) -> Array:
     """
     table = _read_yaml(file)
     check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
-    if not isinstance(table["image"], str) or not table["image"]:
-        raise SceneError(f"image: found {reprlib.repr(table['image'])}, allowed: the name of an image file")
+    name = read_name("image", table["image"])
     resolution = _number("resolution", table["resolution"])
     if not 1e-4 <= resolution <= 100.0:
         raise SceneError(f"resolution: found {resolution:g}, allowed: 0.0001 to 100 metres a cell")
     origin = table["origin"]
     if not isinstance(origin, list) or len(origin) != 3:
-        raise SceneError(f"origin: found {reprlib.repr(origin)}, allowed: [x, y, yaw]")
+        raise SceneError(f"origin: found {shown(origin)}, allowed: [x, y, yaw]")
     T_world_map = Pose(*(_number(f"origin, entry {k}", value) for k, value in enumerate(origin, 1)))
     negate = str(table["negate"]).lower()
     if negate not in ("0", "1", "false", "true"):
-        raise SceneError(f"negate: found {reprlib.repr(table['negate'])}, allowed: 0 or 1")
+        raise SceneError(f"negate: found {shown(table['negate'])}, allowed: 0 or 1")
     occupied_threshold = _fraction("occupied_thresh", table["occupied_thresh"])
     _fraction("free_thresh", table["free_thresh"])
     mode = table.get("mode", "trinary")
     if mode not in ("trinary", "scale"):
-        raise SceneError(f"mode: found {reprlib.repr(mode)}, allowed: trinary, scale")
+        raise SceneError(f"mode: found {shown(mode)}, allowed: trinary, scale")
 
-    image = file.parent / table["image"]
+    image = file.parent / name
     values = _read_image(image, with_alpha=mode == "trinary")  # (H, W, channels)
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # every sum's mean, 0 black to 1 white
@@ -201,7 +200,7 @@ def _read_yaml(file: Path) -> dict[Any, Any]:
     except (yaml.YAMLError, RecursionError) as error:
         raise SceneError(f"is not YAML ({' '.join(str(error).split())})") from None
     if not isinstance(table, dict):
-        raise SceneError(f"found {reprlib.repr(table)}, allowed: a table with {', '.join(_REQUIRED)}")
+        raise SceneError(f"found {shown(table)}, allowed: a table with {', '.join(_REQUIRED)}")
     return table
 
 
@@ -211,7 +210,7 @@ def _number(where: str, text: Any) -> float:
     except (TypeError, ValueError):
         value = math.nan
     if not abs(value) <= 1e6:  # NaN as well
-        raise SceneError(f"{where}: found {reprlib.repr(text)}, allowed: a number, none beyond 1e+06")
+        raise SceneError(f"{where}: found {shown(text)}, allowed: a number, none beyond 1e+06")
     return value
 
 

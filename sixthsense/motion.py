@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sixthsense.config import AssumedConfig, Distribution, KeyScanConfig, MotionNoise
+from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.geometry import Array, Pose, rotation
+
+_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # the way and the turn over which the floor is added once
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
@@ -78,6 +80,7 @@ class Odometry:
 
 
 STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
+STANDSTILL.cov.flags.writeable = False
 
 
 def arc(motion: Pose) -> tuple[float, float]:
@@ -87,7 +90,7 @@ def arc(motion: Pose) -> tuple[float, float]:
     return chord / _sinc(half), motion.theta
 
 
-def odometry(before: Pose, after: Pose, assumed: AssumedConfig, keyscans: KeyScanConfig) -> Odometry:
+def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     """Difference two odometry poses into an increment with the covariance that the assumed noise gives it.
 
     The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9); slip
@@ -112,7 +115,7 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig, keyscans: KeySca
         [variance(noise.distribution, noise.speed * distance), variance(noise.distribution, noise.turn_rate * turn)]
     )
     position, heading = slip_variances(noise, distance, turn)
-    share = max(abs(distance) / (keyscans.distance_m or 0.25), abs(turn) / (keyscans.turn_rad or 0.15))
+    share = max(abs(distance) / _FLOOR_PER_M, abs(turn) / _FLOOR_PER_RAD)
     position += assumed.floor_m**2 * share
     heading += assumed.floor_rad**2 * share
     return Odometry(motion, (g * q) @ g.T + np.diag([position, position, heading]))

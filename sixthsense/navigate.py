@@ -115,7 +115,8 @@ class Driver:
             if free is not None:
                 way_out, start = start[None], free
         # A goal that the inflation covers by a hair is reached as well from the nearest free place within the slack.
-        goal = self._space.nearest_free(self._goal, self._config.follow.goal_slack_m)
+        slack = self._config.follow.goal_slack_m - self._config.follow.distance_slack_m
+        goal = self._space.nearest_free(self._goal, slack)
         plan = self._planner.plan(self._space, start, self._goal if goal is None else goal)
         self._planned = plan.found
         if not plan.found:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import chi2
 
-from sixthsense.config import AssumedConfig, Config, KeyScanConfig, merge
+from sixthsense.config import AssumedConfig, Config, merge
 from sixthsense.errors import InputError
 from sixthsense.features import extract
 from sixthsense.geometry import Array, Pose, wrap_angle
@@ -118,25 +118,25 @@ class PropagationErrors:
         return np.asarray(np.linalg.solve(np.linalg.cholesky(self.covs), self.errors[..., None])[..., 0])
 
 
-def _fold(track: Sequence[Pose], assumed: AssumedConfig, keyscans: KeyScanConfig) -> Odometry:
+def _fold(track: Sequence[Pose], assumed: AssumedConfig) -> Odometry:
     """A sample's increments as one, as a filter that predicts at every tick would have them."""
     total = STANDSTILL
     for before, after in itertools.pairwise(track):
-        total = total.then(odometry(before, after, assumed, keyscans))
+        total = total.then(odometry(before, after, assumed))
     return total
 
 
-def _folded(samples: Sequence[Sample], assumed: AssumedConfig, keyscans: KeyScanConfig) -> tuple[Array, Array]:
+def _folded(samples: Sequence[Sample], assumed: AssumedConfig) -> tuple[Array, Array]:
     """(N, 3) motions and (N, 3, 3) covariances."""
-    folded = [_fold(sample.odometry, assumed, keyscans) for sample in samples]
+    folded = [_fold(sample.odometry, assumed) for sample in samples]
     return np.array([one.motion.array() for one in folded]), np.array([one.cov for one in folded]) + _UNIT_SQ * np.eye(
         3
     )
 
 
-def propagation_errors(samples: Sequence[Sample], assumed: AssumedConfig, keyscans: KeyScanConfig) -> PropagationErrors:
+def propagation_errors(samples: Sequence[Sample], assumed: AssumedConfig) -> PropagationErrors:
     """Compare what odometry makes of each sample with the true motion (report eq. 1)."""
-    motions, covs = _folded(samples, assumed, keyscans)
+    motions, covs = _folded(samples, assumed)
     return PropagationErrors(_difference(np.array([s.motion.array() for s in samples]), motions), covs)
 
 
@@ -147,7 +147,7 @@ def _difference(a: Array, b: Array) -> Array:
 
 
 def fit_motion(
-    samples: Sequence[Sample], assumed: AssumedConfig, keyscans: KeyScanConfig
+    samples: Sequence[Sample], assumed: AssumedConfig
 ) -> tuple[AssumedConfig, dict[str, tuple[float, float]]]:
     """`assumed` with the motion's noise of greatest likelihood, and the systematic errors' estimates and sigmas.
 
@@ -158,12 +158,12 @@ def fit_motion(
     """
     straight = dataclasses.replace(assumed, wheel_scale_error=0.0, drift_rad_per_m=0.0)
     silent = merge(straight, {"motion": dict.fromkeys(_MOTION, 0.0)})
-    motions, floor = _folded(samples, silent, keyscans)
+    motions, floor = _folded(samples, silent)
     sizes = {name: getattr(assumed.motion, name) or size for name, size in _MOTION.items()}
-    parts = [_folded(samples, merge(silent, {"motion": {name: s}}), keyscans)[1] - floor for name, s in sizes.items()]
+    parts = [_folded(samples, merge(silent, {"motion": {name: s}}))[1] - floor for name, s in sizes.items()]
     basis = np.array(parts)  # (6, N, 3, 3)
     step = 1e-3
-    nudged = [_folded(samples, merge(silent, {name: step}), keyscans)[0] for name in _SYSTEMATIC]
+    nudged = [_folded(samples, merge(silent, {name: step}))[0] for name in _SYSTEMATIC]
     slope = np.stack([_difference(n, motions) / step for n in nudged], axis=2)  # (N, 3, 2)
     errors = _difference(np.array([s.motion.array() for s in samples]), motions)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sixthsense.config.section import shown, shown_name
 from sixthsense.errors import InputError
 from sixthsense.figures import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.plot import CYCLE, draw_map, map_height, new_figure, save, save_map
@@ -77,7 +78,10 @@ def load_run(folder: Path | str) -> FinishedRun:
         raise ReportError(f"{file}: found no table, allowed: a run's metrics")
     for key, value in metrics.items():
         if not isinstance(value, str if key == "outcome" else (int, float)):
-            raise ReportError(f"{file}: {key}: found {value!r}, allowed: {'words' if key == 'outcome' else 'a number'}")
+            kind = "words" if key == "outcome" else "a number"
+            raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: {kind}")
+        if isinstance(value, int) and value.bit_length() > 1000:  # more than a float holds
+            raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: a number")
     return FinishedRun(_name(folder), trace, metrics)
 
 

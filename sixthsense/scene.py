@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sixthsense.config.section import shown
 from sixthsense.geometry import Array, Pose, point_segment_distance
 from sixthsense.scenefields import (
     Point,
@@ -86,7 +87,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
     suffix = path.suffix.lower()
     if suffix not in _SUFFIXES:
         raise SceneError(
-            f"scene: found {str(name_or_file)!r}, allowed: {', '.join(shipped)}, or a file ending in "
+            f"scene: found {shown(str(name_or_file))}, allowed: {', '.join(shipped)}, or a file ending in "
             f"{', '.join(_SUFFIXES)}"
         )
     try:

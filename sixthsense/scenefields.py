@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from sixthsense.config.section import is_one_line, shown, shown_name
 from sixthsense.errors import InputError
 
 Point = tuple[float, float]
 Region = tuple[float, float, float, float]
 
 _LIMIT_M = 1e6
+_LONGEST = 1 << 23  # characters; what never ends must not fill the memory
 _SHORTEST_WALL_M = 1e-6
 _POLYGON_KEYS = ("points", "closed")
 
@@ -27,18 +28,29 @@ class SceneError(InputError):
 def read_text(path: Path) -> str:
     """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is none."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(_LONGEST + 1)
     except OSError as error:
         raise SceneError(f"cannot be read ({error.strerror or error})") from None
     except UnicodeDecodeError as error:
         raise SceneError(f"byte {error.start} is not UTF-8, allowed: a text file") from None
+    if len(text) > _LONGEST:
+        raise SceneError(f"found over {_LONGEST} characters, allowed: a scene")
+    return text
+
+
+def read_name(where: str, value: Any) -> str:
+    """The name of a file, which can be printed."""
+    if not isinstance(value, str) or not value or not is_one_line(value):
+        raise SceneError(f"{where}: found {shown(value)}, not a readable image, allowed: the name of a file")
+    return value
 
 
 def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
     """Raise SceneError for the first key of `table` that is not known, or of `required` that is missing."""
     for key in table:
         if key not in known:
-            raise SceneError(f"{where}{key}: no such field, allowed: {', '.join(known)}")
+            raise SceneError(f"{where}{shown_name(key)}: no such field, allowed: {', '.join(known)}")
     for key in required:
         if key not in table:
             raise SceneError(f"{where}{key}: missing, required are {', '.join(required)}")
@@ -58,7 +70,7 @@ def read_floats(words: list[str]) -> list[float | str]:
 def read_list(where: str, value: Any) -> list[Any]:
     """The value, if it is a list."""
     if not isinstance(value, list):
-        raise SceneError(f"{where}: found {reprlib.repr(value)}, allowed: a list")
+        raise SceneError(f"{where}: found {shown(value)}, allowed: a list")
     return value
 
 
@@ -73,7 +85,7 @@ def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
     )
     if not usable:
         raise SceneError(
-            f"{where}: found {reprlib.repr(values)}, allowed: {count} numbers ({names}), none beyond {_LIMIT_M:.0e}"
+            f"{where}: found {shown(values)}, allowed: {count} numbers ({names}), none beyond {_LIMIT_M:.0e}"
         )
     return tuple(float(v) for v in found)
 
@@ -82,7 +94,7 @@ def read_positive(where: str, value: Any) -> float:
     """A finite length above 0, metres."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not usable or not 0.0 < value <= _LIMIT_M:
-        raise SceneError(f"{where}: found {reprlib.repr(value)}, allowed: a number above 0, metres")
+        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, metres")
     return float(value)
 
 
@@ -111,11 +123,11 @@ def read_wall(where: str, values: Any) -> list[Point]:
 def read_polygon(where: str, table: Any) -> list[list[Point]]:
     """The sides of a closed outline, or of an open polyline."""
     if not isinstance(table, dict):
-        raise SceneError(f"{where}: found {reprlib.repr(table)}, allowed: a table with {', '.join(_POLYGON_KEYS)}")
+        raise SceneError(f"{where}: found {shown(table)}, allowed: a table with {', '.join(_POLYGON_KEYS)}")
     check_keys(f"{where}, ", table, _POLYGON_KEYS, ("points",))
     closed = table.get("closed", True)
     if not isinstance(closed, bool):
-        raise SceneError(f"{where}, closed: found {reprlib.repr(closed)}, allowed: true or false")
+        raise SceneError(f"{where}, closed: found {shown(closed)}, allowed: true or false")
     points = [
         read_point(f"{where}, point {k}", p) for k, p in enumerate(read_list(f"{where}, points", table["points"]), 1)
     ]

@@ -176,6 +176,7 @@ class Trace:
         out: dict[str, Any] = {"outcome": self.outcome}
         if self.truths:
             out["collisions"] = int(self.outcome == "collided")
+            out |= self._goal_error()
             out |= self._errors()
             if self.scene is not None:
                 out |= self._coverage(self.scene)
@@ -189,6 +190,13 @@ class Trace:
         out["sim_time_s"] = sim_time_s
         out |= self._timing(sim_time_s)
         return out
+
+    def _goal_error(self) -> dict[str, float]:
+        """How far from the goal the robot truly is: the outcome is judged by the estimate."""
+        goal = self.config.goal or (self.scene.goal if self.scene is not None else None)
+        if goal is None or self.config.task != "goal" or self._last_position is None:
+            return {}
+        return {"goal_error_m": float(np.hypot(*(self._last_position - np.array(goal))))}
 
     def _coverage(self, scene: Scene) -> dict[str, float]:
         laser = self.config.laser

@@ -97,12 +97,19 @@ def test_a_setting_counts_outcomes_and_reduces_the_runs_metrics(script):
     figures = script.setting_figures(setting)
     assert figures["rectangle.tour.default.outcome.tour_ended"] == 2
     assert figures["rectangle.tour.default.collisions"] == 0
-    assert {f"rectangle.tour.default.{key}{suffix}" for _, key, suffix, _ in script.COLUMNS} <= set(figures)
+    wanted = {f"rectangle.tour.default.{key}{suffix}" for _, key, suffix, _ in script.COLUMNS}
+    assert wanted - set(figures) == {"rectangle.tour.default.goal_error_m_max"}  # a tour has no last goal
     assert all_finite(figures)
     json.dumps(figures)
     cells = script.row(setting, figures)
     assert cells[:2] == ["rectangle.tour.default", "2 tour ended"]
     assert len(cells) == 2 + len(script.COLUMNS)
+
+
+@of("calibration")
+def test_a_calibration_is_judged_before_and_after(script):
+    figures = script.world_figures("worn", 1, 5.0, 20)
+    assert figures and all_finite(figures)
 
 
 @of("tasks")
@@ -165,4 +172,3 @@ def test_functions_are_timed_in_alternation(script):
     ms = script.alternate([1, 2], lambda x: calls.append(("a", x)), lambda x: calls.append(("b", x)))
     assert calls == [("a", 1), ("b", 1), ("a", 2), ("b", 2)]
     assert ms.shape == (2, 2)
-    assert (ms >= 0.0).all()

@@ -95,7 +95,7 @@ BAD_LINES = [
     ("run --laser.mount 1 2", "--laser.mount: found [1.0, 2.0], allowed: 3 numbers"),
     ("run --robot.speed inf", "--robot.speed: found inf, allowed: a finite number"),
     ("run --robot.speed fast", "--robot.speed: found 'fast', allowed: a finite number"),
-    ("run --world.motion.speed -1", "--world.motion.speed: found -1.0, allowed: at least 0"),
+    ("run --world.motion.speed -1", "--world.motion.speed: found -1.0, allowed: 0 to 100"),
     ("run --follow.shortcut=maybe", "--follow.shortcut: found 'maybe', allowed: true or false"),
     ("run --overwrite=3", "--overwrite: found '3', allowed: true or false"),
     ("run --seed -1", "--seed: found -1, allowed: at least 0"),
@@ -390,15 +390,60 @@ def test_a_robot_that_hits_a_wall_exits_with_1(here: Path) -> None:
     assert values["collisions"] == 1
 
 
-def test_a_goal_on_the_command_line_means_that_task_unless_another_is_named_there_too(here: Path) -> None:
+def test_a_goal_on_the_command_line_means_that_task_and_goes_with_no_other(here: Path) -> None:
     (here / "tour.toml").write_text("task = 'tour'\nmax_time = 3\n")
     goal = ("--goal", "0", "0", "--overwrite", "--out", "run", "--config", "tour.toml")
     assert run("rectangle", *goal) in (cli.DONE, cli.FAILED)
     assert load_config(here / "run" / "config.toml").task == "goal"
-    assert run("rectangle", *goal, "--task", "tour") == cli.DONE
-    assert load_config(here / "run" / "config.toml").task == "tour"
-    assert run("--config", "run/config.toml", "--out", "again") == cli.DONE
+    assert run("rectangle", *goal, "--task", "tour") == cli.BAD_INPUT
+    assert run("--config", "run/config.toml", "--out", "again") in (cli.DONE, cli.FAILED)
     assert load_config(here / "again" / "config.toml") == load_config(here / "run" / "config.toml")
+
+
+def test_a_replays_configuration_is_refused_by_run_and_taken_by_replay(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "some.log").write_text(LOG)
+    assert cli.main(["replay", "some.log", *SHORT_LOG, "--out", "first"]) == cli.DONE
+    assert tomllib.loads((here / "first" / "config.toml").read_text())["replayed"]["log"] == str(here / "some.log")
+    assert cli.main(["replay", "some.log", "--config", "first/config.toml", "--out", "second"]) == cli.DONE
+    assert (here / "first" / "estimate.tum").read_bytes() == (here / "second" / "estimate.tum").read_bytes()
+    capsys.readouterr()
+    assert complaint(["run", "--config", "first/config.toml"], capsys, here).startswith(
+        "--config: first/config.toml is of"
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("run rectangle --scene block", "--scene: found beside 'rectangle'"),
+        ("run rectangle --goal 0 0 --task tour", "--goal: found with --task tour"),
+        ("run rectangle --grid.min-hits 11", "--grid.min_hits: found 11, allowed: at most max_hits, 10"),
+        ("run rectangle --follow.distance-slack-m 0.2", "--follow.distance_slack_m: found 0.2, allowed: at most goal"),
+        ("run rectangle --assumed.motion.speed 1e200", "--assumed.motion.speed: found 1e+200, allowed: 0 to 100"),
+        ("run rectangle --features.landmarks.min-angle-rad 3", "--features.landmarks.min-angle-rad: found 3.0"),
+    ],
+)
+def test_options_that_do_not_go_together_are_told(
+    words: str, said: str, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert complaint(words.split(), capsys, here).startswith(said)
+
+
+def test_a_corridor_too_tight_to_measure_its_coverage_still_leaves_its_folder(here: Path) -> None:
+    (here / "tight.toml").write_text(
+        "start = [0.5, 0.2125, 0.0]\nradius = 0.2\ngoal = [0.7, 0.2125]\n"
+        "[[polygons]]\npoints = [[0, 0], [4, 0], [4, 0.425], [0, 0.425]]\n"
+    )
+    run("tight.toml", "--out", "tight", "--max-time", "5")
+    assert "coverage" not in metrics(here / "tight")
+
+
+def test_the_preset_that_is_saved_is_the_one_whose_values_ran(here: Path) -> None:
+    assert run("rectangle", "--max-time", "1", "--out", "first") == cli.FAILED
+    assert run("--config", "first/config.toml", "--preset", "worn", "--out", "second") == cli.FAILED
+    assert load_config(here / "second" / "config.toml").preset == "default"
 
 
 TIMED = re.compile(r"wall_time_s|realtime_factor|scan_ms_.*|stage_ms_mean\..*")

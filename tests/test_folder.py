@@ -82,11 +82,13 @@ def test_trajectories_are_those_of_the_run_to_the_last_digit(out: Path, trace: T
     assert set(smoothed[:, 0]) <= set(truth[:, 0])
 
 
-def test_a_stamp_keeps_all_its_nanoseconds(tmp_path: Path) -> None:
-    stamps = [0, 1, 1_234_567_890_123_456_789, 1_234_567_890_123_456_790]
-    write_tum(tmp_path / "x.tum", stamps, np.zeros((4, 3)))
+def test_stamps_count_from_the_runs_beginning_so_that_doubles_tell_them_apart(tmp_path: Path) -> None:
+    origin = 1_234_567_890_123_456_789
+    stamps = [origin, origin + 1, origin + 3_000_000_000_002, origin + 3_000_000_000_003]
+    write_tum(tmp_path / "x.tum", stamps, np.zeros((4, 3)), origin)
     first = [line.split()[0] for line in (tmp_path / "x.tum").read_text().splitlines()]
-    assert first == ["0.000000000", "0.000000001", "1234567890.123456789", "1234567890.123456790"]
+    assert first == ["0.000000000", "0.000000001", "3000.000000002", "3000.000000003"]
+    assert len({float(stamp) for stamp in first}) == 4
 
 
 def test_metrics_have_the_keys_of_a_simulated_run_and_are_strict_json(out: Path) -> None:

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sixthsense.config import AssumedConfig, KeyScanConfig, MotionNoise, preset
+from sixthsense.config import AssumedConfig, MotionNoise, preset
 from sixthsense.geometry import Pose, wrap_angle
 from sixthsense.motion import STANDSTILL, Odometry, arc, compose_jacobians, draw, odometry, rk4, variance
 
@@ -81,7 +81,7 @@ def test_the_covariance_of_an_increment_is_that_of_the_noise_it_stands_for(v, w)
     assumed = AssumedConfig(floor_m=0.0, floor_rad=0.0, motion=MotionNoise(slip_position_per_sqrt_m=0.02))
     rng = np.random.default_rng(3)
     dt, noise = 0.1, assumed.motion
-    expected = odometry(Pose(), rk4(Pose(), v, w, dt), assumed, KeyScanConfig())
+    expected = odometry(Pose(), rk4(Pose(), v, w, dt), assumed)
     d, a = abs(v * dt), abs(w * dt)
     sigma_p = math.sqrt(noise.slip_position_per_sqrt_m**2 * d + noise.slip_position_per_sqrt_rad**2 * a)
     sigma_h = math.sqrt(noise.slip_heading_per_sqrt_m**2 * d + noise.slip_heading_per_sqrt_rad**2 * a)
@@ -96,23 +96,23 @@ def test_the_covariance_of_an_increment_is_that_of_the_noise_it_stands_for(v, w)
 
 
 def test_nothing_is_added_at_standstill():
-    still = odometry(Pose(1, 2, 3), Pose(1, 2, 3), preset().assumed, KeyScanConfig())
+    still = odometry(Pose(1, 2, 3), Pose(1, 2, 3), preset().assumed)
     assert still.motion == Pose() and not still.cov.any()
 
 
 @pytest.mark.parametrize("motion", [Pose(0.01, 0, 0), Pose(0, 0, 0.02), Pose(0.01, 1e-4, 0.02)])
 def test_every_moving_increment_has_full_rank_even_without_slip(motion):
-    increment = odometry(Pose(), motion, AssumedConfig(motion=QUIET), KeyScanConfig())
+    increment = odometry(Pose(), motion, AssumedConfig(motion=QUIET))
     assert np.linalg.eigvalsh(increment.cov)[0] > 0.0
 
 
 def test_the_floor_of_a_way_does_not_depend_on_how_it_is_cut_into_ticks():
     assumed, whole = AssumedConfig(motion=QUIET), Pose(0.25, 0, 0)
-    one = odometry(Pose(), whole, assumed, KeyScanConfig())
+    one = odometry(Pose(), whole, assumed)
     many, at = STANDSTILL, Pose()
     for k in range(1, 11):
         after = Pose(0.025 * k, 0, 0)
-        many, at = many.then(odometry(at, after, assumed, KeyScanConfig())), after
+        many, at = many.then(odometry(at, after, assumed)), after
     assert np.trace(many.cov[:1, :1]) == pytest.approx(one.cov[0, 0], rel=1e-6)
     assert many.cov[2, 2] == pytest.approx(1e-8, rel=1e-6)
 
@@ -122,6 +122,6 @@ def test_known_systematic_errors_are_corrected():
     for v, w in ((0.5, 0.0), (0.5, 0.7), (0.0, 1.0), (-0.4, 0.2)):
         true_v = 1.02 * v
         true = exact_arc(true_v, 1.02 * w + 0.05 * true_v, 0.1)
-        found = odometry(Pose(), exact_arc(v, w, 0.1), assumed, KeyScanConfig()).motion
+        found = odometry(Pose(), exact_arc(v, w, 0.1), assumed).motion
         assert math.dist(found.position, true.position) < 1e-5
         assert found.theta == pytest.approx(true.theta, abs=1e-12)

@@ -132,7 +132,7 @@ def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
     assert len(path) >= 2 and (path[0] == start).all() and (path[-1] == goal).all()  # 1
     assert not touches_blocked(space, path) and path_is_free(space, path)  # 2
     assert plan.cost == pytest.approx(np.hypot(*np.diff(path, axis=0).T).sum(), abs=1e-9)  # 3
-    assert plan.found and plan.expanded >= 0 and plan.seconds >= 0.0
+    assert plan.found
     with pytest.raises(ValueError, match="read-only"):
         path[0] = 0.0
 

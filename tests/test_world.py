@@ -86,7 +86,7 @@ def test_what_the_world_does_is_what_the_estimators_assume(v, w):
         for _ in range(50):
             tick = source.step(Command(v, w))
             if cov is None:
-                folded = folded.then(odometry(before, tick.odometry, config.assumed, config.keyscans))
+                folded = folded.then(odometry(before, tick.odometry, config.assumed))
             before = tick.odometry
         cov = folded.cov if cov is None else cov
         errors.append(tick.truth.array() - tick.odometry.array())

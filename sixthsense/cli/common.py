@@ -6,7 +6,7 @@ import contextlib
 import sys
 import time
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -62,7 +62,9 @@ def parse_command(
     if "config" in given:
         whole = "preset" in table or isinstance(start, Config)
         settings = load_config(given["config"], settings if whole else None, str(start))
-    return command(**given, settings=merge(settings, table, "--")), table
+    # A file has the last word on which preset its values are of.
+    flags = {name: value for name, value in table.items() if name != "preset"}
+    return command(**given, settings=merge(settings, flags, "--")), table
 
 
 def wants_help(args: list[str]) -> bool:
@@ -70,13 +72,13 @@ def wants_help(args: list[str]) -> bool:
     return "-h" in args or "--help" in args
 
 
-def run_folder(options: Common, config: Config, stem: str) -> RunFolder:
+def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str, str] | None = None) -> RunFolder:
     """The folder that the options name, or a new one under runs/ that begins with `stem`."""
     from sixthsense.folder import RunFolder
 
     if options.out is not None:
-        return RunFolder(options.out, config, options.overwrite)
-    return RunFolder(numbered(stem), config)
+        return RunFolder(options.out, config, options.overwrite, replayed)
+    return RunFolder(numbered(stem), config, replayed=replayed)
 
 
 def numbered(stem: str) -> Path:

@@ -15,6 +15,7 @@ from types import UnionType
 from typing import Annotated, Any, Union
 
 from sixthsense.config import Config, Section
+from sixthsense.config.section import is_one_line, shown, shown_name
 from sixthsense.errors import InputError
 
 Table = dict[str, Any]
@@ -40,8 +41,8 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
         word = words.pop()
         if not word.startswith("-"):
             if place in given:
-                raise UsageError(f"{place}: found {given[place]!r} and {word!r}, allowed: one")
-            given[place] = word
+                raise UsageError(f"{place}: found {shown(given[place])} and {shown(word)}, allowed: one")
+            given[place] = _name(place, word)
             continue
         flag, value = _option(word, words, hints)
         *sections, name = flag.removeprefix("--").split(".")
@@ -68,7 +69,7 @@ def words(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table
             flag, value = _option(word, rest, hints)
             given[flag.removeprefix("--")] = value
         else:
-            plain.append(word)
+            plain.append(_name("run", word))
     return plain, given
 
 
@@ -90,7 +91,7 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
             return positive, False
-        raise UsageError(f"{flag}: no such option, allowed: {', '.join(_near(flag, hints))}")
+        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_near(flag, hints))}")
     hint, optional = hints[flag], False
     while typing.get_origin(hint) in (Annotated, Union, UnionType):
         optional |= typing.get_origin(hint) is not Annotated
@@ -99,7 +100,7 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
         if not equals:
             text = words.pop() if words and words[-1].lower() in _TRUTHS else "true"
         if text.lower() not in _TRUTHS:
-            raise UsageError(f"{flag}: found {text!r}, allowed: true or false")
+            raise UsageError(f"{flag}: found {shown(text)}, allowed: true or false")
         return flag, _TRUTHS[text.lower()]
     is_tuple = typing.get_origin(hint) is tuple
     kinds = typing.get_args(hint) if is_tuple else (hint,)
@@ -110,7 +111,7 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
             return flag, None
     if not texts:
         raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
-    values = [_value(kind, text) for kind, text in zip(kinds, texts, strict=False)]
+    values = [_value(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
     return flag, values if is_tuple else values[0]
 
 
@@ -122,11 +123,18 @@ def _near(flag: str, hints: Mapping[str, Any]) -> list[str]:
     return within or beside or [known for known in hints if "." not in known]
 
 
-def _value(kind: Any, text: str) -> Any:
+def _value(flag: str, kind: Any, text: str) -> Any:
     """A word as what it stands for; where it is no such thing, as it is, for the validator to show."""
     if kind is Path:
-        return Path(text)
+        return Path(_name(flag, text))
     if kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)
+    return text
+
+
+def _name(where: str, text: str) -> str:
+    """A word that names a file or a scene, if it can be printed, and be written into the run's configuration."""
+    if not is_one_line(text):
+        raise UsageError(f"{where}: found {shown(text)}, allowed: a name without line breaks or control characters")
     return text

@@ -48,8 +48,9 @@ def command(args: list[str]) -> int:
         return show_help(Replay, "replay", "intel")
     options, flags = parse_command(Replay, "log", _replay_base, args)
     config = options.settings
-    for name in ("scene", "task", "goal", "start", "region", "planner", "follow", "world"):
-        if name in flags:
+    robot = {f"robot.{name}" for name in flags.get("robot", {}) if name != "radius"}
+    for name in ("scene", "task", "goal", "start", "region", "planner", "follow", "world", *sorted(robot)):
+        if name in flags or name in robot:
             raise UsageError(f"--{name}: found on replay, allowed: options of what a log leaves open, not of the robot")
     if options.log is None:
         raise UsageError("log: found nothing, allowed: a CARMEN file, a bag, the folder of a run")
@@ -72,7 +73,10 @@ def command(args: list[str]) -> int:
     if log.backward_stamps:
         note = f"note: {name}: stamps run backwards at {log.backward_stamps} scans; replayed in file order"
         print(note, file=sys.stderr)
-    with run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}") as folder:
+    replayed = {"log": str(Path(options.log).resolve())}
+    if options.relations is not None:
+        replayed["relations"] = str(options.relations.resolve())
+    with run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}", replayed) as folder:
         announce_compilation()
         warm_up()
         with BagWriter(folder.partial) as bag, Progress(name, log.duration_s, False) as progress:

@@ -20,6 +20,8 @@ from sixthsense.cli.common import (
     show_help,
     wants_help,
 )
+from sixthsense.cli.options import UsageError
+from sixthsense.config import is_of_replay
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,12 @@ def command(args: list[str]) -> int:
         return show_help(Run, "run", "default")
     options, flags = parse_command(Run, "scene", "default", args)
     config = options.settings
+    if options.config is not None and is_of_replay(options.config):
+        raise UsageError(f"--config: {options.config} is of a replay, allowed: sixthsense replay LOG --config FILE")
+    if options.scene is not None and "scene" in flags:
+        raise UsageError(f"--scene: found beside {options.scene!r}, allowed: one scene")
+    if flags.get("goal") is not None and flags.get("task", "goal") != "goal":
+        raise UsageError(f"--goal: found with --task {flags['task']}, allowed: with --task goal")
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
     if flags.get("goal") is not None and "task" not in flags:

@@ -1,6 +1,6 @@
 """The configuration: a tree of frozen sections that check themselves, its presets, and its files."""
 
-from sixthsense.config.files import load_config, save_config
+from sixthsense.config.files import is_of_replay, load_config, save_config
 from sixthsense.config.presets import PRESETS, preset
 from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
 from sixthsense.config.tree import (
@@ -46,6 +46,7 @@ __all__ = [
     "SplitConfig",
     "WorldConfig",
     "as_table",
+    "is_of_replay",
     "load_config",
     "merge",
     "preset",

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from sixthsense import __version__
 from sixthsense.config.presets import preset
 from sixthsense.config.section import ConfigError, as_table, merge
 from sixthsense.config.tree import Config
+
+_LONGEST = 1 << 23  # characters; no configuration comes near, and what never ends must
+
+NOTES = ("versions", "replayed")
+"""tables of a saved configuration that are for its reader, no settings"""
 
 
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
@@ -18,7 +25,13 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     """
     path = Path(file)
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(_LONGEST + 1)
+        if len(text) > _LONGEST:
+            raise ConfigError(f"{path}: found over {_LONGEST} characters, allowed: a configuration")
+        table = tomllib.loads(text)
+    except ConfigError:
+        raise
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
@@ -27,15 +40,19 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         raise ConfigError(f"{path}: is not TOML ({error})") from None
     except ValueError as error:  # Python's limit on the digits of an integer
         raise ConfigError(f"{path}: is not usable TOML ({str(error).split(';')[0]})") from None
-    table.pop("versions", None)  # written for the reader of a run folder, not a setting
+    for note in NOTES:
+        table.pop(note, None)
     try:
         return merge(base or preset(table.get("preset", otherwise)), table)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
-def save_config(config: Config, file: str | Path) -> None:
-    """Write the whole tree, and the versions that ran it, as TOML; `load_config` reads the same Config back."""
+def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | None = None) -> None:
+    """Write the whole tree as TOML, with the versions that ran it and, of a replay, the files that were `replayed`.
+
+    `load_config` reads the same Config back.
+    """
     import platform
     from importlib.metadata import version
 
@@ -43,4 +60,10 @@ def save_config(config: Config, file: str | Path) -> None:
 
     versions = {"sixthsense": __version__, "python": platform.python_version()}
     versions |= {name: version(name) for name in ("numpy", "scipy", "numba")}
-    Path(file).write_text(tomli_w.dumps({**as_table(config), "versions": versions}), encoding="utf-8")
+    notes: dict[str, Any] = {"versions": versions} | ({} if replayed is None else {"replayed": dict(replayed)})
+    Path(file).write_text(tomli_w.dumps({**as_table(config), **notes}), encoding="utf-8")
+
+
+def is_of_replay(file: str | Path) -> bool:
+    """Whether a configuration, one that `load_config` reads, was saved by a replay."""
+    return "replayed" in tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sixthsense.config.section import ConfigError, merge
+from sixthsense.config.section import ConfigError, merge, shown
 from sixthsense.config.tree import Config
 
 _REPORT_MOTION = {
@@ -28,10 +28,11 @@ PRESETS: dict[str, dict[str, Any]] = {
         "assumed": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},
         "keyscans": {"distance_m": 0.0, "turn_rad": 0.0},
         "features": {
-            "partition": {"method": "fixed", "epsilon_m": 1.0},
+            "partition": {"method": "fixed", "epsilon_m": 1.0},  # rectangle and apartment; the block had 2 m
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8},
         },
-        "association": {"method": "report", "candidate_sightings": 1},
+        # The report has no rule but its two thresholds.
+        "association": {"method": "report", "candidate_sightings": 1, "pre_gate_m": 5.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,
@@ -70,5 +71,5 @@ def preset(name: str = "default", **changes: Any) -> Config:
     Raises ConfigError listing the known names for any other, and naming the field that will not do.
     """
     if name not in tuple(PRESETS):  # a file may hold a list there, which no dictionary can look up
-        raise ConfigError(f"preset: found {name!r}, allowed: {', '.join(PRESETS)}")
+        raise ConfigError(f"preset: found {shown(name)}, allowed: {', '.join(PRESETS)}")
     return merge(merge(Config(preset=name), PRESETS[name]), changes)

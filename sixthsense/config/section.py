@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
+import reprlib
 import sys
 import types
 import typing
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
@@ -17,10 +19,41 @@ from sixthsense.errors import InputError
 C = TypeVar("C", bound="Section")
 
 _LARGEST = sys.float_info.max
+_LARGEST_WHOLE = (1 << 63) - 1  # what TOML promises to keep
 
 
 class ConfigError(InputError):
     """One line that names the field, what was found and what is allowed."""
+
+
+class _Short(reprlib.Repr):
+    """Values in one line of bounded length, however long, deep or odd they are."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = 80
+
+    def repr_int(self, x: int, level: int) -> str:
+        # Python refuses to write the digits of an integer that was read from hexadecimal ones.
+        return super().repr_int(x, level) if x.bit_length() < 14_000 else f"an integer of {x.bit_length()} bits"
+
+
+_short = _Short()
+
+
+def shown(value: Any) -> str:
+    """A value as a complaint shows it: one line, shortened."""
+    return _short.repr(value)
+
+
+def shown_name(name: Any) -> str:
+    """The name of a field, an option or a topic as a complaint shows it: as it is, quoted where that is no one line."""
+    return str(name) if isinstance(name, str) and len(name) <= 80 and is_one_line(name) else shown(name)
+
+
+def is_one_line(text: str) -> bool:
+    """Whether a text has no line break, control character or byte that is no character, and so can be printed."""
+    return not any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in text)
 
 
 @dataclass(frozen=True)
@@ -60,12 +93,12 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         base, bounds = typing.get_args(hint)
         value = _checked(name, base, value)
         if value not in bounds:
-            raise ConfigError(f"{name}: found {value!r}, allowed: {bounds}")
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: {bounds}")
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
         if value not in choices:
-            raise ConfigError(f"{name}: found {value!r}, allowed: {', '.join(map(str, choices))}")
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: {', '.join(map(str, choices))}")
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
@@ -73,20 +106,24 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
     if origin is tuple:
         args = typing.get_args(hint)
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
-            raise ConfigError(f"{name}: found {value!r}, allowed: {len(args)} numbers")
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: {len(args)} numbers")
         return tuple(_checked(name, a, v) for a, v in zip(args, value, strict=True))
     if hint is float:
         real = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
-            raise ConfigError(f"{name}: found {value!r}, allowed: a finite number")
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: a finite number")
         return float(value)
     if hint is int:
         if isinstance(value, bool) or not isinstance(value, numbers.Integral):
-            raise ConfigError(f"{name}: found {value!r}, allowed: a whole number")
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: a whole number")
+        if abs(int(value)) > _LARGEST_WHOLE:
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: a whole number of 64 bits")
         return int(value)
     if not isinstance(value, hint):
         kind = {bool: "true or false", str: "a text"}.get(hint, f"a table of {hint.__name__}")
-        raise ConfigError(f"{name}: found {value!r}, allowed: {kind}")
+        raise ConfigError(f"{name}: found {shown(value)}, allowed: {kind}")
+    if hint is str and not is_one_line(value):
+        raise ConfigError(f"{name}: found {shown(value)}, allowed: a text without line breaks or control characters")
     return value
 
 
@@ -100,18 +137,21 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     for key, value in table.items():
         name = key.replace("-", "_")
         if name not in known:
-            raise ConfigError(f"{path}{key}: no such field, allowed: {', '.join(known)}")
+            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}")
         current = getattr(base, name)
         if isinstance(current, Section):
             if not isinstance(value, Mapping):
-                raise ConfigError(f"{path}{key}: found {value!r}, allowed: a table")
+                raise ConfigError(f"{path}{key}: found {shown(value)}, allowed: a table")
             changes[name] = merge(current, value, f"{path}{key}.")
         else:
             try:
                 changes[name] = _checked(key, _hints(type(base))[name], value)
             except ConfigError as error:
                 raise ConfigError(f"{path}{error}") from None
-    return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
+    try:
+        return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
+    except ConfigError as error:  # of fields that do not go together
+        raise ConfigError(f"{path}{error}") from None
 
 
 def as_table(section: Section) -> dict[str, Any]:

@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from sixthsense.config.section import Range, Section
+from sixthsense.config.section import ConfigError, Range, Section
 
 Positive = Annotated[float, Range(0.0, open_low=True)]
 NonNegative = Annotated[float, Range(0.0)]
+Noise = Annotated[float, Range(0.0, 100.0)]
 Fraction = Annotated[float, Range(0.0, 1.0)]
 Probability = Annotated[float, Range(0.0, 1.0 - 1e-12, open_low=True)]
 PositiveCount = Annotated[int, Range(1)]
@@ -23,17 +24,17 @@ class MotionNoise(Section):
 
     distribution: Distribution = "gaussian"
     """Of the multiplicative part."""
-    speed: NonNegative = 0.1
+    speed: Noise = 0.1
     """Of v, as a fraction of it: sigma, or the half-width if uniform."""
-    turn_rate: NonNegative = 0.1
+    turn_rate: Noise = 0.1
     """Of omega, as a fraction of it: sigma, or the half-width if uniform."""
-    slip_position_per_sqrt_m: NonNegative = 5e-3
+    slip_position_per_sqrt_m: Noise = 5e-3
     """Sigma of position slip, m / sqrt(m)."""
-    slip_position_per_sqrt_rad: NonNegative = 2e-3
+    slip_position_per_sqrt_rad: Noise = 2e-3
     """Sigma of position slip, m / sqrt(rad)."""
-    slip_heading_per_sqrt_m: NonNegative = math.radians(0.5)
+    slip_heading_per_sqrt_m: Noise = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(m)."""
-    slip_heading_per_sqrt_rad: NonNegative = math.radians(0.5)
+    slip_heading_per_sqrt_rad: Noise = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(rad)."""
 
 
@@ -43,9 +44,9 @@ class LaserNoise(Section):
 
     distribution: Distribution = "gaussian"
     """Of both parts."""
-    range_m: NonNegative = 0.01
+    range_m: Noise = 0.01
     """Of a range: sigma, or the half-width if uniform."""
-    bearing_rad: NonNegative = 0.0
+    bearing_rad: Noise = 0.0
     """Of a beam's direction: sigma, or the half-width if uniform."""
 
 
@@ -56,8 +57,8 @@ class WorldConfig(Section):
     motion: MotionNoise = field(default_factory=MotionNoise)
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
-    """The true way is (1 + this) times what the wheels report."""
-    drift_rad_per_m: float = 0.0
+    """The true way and turn are (1 + this) times what the wheels report."""
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
 
 
@@ -69,13 +70,13 @@ class AssumedConfig(Section):
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
     """The true way and turn are (1 + this) times what the wheels report: corrected before it is used."""
-    drift_rad_per_m: float = 0.0
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven: corrected before it is used."""
-    landmark_floor_m: NonNegative = 0.0
+    landmark_floor_m: Noise = 0.0
     """Sigma added to every sighting: how far real walls are from the straight lines fitted to them."""
-    floor_m: NonNegative = 1e-4
+    floor_m: Noise = 1e-4
     """Sigma of position every key scan's worth of motion adds at least, so that the covariance has full rank."""
-    floor_rad: NonNegative = 1e-4
+    floor_rad: Noise = 1e-4
     """The same for the heading."""
 
 
@@ -116,9 +117,9 @@ class KeyScanConfig(Section):
     """A scan is a key scan, and used, when the robot has moved this far since the last one."""
 
     distance_m: NonNegative = 0.25
-    """0 takes every scan after any motion."""
+    """With either at 0 every scan after any motion is one."""
     turn_rad: NonNegative = 0.15
-    """0 takes every scan after any turn."""
+    """See above."""
 
 
 @dataclass(frozen=True)
@@ -171,12 +172,12 @@ class LandmarksConfig(Section):
     """Loose ends of walls, under the report's four rules."""
     max_gap_m: Positive = 0.3
     """Two walls meet in a corner only if both end within this of it."""
-    min_angle_rad: Positive = math.radians(25.0)
+    min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True)] = math.radians(25.0)
     """Two walls at a flatter angle make no corner."""
     range_margin_m: NonNegative = 0.2
     """Rule 2: an end this close to the maximum range is none."""
     min_points: Annotated[int, Range(3)] = 8
-    """Rule 4: the wall of a loose end needs this many points."""
+    """Rule 4: the partition that ends in a loose end needs this many points."""
     max_sigma_m: Positive = 0.15
     """A landmark known worse than this along any direction is not reported."""
 
@@ -208,7 +209,7 @@ class AssociationConfig(Section):
     pre_gate_m: Positive = 1.5
     """Only landmarks this near a sighting are looked at."""
     new_separation_m: NonNegative = 0.3
-    """A new landmark is at least this far from every known one of its kind."""
+    """A new landmark is at least this far from every known one."""
     candidate_sightings: PositiveCount = 1
     """A landmark joins the state at its n-th sighting; 1: at once."""
     candidate_gate_m: Positive = 0.2
@@ -242,6 +243,11 @@ class GridConfig(Section):
     clearance_m: Annotated[float, Range(0.0, 10.0)] = 0.05
     """Added to the robot's radius when obstacles are inflated."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_hits > self.max_hits:
+            raise ConfigError(f"min_hits: found {self.min_hits}, allowed: at most max_hits, {self.max_hits}")
+
 
 @dataclass(frozen=True)
 class FollowConfig(Section):
@@ -256,6 +262,12 @@ class FollowConfig(Section):
     shortcut: bool = True
     """Aim for the furthest way point in line of sight, not for the next."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distance_slack_m > self.goal_slack_m:
+            found = f"distance_slack_m: found {self.distance_slack_m:g}"
+            raise ConfigError(f"{found}, allowed: at most goal_slack_m, {self.goal_slack_m:g}")
+
 
 @dataclass(frozen=True)
 class Config(Section):
@@ -264,7 +276,7 @@ class Config(Section):
     scene: str = "apartment"
     """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
     preset: str = "default"
-    """The preset these values started from; changing it here changes nothing else."""
+    """Values to start from, under those of a file and of options: default, worn, noiseless, report or intel."""
     estimator: Literal["ekf"] = "ekf"
     """Back end."""
     planner: Literal["astar"] = "astar"

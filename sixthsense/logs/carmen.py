@@ -60,6 +60,10 @@ class CarmenLog:
         """From the first tick to the last, record time, seconds."""
         return (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) * 1e-9
 
+    def rewind(self) -> None:
+        """Begin again at the first tick."""
+        self._next = 0
+
     def step(self, command: Command) -> Tick | None:
         """Hand out the next tick, None at the end; a recorded robot takes no command."""
         if self._next == len(self.ticks):

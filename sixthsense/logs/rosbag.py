@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.config import LaserConfig
+from sixthsense.config.section import shown_name
 from sixthsense.errors import InputError
 from sixthsense.geometry import Array, Pose
 from sixthsense.laser import Scan
@@ -68,8 +69,13 @@ def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -
     LogError for a bag that cannot be read, is damaged or cut short, or lacks one topic of either type.
     """
     path = Path(file)
+    # All of it: a bag may define a type of a known name without the fields that are looked for.
     with _damage_in_one_line(path):
-        recording = _read(path, topics)
+        return _read_log(path, laser, topics)
+
+
+def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str]) -> BagLog:
+    recording = _read(path, topics)
     if not recording.scans or not recording.odometry:
         missing = "LaserScan" if not recording.scans else "Odometry"
         raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
@@ -126,20 +132,26 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, s
     fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
     for topic in topics:
         if types.get(topic) not in fitting:
-            found = f"{topic!r}, of type {types[topic]}" if topic in types else f"{topic!r}, no topic of {path}"
+            found = (
+                f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else f"{topic!r}, no topic of {path}"
+            )
             offered = sorted(itertools.chain(*fitting.values()))
-            raise LogError(f"--topic: found {found}, allowed: {', '.join(offered) or 'none in this bag'}")
+            raise LogError(
+                f"--topic: found {found}, allowed: {', '.join(map(shown_name, offered)) or 'none in this bag'}"
+            )
     wanted = {}
     for kind, names in fitting.items():
         short = kind.rpartition("/")[2]
         if not names:
-            held = ", ".join(f"{t} ({n.rpartition('/')[2]})" for t, n in sorted(types.items())[:8]) or "no topic at all"
+            held = (
+                ", ".join(f"{shown_name(t)} ({shown_name(n.rpartition('/')[2])})" for t, n in sorted(types.items())[:8])
+                or "no topic at all"
+            )
             raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
         left = [name for name in names if name in topics] or names
         if len(left) > 1:
-            raise LogError(
-                f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {' or '.join(left)}"
-            )
+            either = " or ".join(map(shown_name, left))
+            raise LogError(f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {either}")
         wanted[kind] = left[0]
     return wanted
 
