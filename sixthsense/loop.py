@@ -40,7 +40,7 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     """
     scene = load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
-    world_rng, ransac_rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
+    world_rng, ransac_rng = _streams(config.seed)
     source = World(scene.walls, start, radius_m, config, world_rng)
     follower = Follower(config.follow, config.robot)
     driver = Driver(goals, config.task == "tour", make_planner(config.planner), follower, config)
@@ -58,10 +58,16 @@ def replay(log: CarmenLog, config: Config, relations: Relations | None = None, o
     log.rewind()
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
-    ransac_rng = np.random.default_rng(np.random.SeedSequence(config.seed).spawn(2)[1])
+    _, ransac_rng = _streams(config.seed)
     trace = Trace(config, scene, radius_m, relations=relations)
     drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
+
+
+def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Randomness of the world and of RANSAC, apart, so that a replay repeats the second without the first."""
+    world, ransac = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
+    return world, ransac
 
 
 def _recorded_scene(log: CarmenLog, config: Config) -> Scene | None:
