@@ -14,18 +14,19 @@ from harness import Figures, arguments, machine, print_table, write_json
 from sixthsense import metrics
 from sixthsense.config import Config, preset
 from sixthsense.logs import open_log
-from sixthsense.logs.carmen import CarmenLog, Relations, read_relations
+from sixthsense.logs.log import Log
+from sixthsense.logs.relations import Relations, read_relations
 from sixthsense.loop import replay, warm_up
 
 ERRORS = ("relations_trans_m_mean", "relations_trans_m_std", "relations_rot_deg_mean", "relations_rot_deg_std")
 
 
-def replay_figures(log: CarmenLog, relations: Relations, config: Config, seeds: int) -> Figures:
+def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -> Figures:
     """Replay the log with each seed, which feeds RANSAC alone: errors per seed and their medians, odometry's, speed."""
     figures: Figures = {}
     speeds: list[float] = []
     for seed in range(seeds):
-        trace = replay(CarmenLog(log.ticks), dataclasses.replace(config, seed=seed), relations)
+        trace = replay(Log(log.ticks), dataclasses.replace(config, seed=seed), relations)
         result = trace.metrics()
         figures |= {f"seed{seed}.{key}": result[key] for key in ERRORS}
         speeds.append(result["realtime_factor"])

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import bags
 import numpy as np
 
 from sixthsense.config import LaserConfig
@@ -57,8 +58,6 @@ ransac_threshold_m = 0.04
 shortcut = false
 """
 _WORDS = b"apartment --seed 3 --laser.beams=90 --goal 1.0 2 --laser.mount 0 0 1e-3 --out x --overwrite --no-realtime"
-_SCAN, _ODOMETRY, _TF = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
-_STAMPED = "geometry_msgs/msg/PoseStamped"
 
 
 @dataclass(frozen=True)
@@ -149,13 +148,23 @@ def _log(name: str) -> Callable[[Path, bytes], Any]:
     def read(folder: Path, data: bytes) -> Any:
         from sixthsense.logs import open_log
 
-        return open_log(_written(folder, name, data), LASER)
+        return _sound(open_log(_written(folder, name, data), LASER))
 
     return read
 
 
+def _sound(log: Any) -> Any:
+    """The log, if all of it can be reckoned with."""
+    poses = [pose.array() for tick in log.ticks for pose in (tick.odometry, tick.truth) if pose is not None]
+    assert np.abs(poses).max() <= 1e10
+    assert np.all(np.diff([tick.stamp_ns for tick in log.ticks]) > 0)
+    for scan in log.scans:
+        assert np.all(scan.ranges >= 0.0) and np.isfinite([scan.angle_min, scan.angle_increment]).all()
+    return log
+
+
 def _relations(folder: Path, data: bytes) -> Any:
-    from sixthsense.logs.carmen import read_relations
+    from sixthsense.logs.relations import read_relations
 
     return read_relations(_written(folder, "some.relations", data))
 
@@ -186,87 +195,7 @@ def _run_bag(folder: Path, data: bytes) -> Any:
 
     (folder / "bag").mkdir(exist_ok=True)
     _written(folder, "bag/bag_0.mcap", data)
-    return read_run(folder, LASER)
-
-
-class _Messages:
-    """Messages of a robot that drives past nothing in particular."""
-
-    def __init__(self, one: bool) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self._one = one
-        self.store = get_typestore(Stores.ROS1_NOETIC if one else Stores.ROS2_HUMBLE)
-        if one:  # it does not know tf2
-            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
-
-    def _make(self, name: str, *values: Any) -> Any:
-        return self.store.types[name](*values)
-
-    def _header(self, stamp_ns: int, frame: str) -> Any:
-        time = self._make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
-        return self._make("std_msgs/msg/Header", *((0,) if self._one else ()), time, frame)
-
-    def __iter__(self) -> Any:
-        """Topic, type, stamp in ns, and bytes."""
-        put = self.store.serialize_ros1 if self._one else self.store.serialize_cdr
-        turn = self._make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.1, 0.9)
-        zero = self._make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-        link = self._make("geometry_msgs/msg/Transform", zero, turn)
-        link = self._make("geometry_msgs/msg/TransformStamped", self._header(0, "base"), "laser", link)
-        yield "/tf_static", _TF, 0, put(self._make(_TF, [link]), _TF)
-        twist = self._make("geometry_msgs/msg/Twist", zero, zero)
-        twist = self._make("geometry_msgs/msg/TwistWithCovariance", twist, np.zeros(36))
-        for k in range(3):
-            stamp = 10**9 + k * 10**8
-            pose = self._make("geometry_msgs/msg/Pose", self._make("geometry_msgs/msg/Point", 0.1 * k, 0.0, 0.0), turn)
-            spread = self._make("geometry_msgs/msg/PoseWithCovariance", pose, np.zeros(36))
-            odometry = self._make(_ODOMETRY, self._header(stamp, "odom"), "base", spread, twist)
-            yield "/odom", _ODOMETRY, stamp, put(odometry, _ODOMETRY)
-            yield "/truth", _STAMPED, stamp, put(self._make(_STAMPED, self._header(stamp, "map"), pose), _STAMPED)
-            ranges = np.array([1.0, 2.0, np.inf, 3.0], np.float32)
-            numbers = (-0.75, 0.75, 0.5, 0.0, 0.1, 0.1, 8.0)
-            scan = self._make(_SCAN, self._header(stamp, "laser"), *numbers, ranges, ranges[:0])
-            yield "/scan", _SCAN, stamp, put(scan, _SCAN)
-
-
-def _foreign(kind: str) -> Callable[[Path], list[bytes]]:
-    def seeds(folder: Path) -> list[bytes]:
-        from rosbags.rosbag1 import Writer as Writer1
-        from rosbags.rosbag2 import StoragePlugin
-        from rosbags.rosbag2 import Writer as Writer2
-
-        messages = _Messages(kind == "ros1")
-        path = folder / f"valid-{kind}"
-        plugin = StoragePlugin.SQLITE3 if kind == "db3" else StoragePlugin.MCAP
-        with Writer1(path) if kind == "ros1" else Writer2(path, version=8, storage_plugin=plugin) as writer:
-            topics: dict[str, Any] = {}
-            for topic, name, stamp_ns, data in messages:
-                if topic not in topics:
-                    topics[topic] = writer.add_connection(topic, name, typestore=messages.store)
-                writer.write(topics[topic], stamp_ns, data)
-        return [(path if kind == "ros1" else next(path.glob(f"*.{kind}"))).read_bytes()]
-
-    return seeds
-
-
-def _run_bag_seeds(folder: Path) -> list[bytes]:
-    """A run's bag with checksums, and one without, in which damage reaches the messages."""
-    from mcap.writer import CompressionType, Writer
-
-    out = []
-    for checked in (True, False):
-        stream = io.BytesIO()
-        writer = Writer(stream, compression=CompressionType.NONE, enable_crcs=checked)
-        writer.start()
-        topics: dict[str, int] = {}
-        for topic, name, stamp_ns, data in _Messages(False):
-            if topic not in topics:
-                topics[topic] = writer.register_channel(topic, "cdr", writer.register_schema(name, "ros2msg", b""))
-            writer.add_message(topics[topic], stamp_ns, bytes(data), stamp_ns)
-        writer.finish()
-        out.append(stream.getvalue())
-    return out
+    return _sound(read_run(folder, LASER))
 
 
 def _plain(*seeds: bytes) -> Callable[[Path], list[bytes]]:
@@ -287,9 +216,9 @@ PARSERS = {
         Parser("relations", _plain(_RELATIONS), _relations),
         Parser("config", _plain(_CONFIG), _config),
         Parser("words", _plain(_WORDS, b"report run-1 --out x --overwrite"), _words),
-        Parser("ros1", _foreign("ros1"), _log("x.bag")),
-        Parser("mcap", _foreign("mcap"), _log("x.mcap")),
-        Parser("db3", _foreign("db3"), _log("x.db3")),
-        Parser("run-bag", _run_bag_seeds, _run_bag),
+        Parser("ros1", bags.foreign("bag"), _log("x.bag"), bags.bag_of_one),
+        Parser("mcap", bags.foreign("mcap"), _log("x.mcap"), bags.mcap),
+        Parser("db3", bags.foreign("db3"), _log("x.db3"), bags.database),
+        Parser("run-bag", bags.of_a_run, _run_bag, bags.mcap),
     )
 }

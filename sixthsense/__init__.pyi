@@ -19,7 +19,7 @@ from .landmarks import Sighting as Sighting
 from .laser import Scan as Scan
 from .laser import cast_rays as cast_rays
 from .logs import open_log as open_log
-from .logs.carmen import read_relations as read_relations
+from .logs.relations import read_relations as read_relations
 from .loop import replay as replay
 from .loop import run as run
 from .planners import Plan as Plan

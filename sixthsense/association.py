@@ -54,6 +54,8 @@ class Record:
     """updates it has received, its birth included"""
     born_scan: int
     """key scan of its birth"""
+    sigma_m: float = math.inf
+    """at most that of its position along any direction, when it was last looked at"""
 
 
 class Associator:
@@ -61,6 +63,7 @@ class Associator:
 
     def __init__(self, config: AssociationConfig) -> None:
         self._config = config
+        self._known_gate = float(chi2.ppf(config.known_probability, 2))  # infinite for 1
         self._candidates: list[_Candidate] = []
         self._next_id = 0
         self._scan = 0
@@ -73,6 +76,7 @@ class Associator:
             self._new_gate = float(chi2.ppf(config.new_probability, 2))
         else:
             self._match_gate, self._new_gate = config.match_below, config.new_above
+        self._sigmas = math.sqrt(max(self._match_gate, self._new_gate))
 
     def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what fits none is a candidate or a landmark."""
@@ -82,7 +86,10 @@ class Associator:
         if not sightings:
             return Association({}, 0, 0.0, 0)
         positions = estimate.pose @ np.array([s.z for s in sightings])  # (m, 2)
-        near, distance_sq = self._near(positions, estimate)
+        sigmas = _sigmas(sightings, estimate)
+        gap = positions[:, None, :] - estimate.landmarks[None, :, :]
+        distance = np.hypot(gap[..., 0], gap[..., 1])  # (m, n)
+        near = self._near(distance, sigmas, estimate)
         if len(near) == 0:
             known: dict[LandmarkId, Sighting] = {}
             nis, fits_none = 0.0, np.ones(len(sightings), dtype=bool)
@@ -90,7 +97,8 @@ class Associator:
         else:
             joint = estimator.joint_covariance(estimate.ids[near].tolist())
             known, taken, fits_none, nis = self._match(sightings, estimate, near, joint)
-            fits_none = fits_none & (distance_sq.min(axis=1) > self._config.new_separation_m**2)
+        if len(estimate.ids):
+            fits_none = fits_none & (distance.min(axis=1) > self._config.new_separation_m)
         for i in known:
             self.records[i].sightings += 1
         accepted = dict(known)
@@ -101,9 +109,34 @@ class Associator:
             if apart and self._proves_itself(positions[k]):
                 born.append(positions[k])
                 accepted[self._next_id] = sightings[k]
-                self.records[self._next_id] = Record(sightings[k].kind, 1, self._scan)
+                self.records[self._next_id] = Record(sightings[k].kind, 1, self._scan, float(sigmas[k]))
                 self._next_id += 1
         return Association(accepted, len(sightings) - len(accepted), nis, 2 * len(known))
+
+    def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
+        """Take sightings whose landmarks are known by name, unless it was misread; the NIS is that of the old ones."""
+        self._scan += 1
+        estimate = estimator.estimate()
+        order = {i: k for k, i in enumerate(estimate.ids.tolist())}
+        old = [i for i in sightings if i in order]
+        misread: set[LandmarkId] = set()
+        nis = 0.0
+        if old:
+            means = estimate.landmarks[[order[i] for i in old]]
+            predicted, by_pose, by_landmark = predict_points(estimate.pose, means)
+            innovation = np.array([sightings[i].z for i in old]) - predicted
+            noise = np.array([sightings[i].cov for i in old])
+            joint = estimator.joint_covariance(old)
+            S = _predicted_covs(joint, by_pose, by_landmark) + noise  # (k, 2, 2)
+            mahalanobis_sq = np.einsum("ki,ki->k", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
+            kept = np.flatnonzero(mahalanobis_sq <= self._known_gate)
+            misread = set(old) - {old[k] for k in kept}
+            nis = _joint_nis(joint, by_pose[kept], by_landmark, kept, innovation[kept], noise[kept])
+        accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
+        for i, sighting in accepted.items():
+            record = self.records.setdefault(i, Record(sighting.kind, 0, self._scan))
+            record.sightings += 1
+        return Association(accepted, len(misread), nis, 2 * (len(old) - len(misread)))
 
     def cull(self) -> list[LandmarkId]:
         """Landmarks to forget now: seen too rarely, a period after their birth (report: bad landmark culling)."""
@@ -120,17 +153,22 @@ class Associator:
         self.culled += len(bad)
         return bad
 
-    def _near(self, positions: Array, estimate: Estimate) -> tuple[Indices, Array]:
-        """Indices of landmarks near any sighting, and (m, k) squared distances to them."""
-        gap = positions[:, None, :] - estimate.landmarks[None, :, :]
-        distance_sq = np.einsum("ijk,ijk->ij", gap, gap)
-        near = np.flatnonzero((distance_sq < self._config.pre_gate_m**2).any(axis=0))
-        return near, distance_sq[:, near]
+    def _near(self, distance: Array, sigmas: Array, estimate: Estimate) -> Indices:
+        """Indices of landmarks that any sighting may be of, by (m, n) distances, and sightings' (m,) world sigmas.
+
+        The sigma of a difference is at most the sum of both, however they are correlated: what is left out here could
+        not have passed a gate. Sigmas of landmarks shrink; the factor leaves room for what linearising anew changes.
+        """
+        own = np.array([self.records[i].sigma_m for i in estimate.ids.tolist()])
+        reach = np.minimum(self._config.pre_gate_m, self._sigmas * (sigmas[:, None] + 2.0 * own[None, :]))
+        return np.flatnonzero((distance < reach).any(axis=0))
 
     def _match(
         self, sightings: Sequence[Sighting], estimate: Estimate, near: Indices, joint: Array
     ) -> tuple[dict[LandmarkId, Sighting], Mask, Mask, float]:
         """Matches by id, (m,) whether matched, (m,) whether far from every landmark, and the matches' NIS."""
+        for j, i in enumerate(estimate.ids[near].tolist()):
+            self.records[i].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
         predicted, by_pose, by_landmark = predict_points(estimate.pose, estimate.landmarks[near])
         z = np.array([s.z for s in sightings])
         noise = np.array([s.cov for s in sightings])
@@ -170,6 +208,14 @@ class Associator:
                 return False
         self._candidates.append(_Candidate(position, 1, self._scan))
         return False
+
+
+def _sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:
+    """(m,) sigma, along any direction at most, of where the sightings lie in the world; m."""
+    own = np.array([np.trace(s.cov) for s in sightings])
+    reach = np.array([math.hypot(*s.z) for s in sightings])
+    cov = estimate.pose_cov
+    return np.asarray(math.sqrt(cov[0, 0] + cov[1, 1]) + reach * math.sqrt(cov[2, 2]) + np.sqrt(own))
 
 
 def _predicted_covs(joint: Array, by_pose: Array, by_landmark: Array) -> Array:

@@ -7,6 +7,7 @@ import itertools
 import math
 import time
 from collections import Counter
+from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import LandmarkId, Sighting
+from sixthsense.logs.cloud import CLOUD, FIELDS, POINT_BYTES, increment_covariance, spatial, to_bytes
 from sixthsense.source import Tick
 from sixthsense.trace import Trace
 
@@ -26,6 +29,8 @@ TOPICS = {
     "/plan": "nav_msgs/msg/Path",
 }
 """What is recorded, in the order of one tick."""
+SIGHTINGS = "/sightings"
+"""Beside these, of a log whose landmarks have names: what was seen, in the robot's frame."""
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """Names of the frames."""
 
@@ -53,6 +58,8 @@ class BagWriter:
 
     A message's record time is the tick's stamp; a scan's header has the log's own stamp, where there is one. A chunk
     ends with a tick and is flushed twice a second of wall time, so that a killed run loses no more than its last one.
+    Where a log states how well the motion since its last tick is known, that covariance stands in the odometry's
+    pose.covariance (axes of the robot before, and z, roll, pitch 1e6), which is zero otherwise.
     Raises OSError, naming the file, when it cannot be written.
     """
 
@@ -70,7 +77,8 @@ class BagWriter:
         # Chunks end where `_flush` says, never in the middle of a tick.
         self._writer = Writer(self._stream, chunk_size=1 << 62)
         self._writer.start("ros2")
-        self._channels = {topic: self._register(topic, name) for topic, name in TOPICS.items()}
+        self._names = dict(TOPICS)
+        self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
         self._pending = self._key_scans = self._plans = 0
@@ -124,7 +132,7 @@ class BagWriter:
             self._first_ns = stamp
             self._write("/tf_static", stamp, self._mount(stamp, Pose(*trace.config.laser.mount)))
         self._last_ns = stamp
-        self._write("/odom", stamp, self._odometry(stamp, tick.odometry))
+        self._write("/odom", stamp, self._odometry(stamp, tick))
         if tick.truth is not None:
             self._write("/truth", stamp, self._pose_stamped(stamp, tick.truth))
         if tick.scan is not None:
@@ -135,6 +143,11 @@ class BagWriter:
             none = np.zeros(0, dtype=np.float32)
             header = self._header(own, LASER)
             self._write("/scan", stamp, message(header, first, last, step, 0, 0, 0, scan.max_range, scan.ranges, none))
+        if tick.sightings is not None:
+            if SIGHTINGS not in self._channels:
+                self._names[SIGHTINGS] = CLOUD
+                self._channels[SIGHTINGS] = self._register(SIGHTINGS, CLOUD)
+            self._write(SIGHTINGS, stamp, self._cloud(stamp, tick.sightings))
         for estimate in trace.key_estimates[self._key_scans :]:
             self._write("/estimate", stamp, self._estimate(stamp, estimate.pose, estimate.pose_cov))
         self._key_scans = len(trace.key_estimates)
@@ -149,7 +162,7 @@ class BagWriter:
         return int(self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": _qos(topic)}))
 
     def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
-        data = bytes(self._store.serialize_cdr(message, TOPICS[topic]))
+        data = bytes(self._store.serialize_cdr(message, self._names[topic]))
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._counts[topic])
         self._counts[topic] += 1
         self._pending += len(data)
@@ -170,23 +183,30 @@ class BagWriter:
     def _pose_stamped(self, stamp_ns: int, pose: Pose) -> Any:
         return self._types["geometry_msgs/msg/PoseStamped"](self._header(stamp_ns, WORLD), self._pose(pose))
 
-    def _odometry(self, stamp_ns: int, pose: Pose) -> Any:
+    def _odometry(self, stamp_ns: int, tick: Tick) -> Any:
         zero = self._types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
         unknown = np.zeros(36)
         return self._types["nav_msgs/msg/Odometry"](
             self._header(stamp_ns, ODOM),
             ROBOT,
-            self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), unknown),
+            self._types["geometry_msgs/msg/PoseWithCovariance"](
+                self._pose(tick.odometry), increment_covariance(tick.increment_cov)
+            ),
             self._types["geometry_msgs/msg/TwistWithCovariance"](
                 self._types["geometry_msgs/msg/Twist"](zero, zero), unknown
             ),
         )
 
     def _estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
-        whole = np.zeros((6, 6))  # x y z roll pitch yaw
-        whole[np.ix_((0, 1, 5), (0, 1, 5))] = cov
-        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), whole.ravel())
+        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), spatial(cov).ravel())
         return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), spread)
+
+    def _cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:
+        data = to_bytes(sightings)
+        field = self._types["sensor_msgs/msg/PointField"]
+        fields = [field(name, offset, kind, 1) for name, offset, kind in FIELDS]
+        header = self._header(stamp_ns, ROBOT)
+        return self._types[CLOUD](header, 1, len(sightings), fields, False, POINT_BYTES, len(data), data, True)
 
     def _mount(self, stamp_ns: int, mount: Pose) -> Any:
         z, w = quaternion(mount.theta)
@@ -213,7 +233,7 @@ class BagWriter:
                 },
                 "message_count": self._counts[topic],
             }
-            for topic, name in TOPICS.items()
+            for topic, name in self._names.items()
         ]
         table = {
             "version": 5,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config, save_config
 from sixthsense.errors import InputError
+from sixthsense.factors import factor_graph, write_graph
 from sixthsense.geometry import Array
 from sixthsense.trace import Trace
 
@@ -81,6 +82,7 @@ class RunFolder:
         if trace.truths:
             write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
         write_landmarks(self.partial, trace)
+        write_graph(self.partial, factor_graph(trace))
         if trace.grid is not None:
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
         values = trace.metrics()

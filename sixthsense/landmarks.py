@@ -32,6 +32,23 @@ class Sighting:
     cov: Array
     """(2, 2) of z, m^2"""
 
+    def bearing_range(self) -> tuple[float, float, Array]:
+        """The same sighting in polar coordinates: bearing (rad), range (m) and their covariance (2, 2), in that order.
+
+        The mean of a range is longer than the range of the mean, by sigma_t^2 / 2 r for an error sigma_t across the
+        beam; that much is taken out (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993, to second order), and likewise what
+        a correlation of the errors along and across does to the bearing. For a point nearer than its own error none of
+        this holds: there the bearing's sigma is pi at most, and the range is some of the error, not zero.
+        """
+        x, y = float(self.z[0]), float(self.z[1])
+        r, bearing = math.hypot(x, y), math.atan2(y, x)
+        c, s = math.cos(bearing), math.sin(bearing)
+        to_polar = np.array([[-s, c], [c, s]])  # across the beam, along it
+        (across, mixed), (_, along) = to_polar @ self.cov @ to_polar.T
+        arm = max(r, math.sqrt(across) / math.pi)
+        cov = np.array([[across / arm**2, mixed / arm], [mixed / arm, along]])
+        return bearing + mixed / arm**2, max(r - 0.5 * across / arm, 0.5 * arm), cov
+
 
 def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
     """Predict the sightings of m points from a pose (report eq. 5).
@@ -56,3 +73,8 @@ def born_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
     offset = by_z @ z
     by_pose = np.array([[1.0, 0.0, -offset[1]], [0.0, 1.0, offset[0]]])
     return pose.position + offset, by_pose, by_z
+
+
+def turned(points: Array) -> Array:
+    """How points (..., 2) move when the world turns about its origin, per radian: by a quarter turn of themselves."""
+    return np.stack([-points[..., 1], points[..., 0]], axis=-1)

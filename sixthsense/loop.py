@@ -11,15 +11,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sixthsense.association import Associator
-from sixthsense.config import Config, KeyScanConfig
+from sixthsense.config import AssumedConfig, Config, KeyScanConfig
 from sixthsense.estimators import make_estimator
 from sixthsense.features import extract
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose
-from sixthsense.grid import Grid
 from sixthsense.interrupt import deferred_interrupt
-from sixthsense.logs.carmen import CarmenLog, Relations
-from sixthsense.motion import odometry
+from sixthsense.logs.log import Log
+from sixthsense.logs.relations import Relations
+from sixthsense.mapper import Mapper
+from sixthsense.motion import STANDSTILL, Odometry, odometry
 from sixthsense.navigate import Driver, Navigator, Passenger
 from sixthsense.planners import make_planner
 from sixthsense.scene import Scene, SceneError, check_placement, load_scene
@@ -28,6 +29,8 @@ from sixthsense.trace import Trace
 from sixthsense.world import World
 
 OnTick = Callable[[Tick, Trace], None]
+
+NO_WALLS = np.zeros((0, 2, 2))
 
 LOG_RADIUS_M = 0.2  # of a recorded robot whose configuration names none
 
@@ -49,7 +52,7 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     return trace
 
 
-def replay(log: CarmenLog, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
+def replay(log: Log, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
     """Digest a recorded log with the same middle of the loop; the robot goes where it went.
 
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
@@ -70,8 +73,8 @@ def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
     return world, ransac
 
 
-def _recorded_scene(log: CarmenLog, config: Config) -> Scene | None:
-    if log.ticks[0].truth is None:
+def _recorded_scene(log: Log, config: Config) -> Scene | None:
+    if log.ticks[0].truth is None or not log.scans:
         return None
     try:
         return load_scene(config.scene)
@@ -114,27 +117,31 @@ def warm_up() -> None:
 
 
 class KeyScans:
-    """Decides which scans are used: those after enough motion since the last one used."""
+    """Decides which scans are used: those after enough motion since the last one used; folds the motion between."""
 
     def __init__(self, config: KeyScanConfig) -> None:
         self._config = config
         self._first = True
-        self.since = Pose()
-        """motion since the last key scan, by odometry"""
+        self.since = STANDSTILL
+        """motion since the last key scan"""
 
-    def moved(self, motion: Pose) -> None:
+    def moved(self, increment: Odometry) -> None:
         """Take an increment of motion in."""
-        self.since = self.since @ motion
+        self.since = self.since.then(increment) if self.since is not STANDSTILL else increment
 
-    def take(self) -> bool:
-        """Whether a scan taken here is a key scan; if so, counting starts anew."""
-        distance, turn = math.hypot(self.since.x, self.since.y), abs(self.since.theta)
+    def due(self, tick: Tick) -> bool:
+        """Whether what the tick brings is used: a scan after enough motion, or sightings of landmarks known by name."""
+        if tick.scan is None:
+            return bool(tick.sightings)
+        motion = self.since.motion
+        distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
         far = distance >= self._config.distance_m or turn >= self._config.turn_rad
-        if self._first or (far and (distance > 0.0 or turn > 0.0)):
-            self._first = False
-            self.since = Pose()
-            return True
-        return False
+        return self._first or (far and (distance > 0.0 or turn > 0.0))
+
+    def take(self) -> Odometry:
+        """The motion since the last key scan; counting starts anew."""
+        motion, self.since, self._first = self.since, STANDSTILL, False
+        return motion
 
 
 def drive(
@@ -147,9 +154,9 @@ def drive(
 ) -> None:
     """Run until the task is over, the source ends or `max_time` is reached; `start` is where the estimator begins."""
     config, watch = trace.config, trace.stopwatch
-    estimator = make_estimator(config.estimator, start, np.zeros((3, 3)))
+    estimator = make_estimator(config.estimator, start, np.zeros((3, 3)), config.isam2)
     associator = Associator(config.association)
-    grid = Grid(config.grid, trace.radius_m)
+    mapper = Mapper(config.grid, trace.radius_m)
     keyscans = KeyScans(config.keyscans)
     command, pose = Command(), start
     trace.plans = navigator.plans
@@ -169,34 +176,42 @@ def drive(
                 deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
                 T_world_odom = start @ tick.odometry.inverse()
             else:
-                increment = odometry(before, tick.odometry, config.assumed)
-                estimator.predict(increment)
-                keyscans.moved(increment.motion)
+                increment = _increment(before, tick, config.assumed)
+                keyscans.moved(increment)
                 pose = pose @ increment.motion
             before = tick.odometry
             watch.lap("predict")
-            if tick.scan is not None and keyscans.take():
-                features = extract(tick.scan, config.assumed, config.features, rng)
-                watch.lap("extract")
-                association = associator.associate(features.sightings, estimator)
+            if keyscans.due(tick):
+                motion = keyscans.take()
+                estimator.predict(motion)
+                watch.lap("predict")
+                if tick.scan is not None:
+                    features = extract(tick.scan, config.assumed, config.features, rng)
+                    walls = features.walls
+                    watch.lap("extract")
+                    association = associator.associate(features.sightings, estimator)
+                else:
+                    walls = NO_WALLS
+                    association = associator.known(tick.sightings or {}, estimator)
                 watch.lap("associate")
                 estimator.update(association.sightings)
                 estimator.forget(associator.cull())
                 estimate = estimator.estimate()
                 pose = estimate.pose
                 watch.lap("update")
-                grid.add(pose, tick.scan, features.walls)
+                if tick.scan is not None:
+                    mapper.add(estimator.trajectory(), tick.scan, walls)
                 watch.lap("grid")
-                navigator.look(grid, pose)
+                navigator.look(mapper.grid, pose)
                 watch.lap("plan")
                 watch.key_scan()
-                trace.add_key_scan(tick, estimate, association, features.walls)
+                trace.add_key_scan(tick, motion, estimate, association, walls)
             command = navigator.step(pose, tick.stamp_ns)
             watch.lap("plan")
             dead_reckoned = T_world_odom @ tick.odometry
             trace.add_tick(tick, dead_reckoned)
-            if tick.scan is not None:
-                trace.add_scan(tick, pose, dead_reckoned, keyscans.since)
+            if tick.scan is not None or tick.sightings is not None:
+                trace.add_scan(tick, pose, dead_reckoned, keyscans.since.motion)
             if on_tick is not None:
                 on_tick(tick, trace)
             outcome: str | None = "collided" if tick.collided else navigator.outcome
@@ -208,8 +223,16 @@ def drive(
                 trace.outcome = outcome
                 break
     trace.wall_time_s = time.perf_counter() - began
+    estimator.predict(keyscans.take())
     trace.final = estimator.estimate()
     trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
     trace.trajectory = estimator.trajectory()
     trace.records, trace.culled = associator.records, associator.culled
-    trace.grid = grid
+    trace.grid, trace.rebuilds = mapper.grid, mapper.rebuilds
+
+
+def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:
+    """The motion since the last tick, with the covariance that the log states, or else that of the assumed noise."""
+    if tick.increment_cov is None:
+        return odometry(before, tick.odometry, assumed)
+    return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import warnings
 from pathlib import Path
@@ -20,6 +21,9 @@ TOLERANCE_CELLS = 0.5
 """No corner of the cells' outline ends up farther than this from the simplified one."""
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG")
+_LONGEST = 1 << 16  # characters
+_LONGEST_NAME = 1000
+_DEEPEST = 20  # lists in one another, over which a parser of YAML takes its time
 # A segment costs 1 and this much for each squared cell by which an outline corner lies off it. Above 2, so that
 # cutting off the end of a wall one cell thick (two corners off by half a cell for one segment less) does not pay;
 # below 4, so that one line does for a staircase (two corners off by half a cell for each two segments).
@@ -42,6 +46,8 @@ def read_map(file: Path) -> Array:
     table = _read_yaml(file)
     check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
     name = read_name("image", table["image"])
+    if len(name) > _LONGEST_NAME:
+        raise SceneError(f"image: found a name of {len(name)} characters, allowed: the name of a file")
     resolution = _number("resolution", table["resolution"])
     if not 1e-4 <= resolution <= 100.0:
         raise SceneError(f"resolution: found {resolution:g}, allowed: 0.0001 to 100 metres a cell")
@@ -194,6 +200,11 @@ def _read_yaml(file: Path) -> dict[Any, Any]:
     import yaml
 
     text = read_text(file)
+    if len(text) > _LONGEST:
+        raise SceneError(f"found over {_LONGEST} characters, allowed: a table with {', '.join(_REQUIRED)}")
+    depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
+    if max(depth, default=0) > _DEEPEST:
+        raise SceneError(f"found lists over {_DEEPEST} deep, allowed: a table with {', '.join(_REQUIRED)}")
     try:
         # The base loader leaves every value a text, so that 5e-2 is as good a number here as in map_server.
         table = yaml.load(text, Loader=yaml.BaseLoader)
@@ -226,6 +237,8 @@ def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
     from PIL import Image
 
     try:
+        if path.exists() and not path.is_file():
+            raise SceneError(f"{path}: is a folder, a pipe or a device, allowed: an image file")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(path, formats=_FORMATS)
@@ -247,5 +260,6 @@ def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
     except FileNotFoundError:
         raise SceneError(f"{path}: no such image file") from None
     except Exception as error:  # a broken image makes its decoder fail in ways nobody lists
-        reason = " ".join(str(error).split()) or type(error).__name__
+        said = (isinstance(error, OSError) and error.strerror) or str(error)  # without the name, which comes before it
+        reason = " ".join(said.split()) or type(error).__name__
         raise SceneError(f"{path}: not a readable image ({reason}), allowed: {', '.join(_FORMATS)}") from None

@@ -68,13 +68,14 @@ def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
 def full_rank_from(cov: Array) -> int:
     """The first index at which `cov` (K, 3, 3) has full rank, K if it never has; NEES is reported from there.
 
-    Judged by the correlations, since metres and radians do not compare.
+    Judged by the correlations, since metres and radians do not compare; a floor of a micrometre, which a smoother gives
+    a certain start, is no rank.
     """
     variances = np.einsum("kii->ki", cov)
     positive = np.all(variances > 0.0, axis=1)
     sigmas = np.sqrt(np.where(positive[:, None], variances, 1.0))
     correlation = cov / (sigmas[:, :, None] * sigmas[:, None, :])
-    full = positive & (np.linalg.eigvalsh(correlation)[:, 0] > 1e-12)
+    full = positive & (np.linalg.eigvalsh(correlation)[:, 0] > 1e-7)
     return int(np.argmax(full)) if full.any() else len(cov)
 
 

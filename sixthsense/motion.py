@@ -72,6 +72,17 @@ class Odometry:
     cov: Array
     """(3, 3) of the error of (x, y, theta) of `motion`, axes of the frame before; m, rad"""
 
+    def is_standstill(self) -> bool:
+        """Whether nothing moved, and that is certain."""
+        return self.motion == STANDSTILL.motion and not np.any(self.cov)
+
+    def cov_after(self) -> Array:
+        """(3, 3) of the same error with the axes of the frame after, as factor graphs have it."""
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(-self.motion.theta)
+        cov = turn @ self.cov @ turn.T
+        return np.asarray(0.5 * (cov + cov.T))
+
     def then(self, later: Odometry) -> Odometry:
         """Fold two increments with independent errors into one: `self` first, then `later`."""
         by_self, by_later = compose_jacobians(self.motion.theta, later.motion)
@@ -90,6 +101,20 @@ def arc(motion: Pose) -> tuple[float, float]:
     return chord / _sinc(half), motion.theta
 
 
+def arc_jacobian(distance: float, turn: float) -> Array:
+    """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
+    half = 0.5 * turn
+    c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
+    slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
+    return np.array(
+        [
+            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
+            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
+            [0.0, 1.0],
+        ]
+    )
+
+
 def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     """Difference two odometry poses into an increment with the covariance that the assumed noise gives it.
 
@@ -101,16 +126,7 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     motion = _corrected(before.inverse() @ after, assumed)
     distance, turn = arc(motion)
     noise = assumed.motion
-    half = 0.5 * turn
-    c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
-    slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
-    g = np.array(  # (3, 2): the arc's end by its length and its turn
-        [
-            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
-            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
-            [0.0, 1.0],
-        ]
-    )
+    g = arc_jacobian(distance, turn)
     q = np.array(
         [variance(noise.distribution, noise.speed * distance), variance(noise.distribution, noise.turn_rate * turn)]
     )

@@ -7,7 +7,6 @@ Three formats are read: TOML (walls and polygons, the format of the shipped scen
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config.section import shown
+from sixthsense.config.toml import parse_toml
 from sixthsense.geometry import Array, Pose, point_segment_distance
 from sixthsense.scenefields import (
     Point,
@@ -139,11 +139,9 @@ def check_placement(
 def _from_toml(path: Path) -> Scene:
     text = read_text(path)
     try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise SceneError(f"is not TOML ({error})") from None
-    except ValueError as error:  # Python's limit on the digits of an integer
-        raise SceneError(f"is not usable TOML ({str(error).split(';')[0]})") from None
+        table = parse_toml(text)
+    except ValueError as error:
+        raise SceneError(str(error)) from None
     check_keys("", table, _SCENE_KEYS, ("start", "radius"))
     segments = [
         read_wall(f"walls, entry {k}", values) for k, values in enumerate(read_list("walls", table.get("walls", [])), 1)

@@ -28,6 +28,8 @@ class SceneError(InputError):
 def read_text(path: Path) -> str:
     """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is none."""
     try:
+        if path.is_fifo():  # which may never say anything
+            raise SceneError("is a pipe, allowed: a text file")
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST + 1)
     except OSError as error:

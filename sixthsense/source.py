@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from sixthsense.geometry import Pose
+from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.laser import Scan
 
 
@@ -29,6 +31,10 @@ class Tick:
     """Where the wheels alone say the robot is: `T_odom_robot`; the loop differences it."""
     scan: Scan | None = None
     """The laser's scan, taken at this instant, if there is one."""
+    sightings: Mapping[LandmarkId, Sighting] | None = None
+    """Landmarks that the log itself knows by name; empty where it looked and saw none, None where it did not look."""
+    increment_cov: Array | None = None
+    """(3, 3) of the motion since the last tick, frame before, where the log states it; else the assumed noise's."""
     truth: Pose | None = None
     """`T_world_robot`, for the record only."""
     collided: bool = False

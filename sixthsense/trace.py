@@ -19,7 +19,8 @@ from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.landmarks import LandmarkId
 from sixthsense.laser import beam_bearings
-from sixthsense.logs.carmen import Relations
+from sixthsense.logs.relations import Relations
+from sixthsense.motion import Odometry
 from sixthsense.scene import Scene
 from sixthsense.source import Tick
 
@@ -82,6 +83,8 @@ class Trace:
     """per scan: (3,) motion since that key scan, by odometry"""
     key_stamps_ns: list[int] = field(default_factory=list)
     """per key scan: record time"""
+    key_odometry: list[Odometry] = field(default_factory=list)
+    """per key scan: motion since the one before"""
     key_estimates: list[Estimate] = field(default_factory=list)
     """per key scan: after its update"""
     key_truths: list[Array] = field(default_factory=list)
@@ -114,6 +117,8 @@ class Trace:
     """hand-checked relations to measure the trajectory against"""
     grid: Grid | None = None
     """the map"""
+    rebuilds: int = 0
+    """times it was drawn anew, because key poses had moved"""
     _last_position: Array | None = None
 
     @classmethod
@@ -154,8 +159,11 @@ class Trace:
         self.last_key.append(len(self.key_stamps_ns) - 1)
         self.since_key.append(since_key.array())
 
-    def add_key_scan(self, tick: Tick, estimate: Estimate, association: Association, walls: Array) -> None:
-        """Record one key scan after its update."""
+    def add_key_scan(
+        self, tick: Tick, motion: Odometry, estimate: Estimate, association: Association, walls: Array
+    ) -> None:
+        """Record one key scan after its update; `motion` is that since the one before."""
+        self.key_odometry.append(motion)
         self.key_stamps_ns.append(tick.stamp_ns)
         self.key_estimates.append(estimate)
         if tick.truth is not None:

@@ -71,7 +71,8 @@ class World:
         if self._ticks > 0:
             self._drive(command)
         scan = self._sense() if self._ticks % self._config.laser.period_ticks == 0 else None
-        tick = Tick(self._ticks * self._period_ns, self._odometry, scan, self._truth, self._collided)
+        stamp_ns = self._ticks * self._period_ns
+        tick = Tick(stamp_ns, self._odometry, scan, truth=self._truth, collided=self._collided)
         self._ticks += 1
         return tick
 

@@ -150,3 +150,51 @@ def test_a_match_is_right_or_none_in_a_crowd():
             total += 1
             wrong += i != next(k for k, s in enumerate(seen) if s is sighting)
     assert total > 2300 and wrong / total < 0.01
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+@pytest.mark.parametrize("method", ["chi2", "report"])
+def test_looking_at_near_landmarks_only_changes_no_association(name, method):
+    """What the bound on sigmas leaves out could not have passed a gate: with no bound the answers are the same."""
+    config = AssociationConfig(method=method)
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-6, 6, (60, 2))
+    step = Odometry(Pose(0.3, 0.0, 0.25), np.diag([1e-5, 1e-5, 1e-5]))
+    pairs = [(make_estimator(name, Pose(), np.zeros((3, 3))), Associator(config)) for _ in range(2)]
+    true, queried = Pose(), [0, 0]
+    for _ in range(40):
+        true = true @ Pose.from_array(step.motion.array() + 0.003 * rng.standard_normal(3))
+        seen = np.flatnonzero((np.hypot(*(points - true.position).T) < 4.0) & (rng.random(60) < 0.3))
+        sightings = sight(true, seen, rng, 0.01, points)
+        answers = []
+        for k, (estimator, associator) in enumerate(pairs):
+            estimator.predict(step)
+            if k == 1:
+                for record in associator.records.values():
+                    record.sigma_m = math.inf
+            inner = estimator.joint_covariance
+
+            def counted(ids, inner=inner, k=k):
+                queried[k] += len(ids)
+                return inner(ids)
+
+            estimator.joint_covariance = counted
+            answers.append(associator.associate(sightings, estimator))
+            estimator.joint_covariance = inner
+            estimator.update(answers[-1].sightings)
+        assert list(answers[0].sightings) == list(answers[1].sightings)
+        assert answers[0].discarded == answers[1].discarded
+        assert np.isclose(answers[0].nis, answers[1].nis, rtol=1e-6)
+    assert queried[0] < 0.9 * queried[1]
+
+
+def test_sightings_known_by_name_are_taken_as_they_are_and_judged_by_their_innovation():
+    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+    first = dict(zip([7, 3], sight(Pose(), [0, 1]), strict=True))
+    found = associator.known(first, estimator)
+    assert found.sightings == first and found.dof == 0 and found.nis == 0.0
+    estimator.update(found.sightings)
+    off = Sighting(Kind.CORNER, POINTS[0] + [0.02 * math.sqrt(2), 0.0], np.eye(2) * 4e-4)
+    found = associator.known({7: off, 9: sight(Pose(), [2])[0]}, estimator)
+    assert found.dof == 2 and math.isclose(found.nis, 1.0, rel_tol=1e-9)
+    assert {i: r.sightings for i, r in associator.records.items()} == {7: 2, 3: 1, 9: 1}

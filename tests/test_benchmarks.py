@@ -10,7 +10,8 @@ import pytest
 from sixthsense.config import LaserConfig, preset
 from sixthsense.geometry import Pose
 from sixthsense.laser import Scan, beam_bearings, cast_rays
-from sixthsense.logs.carmen import CarmenLog, Relations
+from sixthsense.logs.log import Log
+from sixthsense.logs.relations import Relations
 from sixthsense.source import Tick
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
@@ -117,7 +118,7 @@ def test_every_setting_has_a_name_of_its_own(script):
     assert len({setting.name for setting in script.SETTINGS}) == len(script.SETTINGS)
 
 
-def room_log(laser: LaserConfig, poses: list[Pose]) -> CarmenLog:
+def room_log(laser: LaserConfig, poses: list[Pose]) -> Log:
     """A log of exact odometry and exact scans in an empty room, a second apart."""
     corners = np.array([[-3.0, -2.0], [3.0, -2.0], [3.0, 2.0], [-3.0, 2.0]])
     walls = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
@@ -125,7 +126,7 @@ def room_log(laser: LaserConfig, poses: list[Pose]) -> CarmenLog:
     for k, pose in enumerate(poses):
         scan = Scan.from_config(cast_rays(pose, beam_bearings(laser), walls, laser.max_range), laser)
         ticks.append(Tick(k * 10**9, pose, scan, log_stamp_s=float(k)))
-    return CarmenLog(ticks)
+    return Log(ticks)
 
 
 @of("intel")

@@ -8,7 +8,9 @@ import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.logs import LogError, open_log
-from sixthsense.logs.carmen import CarmenLog, read_carmen, read_relations
+from sixthsense.logs.carmen import read_carmen
+from sixthsense.logs.log import Log
+from sixthsense.logs.relations import read_relations
 from sixthsense.source import Command
 
 LASER = LaserConfig(beams=4, fov=math.pi / 2, max_range=50.0)
@@ -29,7 +31,7 @@ def written(folder: Path, text: str | bytes, name: str = "some.log") -> Path:
     return file
 
 
-def stamps(log: CarmenLog) -> list[int]:
+def stamps(log: Log) -> list[int]:
     return [tick.stamp_ns for tick in log.ticks]
 
 

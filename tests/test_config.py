@@ -17,6 +17,7 @@ from sixthsense.config import (
     preset,
     save_config,
 )
+from sixthsense.scene import SceneError, load_scene
 
 
 def written(folder: Path, text: str | bytes, name: str = "some.toml") -> Path:
@@ -195,3 +196,14 @@ def test_a_configuration_cannot_be_changed() -> None:
 def test_absent_values_are_left_out_of_the_table() -> None:
     assert "goal" not in as_table(Config())
     assert as_table(dataclasses.replace(Config(), goal=(1.0, 2.0)))["goal"] == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["a." * 4000 + "a = 1", "[" + '"b" . ' * 4000 + "b]", "x = {" + "a." * 4000 + "a = 1}"]
+)
+def test_a_key_of_thousands_of_parts_is_refused_at_once(text: str, tmp_path: Path) -> None:
+    (tmp_path / "deep.toml").write_text(text)
+    with pytest.raises(ConfigError, match="key of over 20 parts"):
+        load_config(tmp_path / "deep.toml")
+    with pytest.raises(SceneError, match="key of over 20 parts"):
+        load_scene(tmp_path / "deep.toml")

@@ -18,8 +18,8 @@ from sixthsense.trace import Trace
 
 CONFIG = dataclasses.replace(preset(), scene="rectangle", task="tour", max_time=15.0, seed=5)
 FILES = [
-    "config.toml", "estimate.tum", "figures", "figures/map.png", "landmarks.csv", "landmarks.npz", "map.pgm",
-    "map.yaml", "metrics.json", "smoothed.tum", "truth.tum",
+    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz",
+    "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "smoothed.tum", "truth.tum",
 ]  # fmt: skip
 KEYS = {
     "outcome", "collisions", "coverage", "ate_rmse_m", "ate_max_m", "dead_reckoning_ate_rmse_m", "heading_rmse_rad",

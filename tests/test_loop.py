@@ -7,7 +7,9 @@ import pytest
 
 from sixthsense.config import Config, KeyScanConfig, LaserConfig, merge, preset
 from sixthsense.geometry import Array, Pose
+from sixthsense.laser import Scan
 from sixthsense.loop import KeyScans, mission, run
+from sixthsense.motion import Odometry
 from sixthsense.scene import SceneError, load_scene
 from sixthsense.source import Command, Tick
 from sixthsense.trace import Trace
@@ -139,16 +141,23 @@ def test_commands_beyond_the_drives_limits_are_clipped() -> None:
     assert [tick.truth for tick in fast] == [tick.truth for tick in limit]
 
 
+def taken(keys: KeyScans, steps: list[Pose]) -> list[bool]:
+    """Which of the scans after each of these increments are key scans."""
+    scan = Scan.from_config(np.ones(360), LaserConfig())
+    out = []
+    for k, step in enumerate(steps):
+        keys.moved(Odometry(step, np.zeros((3, 3))))
+        out.append(keys.due(Tick(k, Pose(), scan)))
+        if out[-1]:
+            keys.take()
+    return out
+
+
 def test_at_standstill_nothing_moves_and_no_key_scan_is_taken() -> None:
     seen = ticks(world(preset()), [Command()] * 100)
     assert all(tick.truth == Pose() and tick.odometry == Pose() for tick in seen)
     for config in (KeyScanConfig(), KeyScanConfig(distance_m=0.0, turn_rad=0.0)):
-        keys = KeyScans(config)
-        taken = []
-        for _ in range(20):
-            keys.moved(Pose())
-            taken.append(keys.take())
-        assert taken == [True] + [False] * 19
+        assert taken(KeyScans(config), [Pose()] * 20) == [True] + [False] * 19
 
 
 @pytest.mark.parametrize(
@@ -156,12 +165,15 @@ def test_at_standstill_nothing_moves_and_no_key_scan_is_taken() -> None:
 )
 def test_a_key_scan_comes_after_enough_motion_since_the_last(step: Pose, every: int) -> None:
     keys = KeyScans(KeyScanConfig(distance_m=0.25, turn_rad=0.15))
-    assert keys.take()
-    taken = []
-    for _ in range(12):
+    assert np.flatnonzero(taken(keys, [Pose()] + [step] * 12)).tolist() == [0, *range(every, 13, every)]
+
+
+def test_the_motion_between_key_scans_is_handed_over_once() -> None:
+    keys, step = KeyScans(KeyScanConfig()), Odometry(Pose(0.1, 0.0, 0.1), np.eye(3))
+    for _ in range(3):
         keys.moved(step)
-        taken.append(keys.take())
-    assert np.flatnonzero(taken).tolist() == list(range(every - 1, 12, every))
+    assert keys.take().motion == Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1)
+    assert keys.take().is_standstill()
 
 
 def test_the_way_of_a_run_is_as_long_as_its_true_path() -> None:

@@ -9,7 +9,7 @@ from scipy.linalg import expm, logm
 from sixthsense.config import preset
 from sixthsense.geometry import Array, Pose
 from sixthsense.logs import open_log
-from sixthsense.logs.carmen import read_relations
+from sixthsense.logs.relations import read_relations
 from sixthsense.metrics import (
     ate,
     full_rank_from,

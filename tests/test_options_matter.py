@@ -15,7 +15,7 @@ from sixthsense.geometry import Pose, rotation
 from sixthsense.grid import Grid
 from sixthsense.landmarks import Kind, Sighting
 from sixthsense.laser import Scan, beam_bearings, cast_rays
-from sixthsense.logs.carmen import CarmenLog
+from sixthsense.logs.log import Log
 from sixthsense.loop import replay
 from sixthsense.source import Command, Tick
 from sixthsense.world import World
@@ -131,7 +131,7 @@ def test_the_clock_of_a_key_scan_counts_its_processing_not_the_source():
     config = preset("noiseless")
     world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
 
-    class Slow(CarmenLog):
+    class Slow(Log):
         def step(self, command):
             import time
 

@@ -1,27 +1,30 @@
 """The configuration: a tree of frozen sections that check themselves, its presets, and its files."""
 
 from sixthsense.config.files import is_of_replay, load_config, save_config
-from sixthsense.config.presets import PRESETS, preset
-from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
-from sixthsense.config.tree import (
+from sixthsense.config.pipeline import (
     AssociationConfig,
-    AssumedConfig,
-    Config,
-    Distribution,
     FeaturesConfig,
     FollowConfig,
     GridConfig,
+    ISAM2Config,
     KeyScanConfig,
     LandmarksConfig,
+    LinesConfig,
+    PartitionConfig,
+    SplitConfig,
+)
+from sixthsense.config.platform import (
+    AssumedConfig,
     LaserConfig,
     LaserNoise,
-    LinesConfig,
     MotionNoise,
-    PartitionConfig,
     RobotConfig,
-    SplitConfig,
     WorldConfig,
 )
+from sixthsense.config.presets import PRESETS, preset
+from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
+from sixthsense.config.tree import Config
+from sixthsense.config.values import Distribution
 
 __all__ = [
     "PRESETS",
@@ -33,6 +36,7 @@ __all__ = [
     "FeaturesConfig",
     "FollowConfig",
     "GridConfig",
+    "ISAM2Config",
     "KeyScanConfig",
     "LandmarksConfig",
     "LaserConfig",

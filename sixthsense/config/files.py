@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from sixthsense import __version__
 from sixthsense.config.presets import preset
 from sixthsense.config.section import ConfigError, as_table, merge
+from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
 
 _LONGEST = 1 << 23  # characters; no configuration comes near, and what never ends must
@@ -25,21 +25,21 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     """
     path = Path(file)
     try:
+        if path.is_fifo():  # which may never say anything
+            raise ConfigError(f"{path}: is a pipe, allowed: a TOML file")
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST + 1)
         if len(text) > _LONGEST:
             raise ConfigError(f"{path}: found over {_LONGEST} characters, allowed: a configuration")
-        table = tomllib.loads(text)
+        table = parse_toml(text)
     except ConfigError:
         raise
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise ConfigError(f"{path}: is not TOML ({error})") from None
-    except ValueError as error:  # Python's limit on the digits of an integer
-        raise ConfigError(f"{path}: is not usable TOML ({str(error).split(';')[0]})") from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: {error}") from None
     for note in NOTES:
         table.pop(note, None)
     try:
@@ -66,4 +66,4 @@ def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | 
 
 def is_of_replay(file: str | Path) -> bool:
     """Whether a configuration, one that `load_config` reads, was saved by a replay."""
-    return "replayed" in tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))
+    return "replayed" in parse_toml(Path(file).read_text(encoding="utf-8-sig"))

@@ -13,6 +13,8 @@ from sixthsense.geometry import Array, Pose
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import Odometry
 
+_SLACK = 1e-9  # by which rounding may miss symmetry and positive eigenvalues, in terms of the largest entry
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -32,11 +34,14 @@ class Estimator(Protocol):
     """Simultaneous localisation and mapping from odometry and sightings with known association.
 
     1. `predict` never shrinks the joint covariance; many may precede an update.
-    2. `update` takes each sighting as independent; an unknown id is a new landmark, augmented after all updates.
+    2. `update` takes each sighting as independent; an unknown id, a forgotten one too, is a new landmark, augmented
+       after all updates.
     3. An empty update leaves the covariance alone.
     4. `joint_covariance` is symmetric and positive semi-definite, begins with `pose_cov` and follows the order asked.
     5. What is returned is a copy.
     6. The same calls give the same bits.
+    7. A covariance that is none (not finite, not symmetric, indefinite; of a sighting, not positive definite) is a
+       ValueError that names it, and the state stays as it was. An odometry's may be zero.
     """
 
     def predict(self, odometry: Odometry) -> None:
@@ -62,3 +67,67 @@ class Estimator(Protocol):
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update so far, smoothed if the estimator smooths."""
         ...
+
+
+class Trajectory:
+    """Poses, one after the other, handed out as an array without a loop over them."""
+
+    def __init__(self) -> None:
+        self._rows = np.empty((64, 3))
+        self._count = 0
+
+    def append(self, pose: Pose) -> None:
+        """Add a pose at the end."""
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._rows[self._count] = (pose.x, pose.y, pose.theta)
+        self._count += 1
+
+    def rows(self) -> Array:
+        """(K, 3), a copy."""
+        return self._rows[: self._count].copy()
+
+
+def check_covariance(name: str, value: Array) -> Array:
+    """(3, 3) of a pose or a motion as float64; ValueError, naming it, unless it is symmetric and nowhere negative."""
+    cov = np.asarray(value, dtype=np.float64)
+    if cov.shape != (3, 3):
+        raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
+    fault = _fault(cov, lowest=-_SLACK)
+    if fault:
+        raise ValueError(f"{name}: found {fault}, allowed: a covariance, symmetric, no eigenvalue below 0")
+    return cov
+
+
+def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
+    """Raise ValueError, naming the landmark, for a sighting that is not finite or whose covariance is none."""
+    if not sightings:
+        return
+    for i, s in sightings.items():
+        if np.shape(s.z) != (2,) or np.shape(s.cov) != (2, 2):
+            got = f"{np.shape(s.z)} and {np.shape(s.cov)}"
+            raise ValueError(f"sighting of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
+    z = np.array([s.z for s in sightings.values()], dtype=np.float64)
+    cov = np.array([s.cov for s in sightings.values()], dtype=np.float64)
+    if not np.isfinite(z).all():
+        k = int(np.flatnonzero(~np.isfinite(z).all(axis=1))[0])
+        raise ValueError(f"sighting of landmark {list(sightings)[k]}: found z {z[k]}, allowed: finite numbers")
+    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
+    slack = _SLACK * np.abs(cov).max(axis=(1, 2))
+    good = (np.abs(cov[:, 0, 1] - cov[:, 1, 0]) <= slack) & (cov[:, 0, 0] > 0.0) & (det > 0.0) & np.isfinite(det)
+    if not good.all():
+        k = int(np.flatnonzero(~good)[0])
+        fault = _fault(cov[k], lowest=0.0) or "a singular covariance"
+        found = f"sighting of landmark {list(sightings)[k]}: found {fault}"
+        raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")
+
+
+def _fault(cov: Array, lowest: float) -> str:
+    """What is wrong with a covariance, if anything; `lowest` is that of its eigenvalues in terms of the largest."""
+    if not np.isfinite(cov).all():
+        return "a value that is not finite"
+    scale = float(np.abs(cov).max())
+    if np.abs(cov - cov.T).max() > _SLACK * scale:
+        return "an asymmetric matrix"
+    smallest = float(np.linalg.eigvalsh(cov)[0])
+    return f"an eigenvalue of {smallest:.3g}" if smallest < lowest * scale else ""

@@ -9,46 +9,51 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
-from sixthsense.estimators.base import Estimate
+from sixthsense.estimators.base import Estimate, Trajectory, check_covariance, check_sightings
 from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import LandmarkId, Sighting, born_point, predict_points
+from sixthsense.landmarks import LandmarkId, Sighting, born_point, predict_points, turned
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
 
 
 class EKF:
     """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
 
-    State: x, y, theta of the robot, then x, y of each landmark, all in the world frame.
+    State: x, y, theta of the robot, then x, y of each landmark, all in the world frame. Its linearised system loses a
+    direction that cannot be observed, the heading of the whole map, so that it is overconfident once the robot turns
+    (Huang, Mourikis and Roumeliotis 2010); the variants override the methods named `_on_...` and `_levers`.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
-        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero."""
-        cov = np.asarray(start_cov, dtype=np.float64)
-        if cov.shape != (3, 3):
-            raise ValueError(f"start_cov: expected shape (3, 3), got {cov.shape}")
+        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero; ValueError if it is none."""
+        cov = check_covariance("start_cov", start_cov)
         self._pose = start
         self._means = np.zeros((0, 2))
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
         self._pending = STANDSTILL
-        self._trajectory: list[Array] = []
+        self._trajectory = Trajectory()
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance follows at the next call that needs it.
 
         Folding increments first is exact: the Jacobians of composed motions multiply.
         """
+        check_covariance("odometry", odometry.cov)
+        if odometry.is_standstill():
+            return
         self._pending = self._pending.then(odometry)
 
     def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
+        check_sightings(sightings)
         self._propagate()
         known = [i for i in sightings if i in self._slots]
         if known:
-            self._correct([self._slots[i] for i in known], [sightings[i] for i in known])
+            slots = np.array([self._slots[i] for i in known], dtype=np.int64)
+            self._on_seen(slots, self._correct(slots, [sightings[i] for i in known]))
         self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
-        self._trajectory.append(self._pose.array())
+        self._trajectory.append(self._pose)
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Marginalise landmarks out: their rows and columns go, all else stays as it was."""
@@ -59,6 +64,7 @@ class EKF:
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
         self._means = self._means[slots]
+        self._on_kept(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
     def estimate(self) -> Estimate:
@@ -74,7 +80,26 @@ class EKF:
 
     def trajectory(self) -> Array:
         """(K, 3), the filtered pose at each update."""
-        return np.array(self._trajectory).reshape(-1, 3)
+        return self._trajectory.rows()
+
+    def _on_moved(self, moved: Array) -> Array:
+        """The way (2,) with which the heading's error turns into one of position, as the robot has `moved` (2,)."""
+        return moved
+
+    def _levers(self, slots: NDArray[np.int64]) -> Array:
+        """(m, 2), robot to landmark, at which a sighting is linearised in the heading; world frame."""
+        return self._means[slots] - self._pose.position
+
+    def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
+        """Take the correction in that sightings of known landmarks bring: add `shift` (3 + 2n,) to the state."""
+        self._pose = Pose.from_array(self._pose.array() + shift[:3])
+        self._means += shift[3:].reshape(-1, 2)
+
+    def _on_born(self, offsets: Array) -> None:
+        """Landmarks were added, `offsets` (k, 2) from the robot, world frame."""
+
+    def _on_kept(self, slots: NDArray[np.int64]) -> None:
+        """Of the landmarks only those in `slots` are left, in that order."""
 
     @property
     def _size(self) -> int:
@@ -88,20 +113,25 @@ class EKF:
         """Sigma = Phi Sigma Phi^T + G Q G^T, what the report's eq. 8-9 should say; touches the pose's columns only."""
         if self._pending is STANDSTILL:
             return
+        pose = self._pose @ self._pending.motion
         phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        phi[:2, 2] = turned(self._on_moved(pose.position - self._pose.position))
         pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
         self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
         self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
-        self._pose = self._pose @ self._pending.motion
+        self._pose = pose
         self._pending = STANDSTILL
 
-    def _correct(self, slots: list[int], sightings: list[Sighting]) -> None:
-        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle."""
+    def _correct(self, slots: NDArray[np.int64], sightings: list[Sighting]) -> Array:
+        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle.
+
+        Returns the correction (3 + 2n,) of the state, which is still to be made.
+        """
         n, m = self._size, len(slots)
-        at = np.array(slots, dtype=np.int64)
-        predicted, by_pose, by_landmark = predict_points(self._pose, self._means[at])
+        predicted, by_pose, by_landmark = predict_points(self._pose, self._means[slots])
+        by_pose[:, :, 2] = -turned(self._levers(slots)) @ by_landmark.T
         innovation = np.concatenate([s.z for s in sightings]) - predicted.ravel()  # (2m,)
-        index = _state_index(at)  # (3 + 2m,)
+        index = _state_index(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the columns of H that are not zero
         for k in range(m):
             H[2 * k : 2 * k + 2, :3] = by_pose[k]
@@ -116,10 +146,8 @@ class EKF:
             S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += s.cov
         root = cholesky(0.5 * (S + S.T), lower=True, check_finite=False)
         W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
-        shift = W @ solve_triangular(root, innovation, lower=True, check_finite=False)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
-        self._pose = Pose.from_array(self._pose.array() + shift[:3])
-        self._means += shift[3:].reshape(-1, 2)
+        return np.asarray(W @ solve_triangular(root, innovation, lower=True, check_finite=False))
 
     def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
         """Append the landmarks that were born at the pose of this update."""
@@ -141,6 +169,7 @@ class EKF:
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
         self._means = np.vstack([self._means, *means])
+        self._on_born(np.array(means) - self._pose.position)
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
 
 

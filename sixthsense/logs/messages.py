@@ -14,6 +14,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 
 _FARTHEST_M = 1000.0
+_FAR_OFF_M = 1e10  # of a frame's origin; squares and products of what is farther are no numbers in the end
 _MOST_BEAMS = 100_000
 _LEAST_UPRIGHT = 0.9  # cosine of the tilt at which a scan is no longer one of the plane
 
@@ -27,10 +28,14 @@ def planar(position: Any, orientation: Any) -> Pose:
     """Position and quaternion, seen from above; exact where the turn is about z alone."""
     x, y, z, w = (float(v) for v in (orientation.x, orientation.y, orientation.z, orientation.w))
     values = (float(position.x), float(position.y), x, y, z, w)
-    if not all(map(math.isfinite, values)) or not any((x, y, z, w)):
+    norm = math.hypot(x, y, z, w)
+    if not (all(map(math.isfinite, (*values, norm))) and norm > 0.0):
         raise ValueError(f"found a pose of {values}, allowed: finite numbers and a quaternion that is not zero")
+    if max(abs(values[0]), abs(values[1])) > _FAR_OFF_M:
+        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {_FAR_OFF_M:.0e} m")
     if x == 0.0 and y == 0.0:
         return Pose(values[0], values[1], 2.0 * math.atan2(z, w))
+    x, y, z, w = x / norm, y / norm, z / norm, w / norm
     return Pose(values[0], values[1], math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
@@ -39,9 +44,11 @@ def transform(message: Any) -> Array:
     r, t = message.rotation, message.translation
     q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
-    norm = float(np.linalg.norm(q))
-    if not (np.isfinite(t_xyz).all() and math.isfinite(norm) and norm > 0.0):
-        raise ValueError("found a transform that is not finite, allowed: numbers and a quaternion that is not zero")
+    norm = math.hypot(*q)  # which does not overflow on the way
+    if not (np.abs(t_xyz).max() <= _FAR_OFF_M and math.isfinite(norm) and norm > 0.0):  # false for NaN
+        raise ValueError(
+            f"found a transform that is not finite, allowed: up to {_FAR_OFF_M:.0e} m and a quaternion that is not zero"
+        )
     x, y, z, w = q / norm
     out = np.eye(4)
     out[:3, :3] = [

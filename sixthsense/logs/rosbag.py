@@ -18,17 +18,19 @@ from sixthsense.errors import InputError
 from sixthsense.geometry import Array, Pose
 from sixthsense.laser import Scan
 from sixthsense.logs import LogError
-from sixthsense.logs.carmen import CarmenLog
+from sixthsense.logs.inflate import bounded, check_regular
+from sixthsense.logs.log import Log
 from sixthsense.logs.messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
 from sixthsense.source import Tick
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
+LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
+"""Whole nanoseconds fit into 64 bits."""
 
 
-class BagLog(CarmenLog):
+class BagLog(Log):
     """A `Source` that replays a bag."""
 
     laser: LaserConfig
@@ -71,6 +73,8 @@ def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -
     path = Path(file)
     # All of it: a bag may define a type of a known name without the fields that are looked for.
     with _damage_in_one_line(path):
+        check_regular(path)
+        _check_first_line(path)
         return _read_log(path, laser, topics)
 
 
@@ -106,12 +110,20 @@ def _damage_in_one_line(path: Path) -> Iterator[None]:
         ) from None
 
 
+def _check_first_line(path: Path) -> None:
+    """Raise ValueError for a ROS 1 bag whose first line, which the reader takes as a whole, does not end."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        with path.open("rb") as stream:
+            if not stream.readline(32).endswith(b"\n"):
+                raise ValueError("File magic is invalid.")
+
+
 def _read(path: Path, topics: Sequence[str]) -> _Recording:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     recording = _Recording()
-    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+    with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
         wanted = _choose(path, reader, topics)
         known = [c for c in reader.connections if c.topic in wanted.values() or c.topic.endswith("tf_static")]
         for connection, record_ns, raw in reader.messages(connections=known):
@@ -159,8 +171,8 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, s
 def _take(path: Path, recording: _Recording, message: Any, record_ns: int, is_scan: bool) -> None:
     own = stamp_ns(message) or record_ns  # drivers that set no stamp leave zero
     number = len(recording.scans if is_scan else recording.odometry)
-    if not 0 <= own <= _LARGEST_STAMP_NS:
-        raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {_LARGEST_STAMP_NS} ns")
+    if not 0 <= own <= LARGEST_STAMP_NS:
+        raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
     if is_scan:
         recording.laser_frame = recording.laser_frame or _frame(message.header.frame_id)
         recording.scans.append((own, message))

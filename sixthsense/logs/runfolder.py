@@ -14,20 +14,22 @@ from sixthsense.config import LaserConfig
 from sixthsense.errors import InputError
 from sixthsense.geometry import Array, Pose
 from sixthsense.logs import LogError
+from sixthsense.logs.cloud import CLOUD, from_cloud, stated_covariance
+from sixthsense.logs.inflate import check_regular, inflated
 from sixthsense.logs.messages import LASER_SCAN, ODOMETRY, planar, scan, stamp_ns
-from sixthsense.logs.rosbag import BagLog
+from sixthsense.logs.rosbag import LARGEST_STAMP_NS, BagLog
 from sixthsense.source import Tick
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-_TYPES = {"/odom": ODOMETRY, "/truth": TRUTH, "/scan": LASER_SCAN, "/plan": PLAN}
-_LARGEST_CHUNK = 1 << 28  # bytes; ours have one million
+_TYPES = {"/odom": ODOMETRY, "/truth": TRUTH, "/scan": LASER_SCAN, "/plan": PLAN, "/sightings": CLOUD}
+_LARGEST_CHUNK = 1 << 26  # bytes; ours have one million
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
-    """Read what a run's folder, or its `.partial`, has recorded: odometry, scans, truth and plans.
+    """Read what a run's folder, or its `.partial`, has recorded: odometry, scans, sightings, truth and plans.
 
     `laser` is that of the folder's configuration; beams and ranges are the bag's. A bag without its end is read up to
-    its last whole chunk. Raises LogError for a folder without a bag, or one without a scan.
+    its last whole chunk. Raises LogError for a folder without a bag, or one without a scan or a sighting.
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
@@ -38,12 +40,17 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         for topic, record_ns, message in reader.messages():
             if topic == "/odom":
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
-                ticks.append(Tick(record_ns, pose))
+                last_ns = ticks[-1].stamp_ns if ticks else -1
+                if not last_ns < record_ns <= LARGEST_STAMP_NS:
+                    raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
+                ticks.append(Tick(record_ns, pose, increment_cov=stated_covariance(message)))
             elif topic == "/plan":
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 plans.append(np.array(points, dtype=np.float64).reshape(-1, 2))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
+            elif ticks and topic == "/sightings":
+                ticks[-1] = replace(ticks[-1], sightings=from_cloud(message))
             elif ticks:
                 # The message has the range's digits of a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
@@ -54,8 +61,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         raise
     except Exception as error:  # the checksums were right, and yet it is no message
         raise LogError(f"{file}: found a message that cannot be read ({error}), allowed: a bag of a run") from None
-    if not any(tick.scan is not None for tick in ticks):
-        raise LogError(f"{file}: found no scan{' before it ends' * reader.cut_short}, allowed: a bag of a run")
+    if not any(tick.scan is not None or tick.sightings is not None for tick in ticks):
+        cut = " before it ends" * reader.cut_short
+        raise LogError(f"{file}: found no scan and no sighting{cut}, allowed: a bag of a run")
     log = BagLog(ticks, laser)
     log.plans, log.cut_short = tuple(plans), reader.cut_short
     return log
@@ -77,6 +85,7 @@ class _Chunks:
         store = get_typestore(Stores.ROS2_HUMBLE)
         topics: dict[int, str] = {}
         try:
+            check_regular(self._file)
             with self._file.open("rb") as stream:
                 for record in self._records(stream):
                     if isinstance(record, Channel):
@@ -110,9 +119,8 @@ class _Chunks:
                     return
                 if not isinstance(record, Chunk):
                     continue
-                if record.uncompressed_size > _LARGEST_CHUNK:
-                    return
-                content = breakup_chunk(record, validate_crc=True)
+                plain = replace(record, data=inflated(record.data, record.compression), compression="")
+                content = breakup_chunk(plain, validate_crc=True)
             except Exception:
                 # The writer was stopped here; half a record fails in as many ways as there are fields. A checksum
                 # guards each chunk, so that what was read before is right.

@@ -1,0 +1,298 @@
+"""Are the estimators honest? A robot drives a circle of landmarks with known association, on the same evidence for all.
+
+The set-up is the 2-D SLAM benchmark of the UKF-M package (Brossard, Barrau and Bonnabel, ICRA 2020), after Huang,
+Mourikis and Roumeliotis (IJRR 29(5), 2010): 10.4 rounds within a ring of 20 landmarks, odometry with constant noise of
+speed and turn rate, landmarks seen in the robot's frame, an exactly known start. The way driven is the circle without
+noise; the noise is that of the measurements.
+
+Errors are those of the causal estimate, of each pose when it was the newest. `nees3` is the pose's NEES in world
+coordinates, `nees3_invariant` that of the right-invariant error (both 3 if consistent), `nees_heading` that of the
+heading alone (1), in both the same. All are means over runs and steps, from the step on at which odometry alone makes
+the covariance one of full rank; judged so, it is the same step for all, whatever an estimator adds to a singular one.
+`share_in_band` is the share of the steps at which the mean of `nees3` over runs lies in its 95 % band.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from harness import Figures, arguments, machine, print_table, single_threaded, write_json
+from tqdm import tqdm
+
+from sixthsense.config import ISAM2Config
+from sixthsense.estimators import ESTIMATORS, make_estimator
+from sixthsense.geometry import Array, Pose, wrap_angle
+from sixthsense.landmarks import Kind, LandmarkId, Sighting, predict_points
+from sixthsense.metrics import full_rank_from, nees_band, nees_invariant, nees_world, share_in_band
+from sixthsense.motion import STANDSTILL, Odometry, arc_jacobian, rk4
+from sixthsense.plot import CYCLE
+
+STEPS, STEP_S = 2500, 1.0
+SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s
+SIGMA_SPEED, SIGMA_TURN_RATE = 0.05 * SPEED / math.sqrt(2.0), 0.05 * SPEED * 2.0 * math.sqrt(2.0)  # m/s, rad/s
+RADIUS = SPEED / TURN_RATE
+LANDMARKS, LANDMARKS_OUTSIDE = 20, 3.0  # m from the circle that is driven
+SIGMA_POINT, NEAREST, FARTHEST = 0.1, 1.0, 5.0  # m
+
+ODOMETRY_COV = np.diag([(SIGMA_SPEED * STEP_S) ** 2, (SIGMA_TURN_RATE * STEP_S) ** 2])
+POINT_COV = SIGMA_POINT**2 * np.eye(2)
+
+DRAWN_STEPS = 20  # the curves' grain: a twelfth of a round
+WIDTHS = (1.5, 6.0, 4.0, 2.5, 1.0)  # several curves lie on each other
+
+# Column's head, key, its form, and what it should be for the standard filter and for the others.
+COLUMNS = (
+    ("position m", "position_rmse_m", ".3f", "", ""),
+    ("x ekf", "position_rmse_by_ekf", ".3f", "", "at most 0.90"),
+    ("heading deg", "heading_rmse_deg", ".2f", "", ""),
+    ("NEES", "nees3", ".2f", "", "2.6-3.4"),
+    ("invariant", "nees3_invariant", ".2f", "", ""),
+    ("of heading", "nees_heading", ".2f", "2.5-3.5", "0.9-1.1"),
+    ("in band", "share_in_band", ".2f", "", ""),
+    ("step ms", "step_ms", ".2f", "", ""),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What one run measured, and the truth."""
+
+    truth: Array
+    """(K, 3) poses at the end of each step"""
+    odometry: tuple[Odometry, ...]
+    """K increments"""
+    sightings: tuple[dict[LandmarkId, Sighting], ...]
+    """K, each at the end of its step"""
+    full_rank_from: int
+    """the first step at which the covariance has full rank: speed and turn rate err in two directions at a time"""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """How one estimator fared in one run, per step; NEES is nan before the covariance has full rank."""
+
+    position_m: Array
+    """(K,) distance from the truth"""
+    heading: Array
+    """(K,) error, rad"""
+    nees3: Array
+    """(K,) world coordinates"""
+    nees3_invariant: Array
+    """(K,)"""
+    nees_heading: Array
+    """(K,)"""
+    step_ms: float
+    """mean of predict and update"""
+
+
+def landmarks() -> Array:
+    """(20, 2) on a circle about the centre of the robot's, world frame."""
+    angle = 2.0 * math.pi * np.arange(LANDMARKS) / LANDMARKS
+    ring = (RADIUS + LANDMARKS_OUTSIDE) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(ring + np.array([0.0, RADIUS]))
+
+
+def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
+    """Draw the evidence of the run of that number; the same seed and number give the same evidence."""
+    rng = np.random.default_rng([seed, run])
+    turn = TURN_RATE * STEP_S * np.arange(1, steps + 1)
+    truth = np.stack([RADIUS * np.sin(turn), RADIUS * (1.0 - np.cos(turn)), turn], axis=1)
+    truth[:, 2] = wrap_angle(truth[:, 2])
+    points = landmarks()
+    odometry, sightings, way, ways = [], [], STANDSTILL, []
+    for row in truth:
+        speed = SPEED + SIGMA_SPEED * rng.standard_normal()
+        turn_rate = TURN_RATE + SIGMA_TURN_RATE * rng.standard_normal()
+        g = arc_jacobian(speed * STEP_S, turn_rate * STEP_S)
+        odometry.append(Odometry(rk4(Pose(), speed, turn_rate, STEP_S), g @ ODOMETRY_COV @ g.T))
+        way = way.then(odometry[-1])
+        ways.append(way.cov)
+        z, _, _ = predict_points(Pose.from_array(row), points)
+        z_range = np.hypot(z[:, 0], z[:, 1])
+        z += SIGMA_POINT * rng.standard_normal(z.shape)
+        seen = np.flatnonzero((z_range > NEAREST) & (z_range < FARTHEST)).tolist()
+        sightings.append({i: Sighting(Kind.CORNER, z[i], POINT_COV) for i in seen})
+    return Evidence(truth, tuple(odometry), tuple(sightings), full_rank_from(np.array(ways)))
+
+
+def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
+    """Feed the evidence to the estimator of that name."""
+    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), isam2)
+    poses, covs, spent_s = [], [], 0.0
+    for odometry, sightings in zip(evidence.odometry, evidence.sightings, strict=True):
+        began = perf_counter()
+        estimator.predict(odometry)
+        estimator.update(sightings)
+        spent_s += perf_counter() - began
+        now = estimator.estimate()
+        poses.append(now.pose.array())
+        covs.append(now.pose_cov)
+    estimate, cov = np.array(poses), np.array(covs)
+    error = estimate - evidence.truth
+    error[:, 2] = wrap_angle(error[:, 2])
+    nees = np.full((3, len(estimate)), math.nan)
+    full = slice(evidence.full_rank_from, None)
+    nees[0, full] = nees_world(error[full], cov[full])
+    nees[1, full] = nees_invariant(estimate[full], evidence.truth[full], cov[full])
+    nees[2, full] = error[full, 2] ** 2 / cov[full, 2, 2]
+    step_ms = 1e3 * spent_s / len(estimate)
+    return Track(np.hypot(error[:, 0], error[:, 1]), error[:, 2], nees[0], nees[1], nees[2], step_ms)
+
+
+def follow_all(run: int, estimators: Sequence[str], seed: int, steps: int = STEPS) -> dict[str, Track]:
+    """One run's evidence through each of the estimators."""
+    evidence = simulate(seed, run, steps)
+    return {name: follow(name, evidence) for name in estimators}
+
+
+def all_runs(
+    runs: int, estimators: Sequence[str] = ESTIMATORS, seed: int = 0, jobs: int = 1, steps: int = STEPS
+) -> dict[str, list[Track]]:
+    """The tracks of each estimator, a run each, in the order of the runs however many processes there are."""
+    task = partial(follow_all, estimators=estimators, seed=seed, steps=steps)
+    tracks: dict[str, list[Track]] = {name: [] for name in estimators}
+    for one in tqdm(_mapped(task, runs, jobs), total=runs, unit=" runs", disable=None, leave=False):
+        for name, track in one.items():
+            tracks[name].append(track)
+    return tracks
+
+
+def _mapped(task: partial[dict[str, Track]], runs: int, jobs: int) -> Iterator[dict[str, Track]]:
+    if jobs == 1:
+        with single_threaded():
+            yield from map(task, range(runs))
+    else:
+        with ProcessPoolExecutor(jobs, initializer=single_threaded) as pool:
+            yield from pool.map(task, range(runs))
+
+
+def _mean_over_runs(tracks: list[Track], field: str) -> Array:
+    """(K,), nan at steps at which some run does not have it yet."""
+    return np.asarray(np.mean([getattr(track, field) for track in tracks], axis=0))
+
+
+def circle_figures(tracks: dict[str, list[Track]]) -> Figures:
+    """Flat keys, `ekf_invariant.position_rmse_m` and so on; ratios to `ekf`, and of `isam2` to `ekf-invariant`.
+
+    A run's NEES is correlated from step to step, so that its mean over the steps counts as one draw: `_se`, absent for
+    one run, is the standard error of the mean of these over the runs, as their spread has it.
+    """
+    figures: Figures = {}
+    for name, runs in tracks.items():
+        key = name.replace("-", "_")
+        figures[f"{key}.position_rmse_m"] = _rms([track.position_m for track in runs])
+        figures[f"{key}.heading_rmse_deg"] = math.degrees(_rms([track.heading for track in runs]))
+        for field in ("nees3", "nees3_invariant", "nees_heading"):
+            means = [float(np.nanmean(getattr(track, field))) for track in runs]
+            figures[f"{key}.{field}"] = float(np.mean(means))
+            if len(means) > 1:
+                figures[f"{key}.{field}_se"] = float(np.std(means, ddof=1)) / math.sqrt(len(means))
+        nees3 = _mean_over_runs(runs, "nees3")
+        figures[f"{key}.share_in_band"] = share_in_band(nees3[~np.isnan(nees3)], nees_band(len(runs)))
+        figures[f"{key}.step_ms"] = float(np.mean([track.step_ms for track in runs]))
+    pairs = [(name, "ekf") for name in tracks if name != "ekf"] + [("isam2", "ekf-invariant")]
+    for name, other in pairs:
+        if name in tracks and other in tracks:
+            key, by = name.replace("-", "_"), other.replace("-", "_")
+            ratio = figures[f"{key}.position_rmse_m"] / figures[f"{by}.position_rmse_m"]
+            figures[f"{key}.position_rmse_by_{by}"] = ratio
+    return figures
+
+
+def _rms(values: list[Array]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def table(figures: Figures, estimators: Sequence[str]) -> list[list[str]]:
+    """The lines of the table: a head, the estimators, and what they should reach."""
+    rows = [["estimator", *(head for head, *_ in COLUMNS)]]
+    for name in estimators:
+        key = name.replace("-", "_")
+        rows.append([name, *(_cell(figures, f"{key}.{column}", form) for _, column, form, _, _ in COLUMNS)])
+    rows.append(["should reach, ekf", *(standard for *_, standard, _ in COLUMNS)])
+    rows.append(["should reach, others", *(others for *_, others in COLUMNS)])
+    return rows
+
+
+def _cell(figures: Figures, key: str, form: str) -> str:
+    if key not in figures:
+        return ""
+    error = figures.get(f"{key}_se")
+    return format(figures[key], form) + ("" if error is None else f" ± {error:{form}}")
+
+
+def save_figure(file: Path, tracks: dict[str, list[Track]]) -> None:
+    """Draw NEES of the pose and of the heading, and both errors, over time."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11.0, 7.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, 2, sharex=True).ravel()
+    runs = len(next(iter(tracks.values())))
+    for ax, field, dof in ((axes[0], "nees3", 3), (axes[1], "nees_heading", 1)):
+        low, high = nees_band(runs, dof)
+        ax.axhspan(low, high, color="0.88", label="95 % band of a step")
+        _draw(ax, {name: _mean_over_runs(one, field) for name, one in tracks.items()})
+    _draw(axes[2], {name: _rms_over_runs([track.position_m for track in one]) for name, one in tracks.items()})
+    _draw(axes[3], {name: np.degrees(_rms_over_runs([track.heading for track in one])) for name, one in tracks.items()})
+    labels = (
+        "NEES of the pose, world coordinates",
+        "NEES of the heading",
+        "position RMSE (m)",
+        "heading RMSE (degrees)",
+    )
+    for ax, label in zip(axes, labels, strict=True):
+        ax.set_ylabel(label)
+        ax.set_ylim(bottom=0.0)
+        ax.grid(alpha=0.3)
+    for ax in axes[2:]:
+        ax.set_xlabel("time (s)")
+    axes[1].legend(fontsize="small")
+    figure.suptitle(f"Landmark circle, {runs} runs, means over {DRAWN_STEPS} steps")
+    figure.savefig(file, dpi=150)
+
+
+def _rms_over_runs(errors: list[Array]) -> Array:
+    return np.asarray(np.sqrt(np.mean(np.square(errors), axis=0)))
+
+
+def _draw(ax: Any, curves: dict[str, Array]) -> None:
+    for name, values in curves.items():
+        k = ESTIMATORS.index(name)
+        blocks = math.ceil(len(values) / DRAWN_STEPS)
+        time_s = [STEP_S * (block.mean() + 1) for block in np.array_split(np.arange(len(values)), blocks)]
+        means = [block[~np.isnan(block)].mean() for block in np.array_split(values, blocks)]
+        ax.plot(time_s, means, lw=WIDTHS[k], color=CYCLE[k], label=name)
+
+
+def main() -> None:
+    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--runs", type=int, default=100, metavar="N", help="so many runs (100)")
+    parser.add_argument("--estimator", nargs="+", default=ESTIMATORS, choices=ESTIMATORS, help="these alone")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of all runs (0)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="write a PNG of NEES and errors over time")
+    options = parser.parse_args()
+    for name, least in (("runs", 1), ("seed", 0), ("jobs", 1)):
+        if getattr(options, name) < least:
+            parser.error(f"--{name}: found {getattr(options, name)}, allowed: at least {least}")
+    tracks = all_runs(options.runs, options.estimator, options.seed, options.jobs)
+    figures = circle_figures(tracks)
+    print(machine())
+    print_table(table(figures, options.estimator))
+    write_json(options.json, figures)
+    if options.figure is not None:
+        save_figure(options.figure, tracks)
+
+
+if __name__ == "__main__":
+    main()

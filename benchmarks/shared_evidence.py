@@ -1,0 +1,157 @@
+"""One recorded run, five estimators: `python benchmarks/shared_evidence.py --runs 10 --figure docs/estimators.png`.
+
+A robot drives a tour with `--driver`; what its wheels and its laser said is then replayed to every estimator, so that
+what differs is the estimator alone. Errors are those of the causal estimate at key scans. With `--folder RUN` the
+recorded run is one that `sixthsense run` has left.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from harness import Figures, arguments, machine, print_table, write_json
+from tqdm import tqdm
+
+from sixthsense.config import Config, load_config, preset
+from sixthsense.estimators import ESTIMATORS
+from sixthsense.geometry import Array
+from sixthsense.logs.log import Log
+from sixthsense.logs.runfolder import read_run
+from sixthsense.loop import replay, run, warm_up
+from sixthsense.metrics import full_rank_from, nees_band, nees_world
+from sixthsense.plot import CYCLE, new_figure, save
+from sixthsense.source import Tick
+from sixthsense.trace import Trace
+
+# Column's head and key in the run's metrics.
+COLUMNS = (
+    ("ATE mm", "ate_rmse_m", 1e3),
+    ("max mm", "ate_max_m", 1e3),
+    ("heading mrad", "heading_rmse_rad", 1e3),
+    ("NEES", "pose_nees_world_mean", 1.0),
+    ("invariant", "pose_nees_invariant_mean", 1.0),
+    ("NIS/dof", "nis_mean_per_dof", 1.0),
+    ("landmarks", "landmarks", 1.0),
+    ("landmark RMSE mm", "landmark_rmse_m", 1e3),
+    ("update ms", "stage_ms_mean.update", 1.0),
+    ("associate ms", "stage_ms_mean.associate", 1.0),
+    ("key scan ms p50", "scan_ms_p50", 1.0),
+    ("p99", "scan_ms_p99", 1.0),
+)
+BIN_S = 10.0
+
+
+def record(config: Config) -> Log:
+    """The ticks of a simulated run."""
+    ticks: list[Tick] = []
+    run(config, lambda tick, _: ticks.append(tick))
+    return Log(ticks)
+
+
+def compare(log: Log, config: Config, estimators: Sequence[str]) -> dict[str, Trace]:
+    """Replay one log to each estimator."""
+    return {name: replay(log, dataclasses.replace(config, estimator=name)) for name in estimators}
+
+
+def over_time(trace: Trace) -> tuple[Array, Array, Array, Array]:
+    """Seconds, position error (m), NEES and processing time (ms) of the key scans; NEES is NaN without full rank."""
+    t = 1e-9 * (np.array(trace.key_stamps_ns) - trace.stamps_ns[0])
+    poses, truth = np.array([e.pose.array() for e in trace.key_estimates]), np.array(trace.key_truths)
+    covs = np.array([e.pose_cov for e in trace.key_estimates])
+    first = full_rank_from(covs)
+    nees = np.full(len(t), np.nan)
+    nees[first:] = nees_world(poses[first:] - truth[first:], covs[first:])
+    ms = np.array([sum(v for stage, v in row.items() if stage != "sense") for row in trace.stopwatch.rows])
+    return t, np.hypot(*(poses - truth)[:, :2].T), nees, ms
+
+
+def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
+    """Means over the runs of each column; keys `ekf_invariant.ate_rmse_m`."""
+    figures: Figures = {}
+    for name, runs in traces.items():
+        metrics = [trace.metrics() for trace in runs]
+        for _, key, _ in COLUMNS:
+            values = [m[key] for m in metrics if key in m]
+            if values:
+                figures[f"{name.replace('-', '_')}.{key}"] = float(np.mean(values))
+    return figures
+
+
+def draw(traces: Mapping[str, Sequence[Trace]], title: str) -> Any:
+    """Error, NEES and processing time over time, means over runs in bins of 10 s, one line per estimator."""
+    figure = new_figure(11.0, 8.0)
+    axes = figure.subplots(3, 1, sharex=True)
+    count = max(len(runs) for runs in traces.values())
+    low, high = nees_band(count)
+    axes[1].axhspan(low, high, color="#BBBBBB", alpha=0.5, linewidth=0, label=f"95 % of the mean of {count}")
+    for (name, runs), color in zip(traces.items(), CYCLE, strict=False):
+        rows = [np.concatenate(columns) for columns in zip(*map(over_time, runs), strict=True)]
+        t, error, nees, ms = rows
+        which = (t // BIN_S).astype(int)
+        bins = np.unique(which)
+        for ax, values, reduce in zip(axes, (1e3 * error, nees, ms), (_rms, np.nanmean, np.median), strict=True):
+            with np.errstate(invalid="ignore"):
+                line = [reduce(values[which == b]) if np.isfinite(values[which == b]).any() else np.nan for b in bins]
+            ax.plot((bins + 0.5) * BIN_S, line, color=color, linewidth=1.2, label=name)
+    axes[0].set_ylabel("position RMSE [mm]")
+    axes[1].set_ylabel("NEES of the pose [1]")
+    axes[2].set_ylabel("key scan, median [ms]")
+    axes[2].set_xlabel("time [s]")
+    axes[0].legend(ncols=5, fontsize=8, loc="upper left")
+    axes[1].legend(ncols=6, fontsize=8, loc="upper left")
+    for ax in axes:
+        ax.margins(x=0.0)
+        ax.set_ylim(bottom=0.0)
+    figure.suptitle(title)
+    return figure
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--runs", type=int, default=1, metavar="N", help="recorded runs, seeds 0 to N - 1")
+    parser.add_argument("--scene", default="apartment")
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--seconds", type=float, default=400.0, help="simulated, of each tour")
+    parser.add_argument("--driver", default="ekf-invariant", choices=ESTIMATORS, help="who drives")
+    parser.add_argument("--folder", type=Path, metavar="RUN", help="a recorded run, instead of new ones")
+    parser.add_argument("--estimator", nargs="+", default=list(ESTIMATORS), choices=ESTIMATORS, metavar="NAME")
+    parser.add_argument("--figure", type=Path, metavar="FILE.png")
+    options = parser.parse_args()
+    if options.runs < 1:
+        parser.error(f"--runs: found {options.runs}, allowed: at least 1")
+    warm_up()
+    traces: dict[str, list[Trace]] = {name: [] for name in options.estimator}
+    for seed in tqdm(range(1 if options.folder else options.runs), unit="run", disable=None):
+        if options.folder:
+            config = load_config(options.folder / "config.toml")
+            log: Log = read_run(options.folder, config.laser)
+        else:
+            config = preset(options.preset, scene=options.scene, task="tour", max_time=options.seconds, seed=seed)
+            log = record(dataclasses.replace(config, estimator=options.driver))
+        for name, trace in compare(log, config, options.estimator).items():
+            traces[name].append(trace)
+    figures = figures_of(traces)
+    print(machine())
+    print(f"{config.scene}, {config.preset}, {len(next(iter(traces.values())))} runs, {log.duration_s:.0f} s each")
+    rows = [["estimator", *(head for head, _, _ in COLUMNS)]]
+    for name in options.estimator:
+        values = [(figures.get(f"{name.replace('-', '_')}.{key}"), scale) for _, key, scale in COLUMNS]
+        rows.append([name, *("" if value is None else f"{scale * value:.3g}" for value, scale in values)])
+    print_table(rows)
+    write_json(options.json, figures)
+    if options.figure:
+        count = len(next(iter(traces.values())))
+        title = f"The same evidence, {len(traces)} estimators: {config.scene} tour, {count} run{'s' * (count > 1)}"
+        save(draw(traces, title), options.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""What the smoother costs as its graph grows: `python benchmarks/smoother_growth.py --figure growth.png`.
+
+A tour of the apartment of 6,000 scans with `isam2`: the whole processing of every key scan, in tenths of the run.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from harness import Figures, arguments, machine, print_table, write_json
+
+from sixthsense.config import preset
+from sixthsense.estimators import ESTIMATORS
+from sixthsense.geometry import Array
+from sixthsense.loop import run, warm_up
+from sixthsense.plot import ESTIMATE, LANDMARK, new_figure, save
+from sixthsense.trace import STAGES, Trace
+
+BUDGET_MS = 16.7
+TENTHS = 10
+
+
+def key_scan_ms(trace: Trace) -> Array:
+    """(K,) the whole processing of each key scan, without the simulation."""
+    return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in trace.stopwatch.rows])
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--estimator", default="isam2", choices=ESTIMATORS)
+    parser.add_argument("--seconds", type=float, default=600.0, help="simulated; ten scans each")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path, metavar="FILE.png")
+    options = parser.parse_args()
+    warm_up()
+    config = preset(
+        scene="apartment", task="tour", estimator=options.estimator, seed=options.seed, max_time=options.seconds
+    )
+    trace = run(config)
+    ms = key_scan_ms(trace)
+    print(machine())
+    print(f"{len(trace.stamps_ns)} scans, {len(ms)} key scans, {len(trace.records)} landmarks, {trace.outcome}")
+    parts = np.array_split(np.arange(len(ms)), TENTHS)
+    rows = [["key scans", "p50 ms", "p99 ms", "max ms", *STAGES[1:]]]
+    for part in parts:
+        means = [np.mean([trace.stopwatch.rows[k].get(stage, 0.0) for k in part]) for stage in STAGES[1:]]
+        figures = [*np.percentile(ms[part], [50, 99]), ms[part].max(), *means]
+        rows.append([f"{part[0]}-{part[-1]}", *(f"{value:.2f}" for value in figures)])
+    print_table(rows)
+    figures: Figures = {
+        "scans": len(trace.stamps_ns),
+        "key_scans": len(ms),
+        "scan_ms_p50": float(np.percentile(ms, 50)),
+        "scan_ms_p99": float(np.percentile(ms, 99)),
+        "scan_ms_max": float(ms.max()),
+        "last_over_first_tenth": float(np.median(ms[parts[-1]]) / np.median(ms[parts[0]])),
+        "realtime_factor": trace.metrics()["realtime_factor"],
+    }
+    print_table([["figure", "measured"], *([key, f"{value:.4g}"] for key, value in figures.items())])
+    write_json(options.json, figures)
+    if options.figure:
+        figure = new_figure(11.0, 4.0)
+        ax = figure.add_subplot()
+        ax.plot(ms, ".", markersize=2, color=ESTIMATE, label="a key scan")
+        ax.plot([p.mean() for p in parts], [np.median(ms[p]) for p in parts], color=LANDMARK, label="median of a tenth")
+        ax.axhline(BUDGET_MS, color="#999999", linestyle="--", label=f"{BUDGET_MS} ms")
+        ax.set_xlabel("key scan")
+        ax.set_ylabel("whole processing [ms]")
+        ax.set_ylim(0.0)
+        ax.legend(loc="upper left", ncols=3)
+        ax.set_title(f"{options.estimator}: what a key scan costs as the graph grows")
+        save(figure, options.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""Configuration of what is made of the evidence, stage by stage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from sixthsense.config.section import ConfigError, Range, Section
+from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount, Probability
+
+
+@dataclass(frozen=True)
+class KeyScanConfig(Section):
+    """A scan is a key scan, and used, when the robot has moved this far since the last one."""
+
+    distance_m: NonNegative = 0.25
+    """With either at 0 every scan after any motion is one."""
+    turn_rad: NonNegative = 0.15
+    """See above."""
+
+
+@dataclass(frozen=True)
+class PartitionConfig(Section):
+    """First level: split the scan where neighbouring ranges jump (report eq. 4)."""
+
+    method: Literal["adaptive", "fixed"] = "adaptive"
+    """adaptive: the jump allowed grows with range and beam spacing (Borges and Aldon 2004)."""
+    epsilon_m: Positive = 1.0
+    """Jump allowed by the fixed method."""
+    incidence_rad: Annotated[float, Range(0.0, 1.5, open_low=True)] = math.radians(10.0)
+    """Adaptive: the flattest angle between beam and wall that still counts as one wall."""
+
+
+@dataclass(frozen=True)
+class SplitConfig(Section):
+    """Second level: iterative end point fitting (report algorithm 1)."""
+
+    enabled: bool = True
+    """Off: RANSAC works on the first-level partitions."""
+    epsilon_m: Positive = 0.06
+    """A piece is split at its farthest point when that lies farther than this from the chord."""
+
+
+@dataclass(frozen=True)
+class LinesConfig(Section):
+    """Line fitting: RANSAC, then orthogonal least squares."""
+
+    ransac: bool = True
+    """Off: the whole second-level piece is fitted as one line."""
+    ransac_threshold_m: Positive = 0.05
+    """Greatest distance of an inlier from its line."""
+    ransac_iterations: PositiveCount = 20
+    """Pairs drawn per piece at most; stops early when all points are inliers."""
+    least_squares: bool = True
+    """Off: the line through RANSAC's best pair."""
+    min_points: Annotated[int, Range(3)] = 6
+    """A line needs this many inliers."""
+    min_length_m: NonNegative = 0.2
+    """A wall shorter than this is no wall."""
+
+
+@dataclass(frozen=True)
+class LandmarksConfig(Section):
+    """Which end points and intersections count as landmarks."""
+
+    corners: bool = True
+    """Intersections of neighbouring walls."""
+    ends: bool = True
+    """Loose ends of walls, under the report's four rules."""
+    max_gap_m: Positive = 0.3
+    """Two walls meet in a corner only if both end within this of it."""
+    min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True)] = math.radians(25.0)
+    """Two walls at a flatter angle make no corner."""
+    range_margin_m: NonNegative = 0.2
+    """Rule 2: an end this close to the maximum range is none."""
+    min_points: Annotated[int, Range(3)] = 8
+    """Rule 4: the partition that ends in a loose end needs this many points."""
+    max_sigma_m: Positive = 0.15
+    """A landmark known worse than this along any direction is not reported."""
+
+
+@dataclass(frozen=True)
+class FeaturesConfig(Section):
+    """From a scan to walls and landmarks (report section 4.2)."""
+
+    partition: PartitionConfig = field(default_factory=PartitionConfig)
+    split: SplitConfig = field(default_factory=SplitConfig)
+    lines: LinesConfig = field(default_factory=LinesConfig)
+    landmarks: LandmarksConfig = field(default_factory=LandmarksConfig)
+
+
+@dataclass(frozen=True)
+class AssociationConfig(Section):
+    """Which sighting is of which landmark (report section 4.3)."""
+
+    method: Literal["chi2", "report"] = "chi2"
+    """chi2: gates by probability; report: squared Mahalanobis thresholds."""
+    match_probability: Probability = 0.999
+    """chi2: a match lies inside this much of the innovation's distribution."""
+    new_probability: Probability = 0.999999
+    """chi2: a new landmark lies outside this much of every known one's."""
+    match_below: Positive = 20.0
+    """report: squared Mahalanobis distance of a match."""
+    new_above: Positive = 200.0
+    """report: squared Mahalanobis distance, to every landmark, of a new one."""
+    pre_gate_m: Positive = 1.5
+    """Only landmarks this near a sighting are looked at."""
+    new_separation_m: NonNegative = 0.3
+    """A new landmark is at least this far from every known one."""
+    candidate_sightings: PositiveCount = 1
+    """A landmark joins the state at its n-th sighting; 1: at once."""
+    candidate_gate_m: Positive = 0.2
+    """A sighting this near a candidate is of that candidate."""
+    candidate_scans: PositiveCount = 30
+    """A candidate unseen for this many key scans is dropped."""
+    known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
+    """A landmark known by name was seen inside this much of the innovation's distribution, else misread; 1: always."""
+    culling: bool = True
+    """Remove landmarks that were seen too rarely."""
+    cull_period: PositiveCount = 25
+    """Key scans between two checks."""
+    cull_below: Count = 3
+    """A landmark with fewer sightings than this, a period after its birth, is removed."""
+
+
+@dataclass(frozen=True)
+class ISAM2Config(Section):
+    """The smoother (Kaess et al., IJRR 31(2), 2012)."""
+
+    relinearize_threshold: Positive = 0.02
+    """A variable that has moved farther than this, m or rad, is linearised anew."""
+    relinearize_skip: PositiveCount = 1
+    """Updates between two looks at that."""
+    iterations: PositiveCount = 2
+    """Gauss-Newton steps per update; with one the smoother is overconfident where the heading is known badly."""
+    robust: Literal["none", "huber", "cauchy"] = "none"
+    """Loss on landmarks' factors, against wrong matches."""
+    robust_scale: Positive = 1.5
+    """Whitened error at which the loss bends."""
+
+
+@dataclass(frozen=True)
+class GridConfig(Section):
+    """Hit grid and sense grid (report sections 4.4 and 4.5)."""
+
+    cell_m: Annotated[float, Range(1e-3, 10.0)] = 0.05
+    """Side of a cell."""
+    walls: bool = True
+    """Fitted walls count as hits, beside the laser's ends."""
+    min_hits: PositiveCount = 1
+    """Fewest hits of an obstacle."""
+    passes_per_hit: Positive = 4.0
+    """A cell is free again when it was passed more than this often per hit."""
+    max_hits: PositiveCount = 10
+    """Hits beyond this count no more, so that a wall that is seen to have gone can go."""
+    no_return_passes: bool = True
+    """A beam that met nothing crossed all cells up to the maximum range; off where glass and black swallow beams."""
+    clearance_m: Annotated[float, Range(0.0, 10.0)] = 0.05
+    """Added to the robot's radius when obstacles are inflated."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.min_hits > self.max_hits:
+            raise ConfigError(f"min_hits: found {self.min_hits}, allowed: at most max_hits, {self.max_hits}")
+
+
+@dataclass(frozen=True)
+class FollowConfig(Section):
+    """Orient, then translate (report section 4.4)."""
+
+    heading_slack_rad: Positive = 0.02
+    """The robot drives when its heading is this close to the way point's direction."""
+    distance_slack_m: Positive = 0.02
+    """A way point this near is reached."""
+    goal_slack_m: Positive = 0.05
+    """A goal this near is reached."""
+    shortcut: bool = True
+    """Aim for the furthest way point in line of sight, not for the next."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.distance_slack_m > self.goal_slack_m:
+            found = f"distance_slack_m: found {self.distance_slack_m:g}"
+            raise ConfigError(f"{found}, allowed: at most goal_slack_m, {self.goal_slack_m:g}")

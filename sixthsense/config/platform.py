@@ -1,0 +1,104 @@
+"""Configuration of the robot, its laser, and the noise of both, as it is and as it is assumed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from sixthsense.config.section import Range, Section
+from sixthsense.config.values import Distribution, Noise, NonNegative, Positive, PositiveCount
+
+
+@dataclass(frozen=True)
+class MotionNoise(Section):
+    """Noise of the drive: multiplicative on each control tick, plus slip that grows with the way made."""
+
+    distribution: Distribution = "gaussian"
+    """Of the multiplicative part."""
+    speed: Noise = 0.1
+    """Of v, as a fraction of it: sigma, or the half-width if uniform."""
+    turn_rate: Noise = 0.1
+    """Of omega, as a fraction of it: sigma, or the half-width if uniform."""
+    slip_position_per_sqrt_m: Noise = 5e-3
+    """Sigma of position slip, m / sqrt(m)."""
+    slip_position_per_sqrt_rad: Noise = 2e-3
+    """Sigma of position slip, m / sqrt(rad)."""
+    slip_heading_per_sqrt_m: Noise = math.radians(0.5)
+    """Sigma of heading slip, rad / sqrt(m)."""
+    slip_heading_per_sqrt_rad: Noise = math.radians(0.5)
+    """Sigma of heading slip, rad / sqrt(rad)."""
+
+
+@dataclass(frozen=True)
+class LaserNoise(Section):
+    """Additive noise of the laser."""
+
+    distribution: Distribution = "gaussian"
+    """Of both parts."""
+    range_m: Noise = 0.01
+    """Of a range: sigma, or the half-width if uniform."""
+    bearing_rad: Noise = 0.0
+    """Of a beam's direction: sigma, or the half-width if uniform."""
+
+
+@dataclass(frozen=True)
+class WorldConfig(Section):
+    """What the simulator does; the estimators never see it."""
+
+    motion: MotionNoise = field(default_factory=MotionNoise)
+    laser: LaserNoise = field(default_factory=LaserNoise)
+    wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
+    """The true way and turn are (1 + this) times what the wheels report."""
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
+    """Turn that an unequal pair of wheels adds per metre driven."""
+
+
+@dataclass(frozen=True)
+class AssumedConfig(Section):
+    """What the estimators believe of the noise; equal to the simulator's by default, a mismatch is an experiment."""
+
+    motion: MotionNoise = field(default_factory=MotionNoise)
+    laser: LaserNoise = field(default_factory=LaserNoise)
+    wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
+    """The true way and turn are (1 + this) times what the wheels report: corrected before it is used."""
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
+    """Turn that an unequal pair of wheels adds per metre driven: corrected before it is used."""
+    landmark_floor_m: Noise = 0.0
+    """Sigma added to every sighting: how far real walls are from the straight lines fitted to them."""
+    floor_m: Noise = 1e-4
+    """Sigma of position every key scan's worth of motion adds at least, so that the covariance has full rank."""
+    floor_rad: Noise = 1e-4
+    """The same for the heading."""
+
+
+@dataclass(frozen=True)
+class RobotConfig(Section):
+    """The differential drive."""
+
+    speed: Positive = 0.5
+    """Top speed, m/s."""
+    turn_rate: Positive = 1.0
+    """Top turn rate, rad/s."""
+    radius: NonNegative = 0.0
+    """Of the disc, m; 0 takes the scene's."""
+    control_period_s: Annotated[float, Range(1e-4, 10.0)] = 0.02
+    """Between two control ticks."""
+    integration_step_s: Annotated[float, Range(1e-4)] = 0.01
+    """Longest RK4 step within a tick."""
+
+
+@dataclass(frozen=True)
+class LaserConfig(Section):
+    """The scanner, its mount and its rate."""
+
+    beams: Annotated[int, Range(2, 100_000)] = 360
+    """Beams per scan; a full circle is closed, the first beam follows the last."""
+    fov: Annotated[float, Range(0.0, 2 * math.pi, open_low=True)] = 2 * math.pi
+    """Field of view, rad, centred on the mount's x axis."""
+    max_range: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 10.0
+    """A beam that meets nothing nearer returns inf, m."""
+    mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Pose of the laser in the robot's frame: x y theta."""
+    period_ticks: PositiveCount = 5
+    """Control ticks per scan."""

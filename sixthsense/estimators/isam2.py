@@ -1,0 +1,194 @@
+"""Incremental smoothing with GTSAM's ISAM2: all key poses and landmarks at once (Kaess et al., IJRR 31(2), 2012)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from sixthsense.config import ISAM2Config
+from sixthsense.estimators.base import Estimate, check_covariance, check_sightings
+from sixthsense.geometry import Array, Pose, rotation
+from sixthsense.landmarks import LandmarkId, Sighting
+from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
+
+# Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular.
+_FLOOR = 1e-6
+
+
+class ISAM2:
+    """A factor graph with one pose per update: a prior, odometry between poses, bearing and range to landmarks.
+
+    GTSAM's tangent of a pose is the robot's frame: covariances are turned into it and out of it. Poses of updates
+    without a sighting wait for the next update with one: until then there is nothing to solve.
+    """
+
+    def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
+        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero; ValueError if it is none."""
+        self._start_cov = check_covariance("start_cov", start_cov)
+        self._iterations = config.iterations
+        self._robust = _loss(config)
+        parameters = gtsam.ISAM2Params()
+        parameters.setRelinearizeThreshold(config.relinearize_threshold)
+        parameters.relinearizeSkip = config.relinearize_skip
+        parameters.setFactorization("QR")  # Cholesky fails beside an exactly known start
+        wildfire = gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold))
+        parameters.setOptimizationParams(wildfire)
+        self._isam = gtsam.ISAM2(parameters)
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        """what the solver has not seen yet"""
+        self._waiting: list[Pose] = []
+        """poses among that, by odometry from the last one solved"""
+        self._poses = 0
+        """solved and waiting"""
+        self._keys: dict[LandmarkId, int] = {}
+        self._born = 0
+        self._factors: dict[LandmarkId, list[int]] = {}
+        """per landmark: places of its factors in the graph"""
+        self._step = STANDSTILL
+        """motion since the last pose, waiting or not"""
+        self._pending = STANDSTILL
+        """motion since the last pose that was solved"""
+        self._pose, self._pose_cov = start, self._start_cov
+        """of the last pose that was solved"""
+        self._landmarks = np.zeros((0, 2))
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move by an increment; it becomes part of the graph at the next update."""
+        check_covariance("odometry", odometry.cov)
+        if not odometry.is_standstill():
+            self._step = self._step.then(odometry)
+            self._pending = self._pending.then(odometry)
+
+    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Add the pose of now and what was sighted from it; solve if anything was."""
+        check_sightings(sightings)
+        guess = self._pose @ self._pending.motion
+        self._add_pose(guess)
+        self._waiting.append(guess)
+        self._poses += 1
+        self._step = STANDSTILL
+        if not sightings:
+            return
+        first = self._graph.size()
+        for i, sighting in sightings.items():
+            if i not in self._keys:
+                self._keys[i], self._factors[i] = L(self._born), []
+                self._born += 1
+                bearing, distance, _ = sighting.bearing_range()
+                self._values.insert(self._keys[i], guess @ (distance * rotation(bearing)[:, 0]))
+            self._graph.add(self._factor(self._keys[i], sighting))
+        places = self._isam.update(self._graph, self._values).getNewFactorsIndices()
+        for i, place in zip(sightings, places[first:], strict=True):
+            self._factors[i].append(place)
+        # Fresh ones each time: a factor that is sent twice counts twice.
+        self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._waiting.clear()
+        self._pending = STANDSTILL
+        self._read()
+
+    def forget(self, ids: Collection[LandmarkId]) -> None:
+        """Remove landmarks with all their factors: what they have told of the poses is forgotten with them."""
+        gone = set(ids)
+        for i in gone:
+            self._keys[i]  # KeyError before anything is removed
+        if not gone:
+            return
+        places = [place for i in gone for place in self._factors.pop(i)]
+        for i in gone:
+            del self._keys[i]
+        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), sorted(places))
+        self._read()
+
+    def estimate(self) -> Estimate:
+        """The pose with all motion so far, its covariance, and the landmarks' means."""
+        pose = self._pose @ self._pending.motion
+        cov = self._moved(self._pose_cov)
+        return Estimate(pose, cov, np.array(list(self._keys), dtype=np.int64), self._landmarks.copy())
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
+        keys = [self._keys[i] for i in ids]
+        if not keys:
+            return self._moved(self._pose_cov)
+        # GTSAM answers in the order of the query; only the pose has a frame of its own.
+        joint = self._isam.jointMarginalCovariance([self._last_solved, *keys]).fullMatrix()
+        turn = rotation(self._pose.theta)
+        joint[:2] = turn @ joint[:2]
+        joint[:, :2] = joint[:, :2] @ turn.T
+        joint[:3, :3] = self._pose_cov
+        return self._moved(0.5 * (joint + joint.T))
+
+    def trajectory(self) -> Array:
+        """(K, 3), the pose at each update, as all evidence up to now has it."""
+        solved = np.asarray(gtsam.utilities.extractPose2(self._isam.calculateEstimate())).reshape(-1, 3)
+        return np.vstack([solved, *(pose.array() for pose in self._waiting)])
+
+    def graph_error(self) -> float:
+        """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
+        return float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+
+    @property
+    def _last_solved(self) -> int:
+        return int(X(self._poses - 1 - len(self._waiting)))
+
+    def _add_pose(self, guess: Pose) -> None:
+        key = X(self._poses)
+        self._values.insert(key, _pose2(guess))
+        if self._poses == 0:
+            noise = _gaussian(Odometry(guess, self._moved(self._start_cov)))
+            self._graph.add(gtsam.PriorFactorPose2(key, _pose2(guess), noise))
+        else:
+            noise = _gaussian(self._step)
+            self._graph.add(gtsam.BetweenFactorPose2(key - 1, key, _pose2(self._step.motion), noise))
+
+    def _factor(self, key: int, sighting: Sighting) -> gtsam.NonlinearFactor:
+        bearing, distance, cov = sighting.bearing_range()
+        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(cov)
+        if self._robust is not None:
+            noise = gtsam.noiseModel.Robust.Create(self._robust, noise)
+        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
+
+    def _read(self) -> None:
+        """Finish the iterations asked for, then take pose, covariance and landmarks over from the solver."""
+        for _ in range(self._iterations - 1):
+            self._isam.update()
+        last = self._last_solved
+        pose = self._isam.calculateEstimatePose2(last)
+        self._pose = Pose(pose.x(), pose.y(), pose.theta())
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(self._pose.theta)
+        cov = turn @ self._isam.marginalCovariance(last) @ turn.T
+        self._pose_cov = 0.5 * (cov + cov.T)
+        # One by one: there are fewer landmarks than poses.
+        rows = [self._isam.calculateEstimatePoint2(key) for key in self._keys.values()]
+        self._landmarks = np.array(rows).reshape(-1, 2)
+
+    def _moved(self, joint: Array) -> Array:
+        """A joint covariance (n, n) of the last update's pose and landmarks, with the motion since taken in; a copy."""
+        if self._pending is STANDSTILL:
+            return joint.copy()
+        phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        moved = joint.copy()
+        moved[:3] = phi @ moved[:3]
+        moved[:, :3] = moved[:, :3] @ phi.T
+        moved[:3, :3] += g @ self._pending.cov @ g.T
+        return 0.5 * (moved + moved.T)
+
+
+def _pose2(pose: Pose) -> gtsam.Pose2:
+    return gtsam.Pose2(pose.x, pose.y, pose.theta)
+
+
+def _gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
+    return gtsam.noiseModel.Gaussian.Covariance(motion.cov_after() + _FLOOR**2 * np.eye(3))
+
+
+def _loss(config: ISAM2Config) -> gtsam.noiseModel.mEstimator.Base | None:
+    if config.robust == "huber":
+        return gtsam.noiseModel.mEstimator.Huber.Create(config.robust_scale)
+    if config.robust == "cauchy":
+        return gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
+    return None

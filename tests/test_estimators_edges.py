@@ -1,0 +1,187 @@
+"""The edges of the contract: bad input, exact knowledge, no noise, no sightings for long."""
+
+import math
+
+import numpy as np
+import pytest
+from estimation import (
+    POINTS,
+    START,
+    assert_same,
+    driven,
+    everything,
+    fed,
+    make,
+    noisy,
+    random_log,
+    sight,
+    sight_exactly,
+    step,
+)
+
+from sixthsense.estimators import ESTIMATORS
+from sixthsense.geometry import Pose, wrap_angle
+from sixthsense.landmarks import Kind, Sighting
+from sixthsense.motion import STANDSTILL, Odometry
+
+BAD_POSE_COVS = {
+    "a value that is not finite": np.diag([0.01, np.nan, 0.01]),
+    "not finite": np.diag([0.01, np.inf, 0.01]),
+    "an asymmetric matrix": np.diag([0.01, 0.01, 0.01]) + np.array([[0, 1e-3, 0], [0, 0, 0], [0, 0, 0]]),
+    "an eigenvalue of -0.01": np.diag([0.01, -0.01, 0.01]),
+    r"expected shape \(3, 3\), got \(2, 2\)": np.eye(2),
+}
+BAD_SIGHTINGS = {
+    "a value that is not finite": ([1.0, 2.0], [[0.01, np.nan], [np.nan, 0.01]]),
+    "not finite": ([1.0, 2.0], [[np.inf, 0.0], [0.0, 0.01]]),
+    "an asymmetric matrix": ([1.0, 2.0], [[0.01, 1e-3], [0.0, 0.01]]),
+    "an eigenvalue of -0.01": ([1.0, 2.0], [[0.01, 0.02], [0.02, 0.01]]),
+    "an eigenvalue of -1": ([1.0, 2.0], [[-1.0, 0.0], [0.0, -1.0]]),
+    "a singular covariance": ([1.0, 2.0], [[0.01, 0.0], [0.0, 0.0]]),
+    "singular|an eigenvalue of .*e-": ([1.0, 2.0], [[0.01, 0.01], [0.01, 0.01]]),
+    "landmark 7: found z": ([np.nan, 2.0], [[0.01, 0.0], [0.0, 0.01]]),
+    r"expected z \(2,\)": ([1.0, 2.0, 3.0], [[0.01, 0.0], [0.0, 0.01]]),
+}
+
+
+@pytest.fixture(params=ESTIMATORS)
+def name(request):
+    return request.param
+
+
+@pytest.mark.parametrize("fault", BAD_POSE_COVS)
+def test_a_start_whose_covariance_is_none_is_named(name, fault):
+    with pytest.raises(ValueError, match=f"start_cov: .*{fault}"):
+        make(name, START, BAD_POSE_COVS[fault])
+
+
+@pytest.mark.parametrize("fault", BAD_POSE_COVS)
+def test_an_odometry_whose_covariance_is_none_is_named_and_changes_nothing(name, fault):
+    estimator = driven(name)
+    before = everything(estimator)
+    for motion in (Pose(0.1, 0.0, 0.0), Pose()):
+        with pytest.raises(ValueError, match=f"odometry: .*{fault}"):
+            estimator.predict(Odometry(motion, BAD_POSE_COVS[fault]))
+        assert_same(before, everything(estimator))
+
+
+@pytest.mark.parametrize("fault", BAD_SIGHTINGS)
+def test_a_sighting_that_is_none_is_named_and_changes_nothing(name, fault):
+    """Not even the good sightings of the same scan are taken in."""
+    estimator = driven(name)
+    before, rows = everything(estimator), estimator.trajectory()
+    z, cov = BAD_SIGHTINGS[fault]
+    good = sight(Pose(1.0, 1.0, 1.0), [0, 1, 2], np.random.default_rng(0))
+    for i in (7, 1):
+        bad = {i: Sighting(Kind.CORNER, np.array(z), np.array(cov))}
+        with pytest.raises(ValueError, match=fault.replace("landmark 7", f"landmark {i}")):
+            estimator.update(good | bad if i == 7 else bad)
+        assert_same(before, everything(estimator))
+        assert np.array_equal(rows, estimator.trajectory())
+    estimator.update(good)
+    assert len(estimator.trajectory()) == 9
+
+
+def test_the_fault_of_a_sighting_names_its_landmark(name):
+    good = sight(START, [0, 1, 2], np.random.default_rng(0))
+    with pytest.raises(ValueError, match="landmark 41: found an asymmetric matrix, allowed: a covariance, symmetric"):
+        make(name).update(good | {41: Sighting(Kind.END, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]]))})
+
+
+def test_a_motion_known_exactly_moves_the_pose_and_its_uncertainty_with_it(name):
+    estimator = driven(name)
+    before = estimator.estimate()
+    estimator.predict(Odometry(Pose(0.5, 0.1, 0.2), np.zeros((3, 3))))
+    after = estimator.estimate()
+    assert np.allclose(after.pose.array(), (before.pose @ Pose(0.5, 0.1, 0.2)).array(), atol=1e-12)
+    assert after.pose_cov[2, 2] == pytest.approx(before.pose_cov[2, 2])
+    assert np.linalg.det(after.pose_cov) == pytest.approx(np.linalg.det(before.pose_cov))
+    estimator.update(sight(after.pose, [0, 1, 2], np.random.default_rng(0)))
+    assert np.linalg.eigvalsh(everything(estimator)[1]).min() > 0.0
+
+
+def test_a_pose_is_kept_for_each_of_many_updates_without_a_sighting(name):
+    """Odometry alone: what it says is what is known, and the next sighting is taken in as ever."""
+    estimator, folded, rows = make(name), STANDSTILL, []
+    for k in range(300):
+        if k % 3:
+            estimator.predict(step())
+            folded = folded.then(step())
+        estimator.update({})
+        rows.append((START @ folded.motion).array())
+    assert np.allclose(estimator.trajectory(), rows, atol=1e-9)
+    alone = make(name)
+    alone.predict(folded)
+    assert_same(everything(estimator), everything(alone), 1e-9)
+    expected = START @ folded.motion
+    for k in range(3):
+        estimator.update(sight(expected, range(5), np.random.default_rng(k)))
+    assert estimator.trajectory().shape == (303, 3)
+    estimate, joint = everything(estimator)
+    assert np.linalg.eigvalsh(joint).min() > 0.0
+    assert np.allclose(estimator.trajectory()[-1], estimate.pose.array())
+
+
+def test_the_trajectory_has_one_row_per_update_and_is_empty_before(name):
+    estimator = make(name)
+    assert estimator.trajectory().shape == (0, 3)
+    rng = np.random.default_rng(0)
+    for k in range(70):
+        estimator.predict(step())
+        estimator.update(sight(START, [0, 1], rng) if k % 7 == 3 else {})
+        rows = estimator.trajectory()
+        assert rows.shape == (k + 1, 3)
+        assert np.allclose(rows[-1], estimator.estimate().pose.array(), atol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [step(), step(0.0, 0.3), step(0.3, 0.0), Odometry(Pose(), np.zeros((3, 3)))])
+def test_driving_off_from_exact_knowledge_never_fails(name, motion):
+    estimator, true = make(name, Pose(), np.zeros((3, 3))), Pose()
+    for _ in range(30):
+        estimator.predict(motion)
+        true = true @ motion.motion
+        estimator.update(sight_exactly(name, true, range(5)))
+    estimate, joint = everything(estimator)
+    assert np.isfinite(joint).all() and np.linalg.eigvalsh(joint).min() > -1e-12
+    assert np.allclose(estimate.pose.position, true.position, atol=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [1e-2, 1e-4, 1e-6])
+def test_as_the_noise_goes_to_zero_the_estimate_goes_to_the_truth(name, sigma):
+    rng = np.random.default_rng(1)
+    estimator, true = make(name, Pose(), np.zeros((3, 3))), Pose()
+    for _ in range(40):
+        odometry = step(sigma=sigma)
+        true = true @ noisy(odometry, rng)
+        estimator.predict(odometry)
+        estimator.update(sight(true, range(5), rng, sigma))
+    estimate = estimator.estimate()
+    assert math.dist(estimate.pose.position, true.position) < 5 * sigma
+    assert abs(wrap_angle(estimate.pose.theta - true.theta)) < 5 * sigma
+    order = np.argsort(estimate.ids)
+    assert np.abs(estimate.landmarks[order] - POINTS).max() < 5 * sigma
+
+
+def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
+    """The gap to the smoother goes with the square of the noise, for what differs is of second order."""
+    gaps = []
+    for sigma in (1e-2, 1e-3):
+        answers = []
+        for name in ESTIMATORS:
+            rng, true, log = np.random.default_rng(1), Pose(), []
+            for _ in range(30):
+                odometry = step(sigma=sigma)
+                true = true @ noisy(odometry, rng)
+                log.append((odometry, sight(true, range(5), rng, sigma)))
+            estimate, joint = everything(fed(make(name, Pose(), np.zeros((3, 3))), log))
+            answers.append((np.append(estimate.pose.array(), estimate.landmarks), joint / sigma**2))
+        mean, cov = answers[-1]
+        gaps.append([[np.abs(m - mean).max() / sigma, np.abs(c - cov).max() / np.abs(cov).max()] for m, c in answers])
+    rough, fine = np.array(gaps)
+    assert (fine < 2e-3).all() and (fine[:-1] < 0.3 * rough[:-1]).all()
+
+
+def test_a_long_random_drive_keeps_the_joint_covariance_positive(name):
+    points = np.random.default_rng(3).uniform(-5, 5, (30, 2))
+    estimate, joint = everything(fed(make(name), random_log(2, points)))
+    assert len(estimate.ids) == 30 and np.linalg.eigvalsh(joint).min() > 0.0
