@@ -25,7 +25,7 @@ from harness import Figures, arguments, machine, print_table, single_threaded, w
 
 from sixthsense.config import ISAM2Config, preset
 from sixthsense.estimators import ESTIMATORS, Estimator, make_estimator
-from sixthsense.estimators.isam2 import ISAM2
+from sixthsense.estimators.isam2 import ISAM2, solver_parameters
 from sixthsense.geometry import Array, Pose
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.logs.graph import read_graph
@@ -71,13 +71,8 @@ class ByHand:
     """GTSAM's ISAM2 without us."""
 
     def __init__(self, config: ISAM2Config, pose_only: bool = False) -> None:
-        parameters = gtsam.ISAM2Params()
-        parameters.setRelinearizeThreshold(config.relinearize_threshold)
-        parameters.relinearizeSkip = config.relinearize_skip
-        parameters.setFactorization("QR")
-        parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
-        self.isam = gtsam.ISAM2(parameters)
-        self._iterations, self._pose_only = config.iterations, pose_only
+        self.isam = gtsam.ISAM2(solver_parameters(config))
+        self._config, self._pose_only = config, pose_only
         self._poses = 0
         self._pose = gtsam.Pose2()
         self._known: set[LandmarkId] = set()
@@ -100,11 +95,16 @@ class ByHand:
             graph.add(gtsam.BearingRangeFactor2D(key, L(i), gtsam.Rot2(bearing), distance, noise))
             if i not in self._known:
                 self._known.add(i)
-                x, y = step.sightings[i].z
-                values.insert(L(i), guess.transformFrom(gtsam.Point2(x, y)))
+                at = distance * np.array([np.cos(bearing), np.sin(bearing)])
+                values.insert(L(i), guess.transformFrom(at))
         self.isam.update(graph, values)
-        for _ in range(self._iterations - 1):
+        linearised = guess
+        for _ in range(self._config.iterations - 1):
+            solved = self.isam.calculateEstimatePose2(key)
+            if np.abs(linearised.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
+                break
             self.isam.update()
+            linearised = solved
         if self._pose_only:
             self._pose = self.isam.calculateEstimatePose2(key)
             return self._pose

@@ -1,5 +1,6 @@
 __version__: str
 
+from .campaign import load_campaign as load_campaign
 from .config import Config as Config
 from .config import ConfigError as ConfigError
 from .config import load_config as load_config

@@ -71,8 +71,8 @@ def metrics(folder: Path) -> dict[str, object]:
 
 
 BAD_LINES = [
-    ("rn", "command: found 'rn', allowed: run, replay, calibrate, report, scenes"),
-    ("--version", "command: found '--version', allowed: run, replay, calibrate, report, scenes"),
+    ("rn", "command: found 'rn', allowed: run, replay, calibrate, campaign, report, scenes"),
+    ("--version", "command: found '--version', allowed: run, replay, calibrate, campaign, report, scenes"),
     ("scenes extra", "scenes: found 'extra', allowed: no further words"),
     ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),

@@ -10,7 +10,7 @@ from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
 from sixthsense.errors import InputError
 
-COMMANDS = ("run", "replay", "calibrate", "report", "scenes")
+COMMANDS = ("run", "replay", "calibrate", "campaign", "report", "scenes")
 
 USAGE = """\
 usage: sixthsense COMMAND ...
@@ -22,6 +22,8 @@ commands:
   replay LOG     digest a real robot's log with the same code
   calibrate SCENE
                  measure the robot's noise where the truth is known, for `run --config`
+  campaign [SCENE ...]
+                 many runs on many processors or machines: a table of scenes, estimators and seeds
   report RUN_DIR ...
                  figures of one run, or of several side by side with a table
   scenes         list the scenes that ship

@@ -133,7 +133,7 @@ class ISAM2Config(Section):
     relinearize_skip: PositiveCount = 1
     """Updates between two looks at that."""
     iterations: PositiveCount = 2
-    """Gauss-Newton steps per update; with one the smoother is overconfident where the heading is known badly."""
+    """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are known badly."""
     robust: Literal["none", "huber", "cauchy"] = "none"
     """Loss on landmarks' factors, against wrong matches."""
     robust_scale: Positive = 1.5

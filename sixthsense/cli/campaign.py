@@ -1,0 +1,201 @@
+"""`sixthsense campaign`."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from sixthsense.cli.common import announce_compilation, wants_help
+from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
+from sixthsense.cli.options import Table, UsageError, parse
+from sixthsense.config import is_of_replay, load_config, preset
+from sixthsense.config.section import shown
+
+USAGE = """\
+usage: sixthsense campaign [SCENE ...] --seeds FIRST:LAST ... --out DIR [options]
+
+Monte Carlo: run every scene with every estimator, preset, planner and seed, and keep a row of metrics for each run.
+
+The same command again goes on where it was stopped; with more scenes, seeds, ... it makes those that are missing.
+
+  SCENE ...             shipped names or files (.toml, map_server .yaml, .scn), before all options
+  --seeds FIRST:LAST    seeds from FIRST on, without LAST; several ranges and single seeds may be given
+  --estimator NAME ...  back ends to compare
+  --preset NAME ...     presets
+  --planner NAME ...    path planners
+  --config FILE         TOML file, partial or whole, over each preset
+  --out DIR             folder to write: campaign.toml, and rows/, a Parquet folder; ss.load_campaign(DIR) reads it
+  --retry-failed        make the runs again whose rows say "error"; otherwise they count as done
+  --workers N           processes of the local cluster; by default one per processor
+  --scheduler ADDRESS   run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786
+
+Every field of the configuration is an option too, with one value for all runs: --task tour, --max-time 400,
+--laser.beams 181, ...; `sixthsense run --help` lists them.
+
+Exit code: 0 when all rows are there, 1 when some say "error", 130 after Ctrl-C, 2 for bad input.
+"""
+
+OWN = {"config": Path, "out": Path, "retry-failed": bool, "workers": int, "scheduler": str}
+LISTS = ("scene", "estimator", "preset", "planner", "seeds")
+
+
+def command(args: list[str]) -> int:
+    """Make the runs of a campaign that its folder does not have."""
+    if wants_help(args):
+        print(USAGE, end="")
+        return DONE
+    lists, rest = split_lists(args)
+    given, table = parse(rest, OWN, "scene")
+    _check(given, table, lists)
+    from sixthsense.campaign import Campaign, Rows
+    from sixthsense.campaign.folder import check_folder, check_rows, save_folder
+    from sixthsense.campaign.plan import AXES, plan, resolved, seed_range, shared_fields
+    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+
+    file = _file(given.get("config"), lists.get("preset", []))
+    default = preset()
+    values = {axis: tuple(dict.fromkeys(lists.get(axis) or [file.get(axis, getattr(default, axis))])) for axis in AXES}
+    task = {"task": "goal"} if table.get("goal") is not None else {}
+    campaign = Campaign(
+        scenes=resolved(values["scene"]),
+        estimators=values["estimator"],
+        presets=values["preset"],
+        planners=values["planner"],
+        seeds=tuple(dict.fromkeys(seed for word in lists["seeds"] for seed in seed_range(word))),
+        fields=shared_fields(file, task, table),
+    )
+    out: Path = given["out"]
+    runs = plan(campaign)
+    saved = check_folder(out, campaign)
+    rows = Rows(out)
+    known = rows.known()
+    check_rows(out, runs, known)
+    again = given.get("retry-failed", False)
+    done = {row["config_hash"] for row in known if not (again and row["outcome"] == FAILED_RUN)}
+    missing = {key: run for key, run in runs.items() if key not in done}
+    interrupted = False
+    if missing:
+        try:
+            _execute(campaign, saved, out, rows, missing, len(runs), given)
+        except KeyboardInterrupt:
+            interrupted = True
+    else:
+        save_folder(out, campaign, saved)
+        print(f"all {len(runs)} runs are in {out}/ already", file=sys.stderr)
+    return _finish(rows, out, set(runs), interrupted)
+
+
+def _execute(
+    campaign: Any, saved: Any, out: Path, rows: Any, missing: dict[str, Any], total: int, given: dict[str, Any]
+) -> None:
+    from tqdm import tqdm
+
+    from sixthsense.campaign import connect, execute
+    from sixthsense.campaign.cluster import check_workers
+    from sixthsense.campaign.folder import save_folder
+
+    announce_compilation()
+    with connect(given.get("scheduler"), given.get("workers")) as client:
+        workers = check_workers(client, campaign.scenes)
+        save_folder(out, campaign, saved)
+        there = f", {total - len(missing)} of them are in {out}/ already" if len(missing) < total else ""
+        print(f"{total} runs{there}; {workers} workers; dashboard {client.dashboard_link}", file=sys.stderr)
+        with tqdm(total=len(missing), desc="campaign", unit=" runs", disable=None, leave=False) as bar:
+
+            def keep(row: dict[str, Any]) -> None:
+                rows.add(row)
+                bar.update()
+
+            execute(client, missing, keep)
+
+
+def _finish(rows: Any, out: Path, asked: set[str], interrupted: bool) -> int:
+    from sixthsense.campaign.summary import columns, summary
+    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+
+    frame = rows.frame()
+    if len(frame):
+        print(columns(summary(frame)))
+    mine = frame[frame["config_hash"].isin(asked)]
+    failed = mine[mine["outcome"] == FAILED_RUN]
+    if len(failed):
+        first = failed.iloc[0]
+        where = f"{first.scene} {first.estimator} {first.preset} {first.planner} seed {first.seed}"
+        print(f"{len(failed)} runs failed, the first of them {where}: {first.error}")
+    if interrupted:
+        print(
+            f"sixthsense: interrupted, {len(mine)} of {len(asked)} runs are in {out}/, the same command makes the rest",
+            file=sys.stderr,
+        )
+        return INTERRUPTED
+    print(f"written to {out}/: {len(frame)} runs")
+    return FAILED if len(failed) else DONE
+
+
+def split_lists(args: list[str]) -> tuple[dict[str, list[str]], list[str]]:
+    """The options that take any number of values, scenes in front of all options among them, and the other words."""
+    lists: dict[str, list[str]] = {}
+    rest: list[str] = []
+    words = list(reversed(args))  # the next one last
+
+    def keep(name: str, values: list[str]) -> None:
+        if not values:
+            raise UsageError(f"--{name}: found nothing, allowed: one or more values")
+        if name in lists:
+            raise UsageError(f"--{name}: found twice, allowed: once, with all its values")
+        lists[name] = values
+
+    def plain() -> list[str]:
+        values = []
+        while words and not words[-1].startswith("-"):
+            values.append(words.pop())
+        return values
+
+    if scenes := plain():
+        keep("scene", scenes)
+    while words:
+        word = words.pop()
+        name, equals, text = word.removeprefix("--").partition("=")
+        if word.startswith("--") and name in LISTS:
+            keep(name, [text] if equals else plain())
+        else:
+            rest.append(word)
+    return lists, rest
+
+
+def _check(given: Table, table: Table, lists: dict[str, list[str]]) -> None:
+    """Complain about options that are missing or do not go together."""
+    if "scene" in given:
+        raise UsageError(f"scene: found {shown(given['scene'])} after an option, allowed: before all options")
+    if "seed" in table:
+        raise UsageError("--seed: found for a campaign, allowed: --seeds FIRST:LAST")
+    if "seeds" not in lists:
+        raise UsageError("--seeds: found nothing, allowed: FIRST:LAST, such as 0:100")
+    if "out" not in given:
+        raise UsageError("--out: found nothing, allowed: a folder to write")
+    workers = given.get("workers")
+    if workers is not None and not (isinstance(workers, int) and 1 <= workers <= 1024):
+        raise UsageError(f"--workers: found {shown(workers)}, allowed: a whole number from 1 to 1024")
+    if workers is not None and "scheduler" in given:
+        raise UsageError("--workers: found with --scheduler, which has its own, allowed: one of the two")
+    if table.get("goal") is not None and table.get("task", "goal") != "goal":
+        raise UsageError(f"--goal: found with --task {table['task']}, allowed: with --task goal")
+
+
+def _file(path: Path | None, presets: list[str]) -> dict[str, Any]:
+    """The table of a configuration file, once it is known to be one; {} for none."""
+    if path is None:
+        return {}
+    for name in presets:
+        load_config(path, preset(name))
+    load_config(path)
+    if is_of_replay(path):
+        raise UsageError(f"--config: {path} is of a replay, allowed: a configuration of runs")
+    from sixthsense.config.files import NOTES
+
+    table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    if presets and "preset" in table:
+        raise UsageError(f"--preset: found beside {path}, which has a preset of its own, allowed: one of the two")
+    return {name: value for name, value in table.items() if name not in NOTES}
