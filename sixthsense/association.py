@@ -7,20 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.stats import chi2
 
 from sixthsense.config import AssociationConfig
 from sixthsense.estimators.base import Estimate, Estimator
-from sixthsense.geometry import Array
-from sixthsense.landmarks import Kind, LandmarkId, Sighting, predict_points
-
-Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.matching import Indices, Innovations, assign, compare, joint_nis, pairs, world_sigmas
+from sixthsense.walls import ends, fused, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +52,9 @@ class Record:
     born_scan: int
     """key scan of its birth"""
     sigma_m: float = math.inf
-    """at most that of its position along any direction, when it was last looked at"""
+    """at most that of a point's position along any direction, when it was last looked at"""
+    extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """(2, 2) from where to where a wall was seen, world frame; not used of a point"""
 
 
 class Associator:
@@ -63,7 +62,6 @@ class Associator:
 
     def __init__(self, config: AssociationConfig) -> None:
         self._config = config
-        self._known_gate = float(chi2.ppf(config.known_probability, 2))  # infinite for 1
         self._candidates: list[_Candidate] = []
         self._next_id = 0
         self._scan = 0
@@ -77,6 +75,7 @@ class Associator:
         else:
             self._match_gate, self._new_gate = config.match_below, config.new_above
         self._sigmas = math.sqrt(max(self._match_gate, self._new_gate))
+        self._known_gate = float(chi2.ppf(config.known_probability, 2))  # infinite for 1
 
     def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what fits none is a candidate or a landmark."""
@@ -85,33 +84,32 @@ class Associator:
         estimate = estimator.estimate()
         if not sightings:
             return Association({}, 0, 0.0, 0)
-        positions = estimate.pose @ np.array([s.z for s in sightings])  # (m, 2)
-        sigmas = _sigmas(sightings, estimate)
-        gap = positions[:, None, :] - estimate.landmarks[None, :, :]
-        distance = np.hypot(gap[..., 0], gap[..., 1])  # (m, n)
-        near = self._near(distance, sigmas, estimate)
-        if len(near) == 0:
-            known: dict[LandmarkId, Sighting] = {}
-            nis, fits_none = 0.0, np.ones(len(sightings), dtype=bool)
-            taken = np.zeros(len(sightings), dtype=bool)
-        else:
+        records = [self.records[i] for i in estimate.ids.tolist()]
+        sigmas = np.array([record.sigma_m for record in records])
+        extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
+        fits = pairs(sightings, estimate, sigmas, extents, self._sigmas, self._config)
+        near = np.flatnonzero(fits.plausible.any(axis=0))
+        known: dict[LandmarkId, Sighting] = {}
+        nis, free = 0.0, np.ones(len(sightings), dtype=bool)
+        if len(near):
             joint = estimator.joint_covariance(estimate.ids[near].tolist())
-            known, taken, fits_none, nis = self._match(sightings, estimate, near, joint)
-        if len(estimate.ids):
-            fits_none = fits_none & (distance.min(axis=1) > self._config.new_separation_m)
-        for i in known:
-            self.records[i].sightings += 1
-        accepted = dict(known)
-        born: list[Array] = []
-        for k in np.flatnonzero(~taken & fits_none).tolist():
-            # One scan may show a wall's end from both sides: one landmark, not two.
-            apart = all(math.dist(positions[k], other) > self._config.new_separation_m for other in born)
-            if apart and self._proves_itself(positions[k]):
-                born.append(positions[k])
-                accepted[self._next_id] = sightings[k]
-                self.records[self._next_id] = Record(sightings[k].kind, 1, self._scan, float(sigmas[k]))
-                self._next_id += 1
-        return Association(accepted, len(sightings) - len(accepted), nis, 2 * len(known))
+            for j, k in enumerate(near):
+                records[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
+            innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near])
+            rows, cols = assign(innovation, self._match_gate)
+            free = innovation.squared.min(axis=1) > self._new_gate
+            free[rows] = False
+            known = {int(estimate.ids[near[j]]): sightings[i] for i, j in zip(rows, cols, strict=True)}
+            nis = _matches_nis(innovation, sightings, rows, cols, joint)
+        dof = 2 * len(known)
+        for j, i in enumerate(estimate.ids.tolist()):
+            if i in known:
+                records[j].sightings += 1
+                if known[i].is_wall:
+                    records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
+        new = self._born(sightings, np.flatnonzero(free & fits.apart.all(axis=1)).tolist(), estimate)
+        accepted = known | new
+        return Association(accepted, len(sightings) - len(accepted), nis, dof)
 
     def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
         """Take sightings whose landmarks are known by name, unless it was misread; the NIS is that of the old ones."""
@@ -122,20 +120,16 @@ class Associator:
         misread: set[LandmarkId] = set()
         nis = 0.0
         if old:
-            means = estimate.landmarks[[order[i] for i in old]]
-            predicted, by_pose, by_landmark = predict_points(estimate.pose, means)
-            innovation = np.array([sightings[i].z for i in old]) - predicted
-            noise = np.array([sightings[i].cov for i in old])
+            near = np.array([order[i] for i in old])
+            seen = [sightings[i] for i in old]
             joint = estimator.joint_covariance(old)
-            S = _predicted_covs(joint, by_pose, by_landmark) + noise  # (k, 2, 2)
-            mahalanobis_sq = np.einsum("ki,ki->k", innovation, np.linalg.solve(S, innovation[..., None])[..., 0])
-            kept = np.flatnonzero(mahalanobis_sq <= self._known_gate)
+            innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=bool))
+            kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = _joint_nis(joint, by_pose[kept], by_landmark, kept, innovation[kept], noise[kept])
+            nis = _matches_nis(innovation, seen, kept, kept, joint)
         accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
         for i, sighting in accepted.items():
-            record = self.records.setdefault(i, Record(sighting.kind, 0, self._scan))
-            record.sightings += 1
+            self.records.setdefault(i, Record(sighting.kind, 0, self._scan)).sightings += 1
         return Association(accepted, len(misread), nis, 2 * (len(old) - len(misread)))
 
     def cull(self) -> list[LandmarkId]:
@@ -153,42 +147,36 @@ class Associator:
         self.culled += len(bad)
         return bad
 
-    def _near(self, distance: Array, sigmas: Array, estimate: Estimate) -> Indices:
-        """Indices of landmarks that any sighting may be of, by (m, n) distances, and sightings' (m,) world sigmas.
+    def _born(self, sightings: Sequence[Sighting], free: list[int], estimate: Estimate) -> dict[LandmarkId, Sighting]:
+        """New landmarks of the sightings at `free`, which fit none."""
+        new: dict[LandmarkId, Sighting] = {}
+        sigmas = world_sigmas(sightings, estimate)
+        for k in free:
+            sighting = sightings[k]
+            # One scan may show a wall's end from both sides, or a wall in two pieces: one landmark, not two.
+            twin = next((i for i, other in new.items() if self._same(sighting, other)), None)
+            if twin is not None:
+                if sighting.is_wall:
+                    new[twin] = fused(new[twin], sighting)
+                    self.records[twin].extent = ends(estimate.pose, new[twin])
+                continue
+            if not sighting.is_wall and not self._proves_itself(estimate.pose @ sighting.z):
+                continue
+            extent = ends(estimate.pose, sighting) if sighting.is_wall else np.zeros((2, 2))
+            new[self._next_id] = sighting
+            self.records[self._next_id] = Record(sighting.kind, 1, self._scan, float(sigmas[k]), extent)
+            self._next_id += 1
+        return new
 
-        The sigma of a difference is at most the sum of both, however they are correlated: what is left out here could
-        not have passed a gate. Sigmas of landmarks shrink; the factor leaves room for what linearising anew changes.
-        """
-        own = np.array([self.records[i].sigma_m for i in estimate.ids.tolist()])
-        reach = np.minimum(self._config.pre_gate_m, self._sigmas * (sigmas[:, None] + 2.0 * own[None, :]))
-        return np.flatnonzero((distance < reach).any(axis=0))
-
-    def _match(
-        self, sightings: Sequence[Sighting], estimate: Estimate, near: Indices, joint: Array
-    ) -> tuple[dict[LandmarkId, Sighting], Mask, Mask, float]:
-        """Matches by id, (m,) whether matched, (m,) whether far from every landmark, and the matches' NIS."""
-        for j, i in enumerate(estimate.ids[near].tolist()):
-            self.records[i].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
-        predicted, by_pose, by_landmark = predict_points(estimate.pose, estimate.landmarks[near])
-        z = np.array([s.z for s in sightings])
-        noise = np.array([s.cov for s in sightings])
-        innovation = z[:, None, :] - predicted[None, :, :]  # (m, k, 2)
-        S = _predicted_covs(joint, by_pose, by_landmark)[None] + noise[:, None]  # (m, k, 2, 2)
-        det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
-        a, b = innovation[..., 0], innovation[..., 1]
-        mahalanobis_sq = (a * a * S[..., 1, 1] - 2 * a * b * S[..., 0, 1] + b * b * S[..., 0, 0]) / det
-        inside = mahalanobis_sq < self._match_gate
-        # The likelier landmark wins: the distance alone would favour the one that is less well known.
-        cost = np.where(inside, mahalanobis_sq + np.log(det), 1e6)
-        rows, cols = linear_sum_assignment(cost)
-        paired = inside[rows, cols]
-        rows, cols = rows[paired], cols[paired]
-        taken = np.zeros(len(sightings), dtype=bool)
-        taken[rows] = True
-        fits_none = mahalanobis_sq.min(axis=1) > self._new_gate
-        known = {int(estimate.ids[near[j]]): sightings[i] for i, j in zip(rows, cols, strict=True)}
-        nis = _joint_nis(joint, by_pose[cols], by_landmark, cols, innovation[rows, cols], noise[rows])
-        return known, taken, fits_none, nis
+    def _same(self, one: Sighting, other: Sighting) -> bool:
+        """Whether two sightings of one scan are too near each other to be of two landmarks."""
+        if one.is_wall != other.is_wall:
+            return False
+        if not one.is_wall:
+            return math.dist(one.z, other.z) <= self._config.new_separation_m
+        seen = Estimate(Pose(), np.zeros((3, 3)), np.zeros(1, np.int64), other.z[None], np.ones(1, dtype=bool))
+        extent = ends(Pose(), other)[None]
+        return not pairs([one], seen, np.zeros(1), extent, self._sigmas, self._config).apart[0, 0]
 
     def _proves_itself(self, position: Array) -> bool:
         """Count a sighting that fits no landmark; True when its candidate has been seen often enough."""
@@ -210,37 +198,15 @@ class Associator:
         return False
 
 
-def _sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:
-    """(m,) sigma, along any direction at most, of where the sightings lie in the world; m."""
-    own = np.array([np.trace(s.cov) for s in sightings])
-    reach = np.array([math.hypot(*s.z) for s in sightings])
-    cov = estimate.pose_cov
-    return np.asarray(math.sqrt(cov[0, 0] + cov[1, 1]) + reach * math.sqrt(cov[2, 2]) + np.sqrt(own))
-
-
-def _predicted_covs(joint: Array, by_pose: Array, by_landmark: Array) -> Array:
-    """(k, 2, 2): H Sigma H^T of each landmark's sighting, from the joint covariance of pose and landmarks."""
-    k = len(by_pose)
-    own = joint[3:, 3:].reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
-    cross = joint[:3, 3:].reshape(3, k, 2).transpose(1, 0, 2)  # (k, 3, 2)
-    mixed = by_pose @ cross @ by_landmark.T
-    pose_part = by_pose @ joint[:3, :3] @ by_pose.transpose(0, 2, 1)
-    return np.asarray(pose_part + mixed + mixed.transpose(0, 2, 1) + by_landmark @ own @ by_landmark.T)
-
-
-def _joint_nis(
-    joint: Array, by_pose: Array, by_landmark: Array, cols: Indices, innovation: Array, noise: Array
+def _matches_nis(
+    innovation: Innovations, sightings: Sequence[Sighting], rows: Indices, cols: Indices, joint: Array
 ) -> float:
-    """Normalised innovation squared of all matches, with the correlations between them."""
-    m = len(cols)
-    if m == 0:
-        return 0.0
-    H = np.zeros((2 * m, len(joint)))
-    S = np.zeros((2 * m, 2 * m))
-    for k, j in enumerate(cols):
-        H[2 * k : 2 * k + 2, :3] = by_pose[k]
-        H[2 * k : 2 * k + 2, 3 + 2 * j : 5 + 2 * j] = by_landmark
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = noise[k]
-    S += H @ joint @ H.T
-    stacked = innovation.ravel()
-    return float(stacked @ np.linalg.solve(S, stacked))
+    """Normalised innovation squared of all matches together, with the correlations between them."""
+    index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
+    return joint_nis(
+        joint[np.ix_(index, index)],
+        innovation.by_pose[cols],
+        innovation.by_landmark[cols],
+        innovation.values[rows, cols],
+        np.array([sightings[i].cov for i in rows]),
+    )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.geometry import Array
+from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import Odometry
 from sixthsense.trace import Trace
 
@@ -39,24 +40,29 @@ class FactorGraph:
     """(M, 2) the same sightings in polar coordinates, as the smoother takes them; rad, m"""
     bearing_range_covs: Array
     """(M, 2, 2) of the same"""
+    wall_ids: NDArray[np.int64]
+    """(w,)"""
+    walls: Array
+    """(w, 2) final means: alpha, rad, and d, m, world frame"""
+    wall_sighting_of: NDArray[np.int64]
+    """(L, 2) index of the key pose, index of the wall"""
+    wall_sightings: Array
+    """(L, 2) alpha and d in the robot's frame"""
+    wall_sighting_covs: Array
+    """(L, 2, 2) of the same"""
 
 
 def factor_graph(trace: Trace) -> FactorGraph:
     """Gather the graph of a run that is over, whatever estimator it had."""
-    ids = trace.final.ids.tolist()
-    column = {i: k for k, i in enumerate(ids)}
-    seen = [
-        (k, column[i], sighting)
-        for k, association in enumerate(trace.associations)
-        for i, sighting in association.sightings.items()
-        if i in column
-    ]
+    walls = trace.final.walls
+    seen = _seen(trace, trace.final.ids[~walls].tolist())
+    lines = _seen(trace, trace.final.ids[walls].tolist())
     polar = [sighting.bearing_range() for _, _, sighting in seen]
     motions = trace.key_odometry[1:]
     return FactorGraph(
         trace.trajectory.copy(),
-        trace.final.ids.copy(),
-        trace.final.landmarks.copy(),
+        trace.final.ids[~walls],
+        trace.final.landmarks[~walls],
         np.array([m.motion.array() for m in motions]).reshape(-1, 3),
         np.array([_floored(m) for m in motions]).reshape(-1, 3, 3),
         np.array([(k, j) for k, j, _ in seen], dtype=np.int64).reshape(-1, 2),
@@ -64,7 +70,23 @@ def factor_graph(trace: Trace) -> FactorGraph:
         np.array([s.cov for _, _, s in seen]).reshape(-1, 2, 2),
         np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
         np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
+        trace.final.ids[walls],
+        trace.final.landmarks[walls],
+        np.array([(k, j) for k, j, _ in lines], dtype=np.int64).reshape(-1, 2),
+        np.array([s.z for _, _, s in lines]).reshape(-1, 2),
+        np.array([s.cov for _, _, s in lines]).reshape(-1, 2, 2),
     )
+
+
+def _seen(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
+    """Sightings of the landmarks `ids`: index of the key scan, index of the landmark, sighting."""
+    column = {i: k for k, i in enumerate(ids)}
+    return [
+        (k, column[i], sighting)
+        for k, association in enumerate(trace.associations)
+        for i, sighting in association.sightings.items()
+        if i in column
+    ]
 
 
 def _floored(odometry: Odometry) -> Array:
@@ -72,7 +94,7 @@ def _floored(odometry: Odometry) -> Array:
 
 
 def write_graph(folder: Path, graph: FactorGraph) -> None:
-    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz` with what that format cannot hold.
+    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz` with what that format cannot hold, as walls.
 
     In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and a
     sighting `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of the two. The first

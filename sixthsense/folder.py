@@ -113,17 +113,25 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
             out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
 
 
+LANDMARK_COLUMNS = (
+    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
+)  # fmt: skip
+
+
 def write_landmarks(folder: Path, trace: Trace) -> None:
     """Write the landmarks for people (CSV) and the joint mean and covariance for the next run (NPZ)."""
     estimate, records = trace.final, trace.records
     with (folder / "landmarks.csv").open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
-        writer.writerow(["id", "kind", "x", "y", "cov_xx", "cov_xy", "cov_yy", "sightings"])
+        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "sightings", "from_x", "from_y", "to_x", "to_y"])
         for k, i in enumerate(estimate.ids.tolist()):
             block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
-            x, y = estimate.landmarks[k].tolist()
-            cov = (block[0, 0], block[0, 1], block[1, 1])
-            writer.writerow([i, records[i].kind.name.lower(), x, y, *map(float, cov), records[i].sightings])
+            record = records[i]
+            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
+            # A point's columns are x and y, a wall's alpha and d, and what was seen of it is its extent.
+            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
+            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
+            writer.writerow([i, record.kind.name.lower(), *columns, record.sightings, *extent])
     np.savez(
         folder / "landmarks.npz",
         ids=estimate.ids,

@@ -68,11 +68,17 @@ def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
     """Draw the final landmarks with their 95 % ellipses, these so many times as large as they are."""
     from matplotlib.collections import PolyCollection
 
-    landmarks = trace.final.landmarks
+    points = np.flatnonzero(~trace.final.walls)
+    landmarks = trace.final.landmarks[points]
     outlines = [
         ellipse(mean, enlarged**2 * trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k])
-        for k, mean in enumerate(landmarks)
+        for k, mean in zip(points, landmarks, strict=True)
     ]
+    extents = [trace.records[i].extent for i in trace.final.ids[trace.final.walls].tolist()]
+    if extents:
+        draw_segments(ax, np.array(extents), colors=LANDMARK, linewidths=1.2, label="walls, estimated", zorder=4)
+    if len(points) == 0:
+        return
     ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
     label = "landmarks, 95 %" + (f", {enlarged:g} times enlarged" if enlarged != 1.0 else "")
     ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
@@ -110,8 +116,8 @@ def draw_map(ax: Any, trace: Trace) -> None:
             truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="driven, true", zorder=6
         )
     ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=5)
-    landmarks = trace.final.landmarks
-    if len(landmarks):
+    landmarks = trace.final.landmarks[~trace.final.walls]
+    if len(trace.final.ids):
         draw_landmarks(ax, trace)
     if len(estimates):
         style = {"color": ESTIMATE, "markersize": 7, "markeredgewidth": 1.6, "linestyle": "none", "zorder": 7}

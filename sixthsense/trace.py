@@ -24,7 +24,7 @@ from sixthsense.motion import Odometry
 from sixthsense.scene import Scene
 from sixthsense.source import Tick
 
-NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
 
 STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan")
 
@@ -243,9 +243,9 @@ class Trace:
             "dead_reckoning_ate_rmse_m": dead_reckoning,
             "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
         }
-        if self.scene is not None and len(self.records) > 0:
+        if self.scene is not None and not self.final.walls.all():
             corners = metrics.true_landmarks(self.scene.walls)
-            rmse, matched = metrics.match_landmarks(self.final.landmarks, corners, 0.5)
+            rmse, matched = metrics.match_landmarks(self.final.landmarks[~self.final.walls], corners, 0.5)
             if matched:
                 out["landmark_rmse_m"] = rmse
         return out

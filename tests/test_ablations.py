@@ -59,7 +59,7 @@ def test_a_landmark_that_is_not_there_is_false_and_one_not_seen_is_missed(ablati
     far = load_scene("rectangle").walls + 50.0
     seen = ablations.detection_figures(views, far, config)
     assert seen["false_per_scan"] > 1.0 and seen["sighting_rmse_mm"] == 0.0
-    blind = merge(config, {"features": {"landmarks": {"corners": False, "ends": False}}})
+    blind = merge(config, {"features": {"points": {"corners": False, "ends": False}}})
     missed = ablations.detection_figures(views, load_scene("rectangle").walls, blind)
     assert missed["missed_per_scan"] == missed["visible_per_scan"] > 0.0
 

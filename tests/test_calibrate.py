@@ -160,7 +160,7 @@ def test_the_file_is_a_partial_configuration_that_gives_what_was_fitted(name: st
 
 
 def test_the_figure_is_drawn_where_a_kind_was_never_seen(tmp_path: Path) -> None:
-    one = calibrate(preset(**COARSE, features={"landmarks": {"ends": False}}), 30)
+    one = calibrate(preset(**COARSE, features={"points": {"ends": False}}), 30)
     assert len(one.landmarks[1].of(Kind.END)) == 0
     save_calibration(one, tmp_path / "noise.png", "no loose ends")
     assert (tmp_path / "noise.png").stat().st_size > 10_000

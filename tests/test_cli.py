@@ -422,7 +422,7 @@ def test_a_replays_configuration_is_refused_by_run_and_taken_by_replay(
         ("run rectangle --grid.min-hits 11", "--grid.min_hits: found 11, allowed: at most max_hits, 10"),
         ("run rectangle --follow.distance-slack-m 0.2", "--follow.distance_slack_m: found 0.2, allowed: at most goal"),
         ("run rectangle --assumed.motion.speed 1e200", "--assumed.motion.speed: found 1e+200, allowed: 0 to 100"),
-        ("run rectangle --features.landmarks.min-angle-rad 3", "--features.landmarks.min-angle-rad: found 3.0"),
+        ("run rectangle --features.points.min-angle-rad 3", "--features.points.min-angle-rad: found 3.0"),
     ],
 )
 def test_options_that_do_not_go_together_are_told(

@@ -89,7 +89,7 @@ def test_the_npz_holds_the_whole_graph(graph: FactorGraph, tmp_path: Path) -> No
 
 
 def test_a_run_without_a_landmark_has_a_graph_of_odometry_alone(tmp_path: Path) -> None:
-    blind = {"landmarks": {"corners": False, "ends": False}}
+    blind = {"points": {"corners": False, "ends": False}}
     graph = factor_graph(run(preset(scene="rectangle", estimator="isam2", max_time=5.0, features=blind)))
     write_graph(tmp_path, graph)
     factors, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))

@@ -253,7 +253,7 @@ def test_the_rules_for_loose_ends():
     near = merge(config, {"laser": {"max_range": 2.2}})
     assert ends([stub], Pose(0.0, 0.0, 0.0), near) == []  # rule 2: close to the maximum range
     assert len(ends([back, stub], Pose())) == 2  # rule 3: the far wall, hidden by the stub, has no ends there
-    few = merge(config, {"features": {"landmarks": {"min_points": 80}}})
+    few = merge(config, {"features": {"points": {"min_points": 80}}})
     assert ends([stub, back], Pose(), few) == []  # rule 4
 
 
@@ -269,7 +269,7 @@ def test_a_wall_that_goes_on_flatly_has_no_loose_end():
 
 @pytest.mark.parametrize("change", [
     {"split": {"enabled": False}}, {"lines": {"ransac": False}}, {"lines": {"least_squares": False}},
-    {"landmarks": {"corners": False}}, {"landmarks": {"ends": False}}, {"partition": {"method": "fixed"}},
+    {"points": {"corners": False}}, {"points": {"ends": False}}, {"partition": {"method": "fixed"}},
 ])  # fmt: skip
 def test_every_stage_can_be_switched_off(change):
     config, rng = merge(preset(), {"features": change}), np.random.default_rng(10)

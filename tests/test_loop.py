@@ -104,7 +104,7 @@ def test_a_robot_that_grazes_no_wall_does_not_collide() -> None:
 
 ELSEWHERE = [
     {"features": {"lines": {"ransac_iterations": 3}}},
-    {"features": {"split": {"enabled": False}, "landmarks": {"corners": False}}},
+    {"features": {"split": {"enabled": False}, "points": {"corners": False}}},
     {"association": {"method": "report"}, "keyscans": {"distance_m": 0.0, "turn_rad": 0.0}},
     {"assumed": {"motion": {"speed": 0.5}}, "grid": {"cell_m": 0.1}, "follow": {"shortcut": False}},
 ]
@@ -127,7 +127,7 @@ def test_what_is_changed_elsewhere_leaves_the_worlds_noise_alone(changes: dict[s
 
 def test_ransacs_draws_do_not_reach_the_world() -> None:
     # No landmark, no update: both robots believe the same and drive the same, whatever RANSAC draws.
-    blind = {"features": {"landmarks": {"corners": False, "ends": False}}, "grid": {"walls": False}}
+    blind = {"features": {"points": {"corners": False, "ends": False}}, "grid": {"walls": False}}
     config = merge(dataclasses.replace(SHORT, max_time=5.0), blind)
     one, two = (run(merge(config, {"features": {"lines": {"ransac_iterations": n}}})) for n in (1, 50))
     assert np.array_equal(np.array(one.truths), np.array(two.truths))

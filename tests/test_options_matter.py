@@ -57,7 +57,7 @@ def test_an_unsure_beam_makes_a_loose_end_less_sure_along_its_wall():
 
 def test_the_margin_below_the_maximum_range_hides_loose_ends():
     def ends(margin):
-        config = preset(laser={"max_range": 3.0}, features={"landmarks": {"range_margin_m": margin}})
+        config = preset(laser={"max_range": 3.0}, features={"points": {"range_margin_m": margin}})
         return [s for s in features_at(config, Pose(-1.5, -0.5, 0.0)).sightings if s.kind == Kind.END]
 
     assert len(ends(0.2)) == 1  # the stub's end, 2.5 m away

@@ -61,7 +61,7 @@ class LinesConfig(Section):
 
 
 @dataclass(frozen=True)
-class LandmarksConfig(Section):
+class PointsConfig(Section):
     """Which end points and intersections count as landmarks."""
 
     corners: bool = True
@@ -81,13 +81,30 @@ class LandmarksConfig(Section):
 
 
 @dataclass(frozen=True)
+class WallsConfig(Section):
+    """Which fitted walls count as landmarks."""
+
+    min_length_m: NonNegative = 0.4
+    """A shorter one says little of its direction."""
+    max_sigma_rad: Positive = 0.1
+    """A wall whose direction is known worse than this is not reported."""
+    end_points: Annotated[int, Range(3)] = 5
+    """A loose end has this many returns of its own, which its wall does without: each return is evidence once."""
+
+
+@dataclass(frozen=True)
 class FeaturesConfig(Section):
     """From a scan to walls and landmarks (report section 4.2)."""
+
+    landmarks: Literal["corners", "walls", "both"] = "corners"
+    """corners: corners and loose ends, as in the report; walls: walls alone; both: walls and loose ends (a corner is
+    where two walls meet and adds nothing to them)."""
 
     partition: PartitionConfig = field(default_factory=PartitionConfig)
     split: SplitConfig = field(default_factory=SplitConfig)
     lines: LinesConfig = field(default_factory=LinesConfig)
-    landmarks: LandmarksConfig = field(default_factory=LandmarksConfig)
+    points: PointsConfig = field(default_factory=PointsConfig)
+    walls: WallsConfig = field(default_factory=WallsConfig)
 
 
 @dataclass(frozen=True)
@@ -104,18 +121,20 @@ class AssociationConfig(Section):
     """report: squared Mahalanobis distance of a match."""
     new_above: Positive = 200.0
     """report: squared Mahalanobis distance, to every landmark, of a new one."""
+    wall_gap_m: NonNegative = 0.5
+    """Walls in line are one landmark when this much or less lies between what was seen of them."""
     pre_gate_m: Positive = 1.5
     """Only landmarks this near a sighting are looked at."""
     new_separation_m: NonNegative = 0.3
     """A new landmark is at least this far from every known one."""
+    known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
+    """A landmark known by name was seen inside this much of the innovation's distribution, else misread; 1: always."""
     candidate_sightings: PositiveCount = 1
     """A landmark joins the state at its n-th sighting; 1: at once."""
     candidate_gate_m: Positive = 0.2
     """A sighting this near a candidate is of that candidate."""
     candidate_scans: PositiveCount = 30
     """A candidate unseen for this many key scans is dropped."""
-    known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
-    """A landmark known by name was seen inside this much of the innovation's distribution, else misread; 1: always."""
     culling: bool = True
     """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25

@@ -66,6 +66,8 @@ class AssumedConfig(Section):
     """Turn that an unequal pair of wheels adds per metre driven: corrected before it is used."""
     landmark_floor_m: Noise = 0.0
     """Sigma added to every sighting: how far real walls are from the straight lines fitted to them."""
+    wall_floor_rad: Noise = 0.0
+    """The same for the direction of a wall."""
     floor_m: Noise = 1e-4
     """Sigma of position every key scan's worth of motion adds at least, so that the covariance has full rank."""
     floor_rad: Noise = 1e-4

@@ -28,6 +28,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "assumed": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},
         "keyscans": {"distance_m": 0.0, "turn_rad": 0.0},
         "features": {
+            "landmarks": "corners",
             "partition": {"method": "fixed", "epsilon_m": 1.0},  # rectangle and apartment; the block had 2 m
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8},
         },
@@ -57,7 +58,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "features": {
             "split": {"epsilon_m": 0.08},
             "lines": {"min_points": 3},
-            "landmarks": {"min_points": 3, "max_sigma_m": 0.25},
+            "points": {"min_points": 3, "max_sigma_m": 0.25},
         },
         "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2},
         "grid": {"no_return_passes": False},

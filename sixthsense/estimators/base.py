@@ -27,7 +27,9 @@ class Estimate:
     ids: NDArray[np.int64]
     """(n,) of the landmarks, in the order of `landmarks`"""
     landmarks: Array
-    """(n, 2) means; a point's x, y in the world frame, m"""
+    """(n, 2) means, world frame: a point's x, y, m; a wall's alpha, d, rad and m"""
+    walls: NDArray[np.bool_]
+    """(n,) which of them are walls"""
 
 
 class Estimator(Protocol):

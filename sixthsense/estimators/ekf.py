@@ -10,24 +10,27 @@ from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from sixthsense.estimators.base import Estimate, Trajectory, check_covariance, check_sightings
-from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import LandmarkId, Sighting, born_point, predict_points, turned
+from sixthsense.geometry import Array, Pose, wrap_angle
+from sixthsense.landmarks import LandmarkId, Sighting, born, innovations, predict, translated, turned
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
 
 
 class EKF:
     """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
 
-    State: x, y, theta of the robot, then x, y of each landmark, all in the world frame. Its linearised system loses a
-    direction that cannot be observed, the heading of the whole map, so that it is overconfident once the robot turns
-    (Huang, Mourikis and Roumeliotis 2010); the variants override the methods named `_on_...` and `_levers`.
+    State: x, y, theta of the robot, then the two numbers of each landmark. Within, the world's origin is where the
+    robot started: a wall's (alpha, d) about a far origin linearises badly. The linearised system loses a direction that
+    cannot be observed, the heading of the whole map, so that it is overconfident once the robot turns
+    (Huang, Mourikis and Roumeliotis 2010); the variants override the methods named `_on_...` and `_linearised_at`.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
         """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero; ValueError if it is none."""
         cov = check_covariance("start_cov", start_cov)
-        self._pose = start
+        self._origin = start.position
+        self._pose = Pose(0.0, 0.0, start.theta)
         self._means = np.zeros((0, 2))
+        self._walls = np.zeros(0, dtype=np.bool_)
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
@@ -53,7 +56,7 @@ class EKF:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
             self._on_seen(slots, self._correct(slots, [sightings[i] for i in known]))
         self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
-        self._trajectory.append(self._pose)
+        self._trajectory.append(self._world(self._pose))
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Marginalise landmarks out: their rows and columns go, all else stays as it was."""
@@ -63,7 +66,7 @@ class EKF:
         keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
-        self._means = self._means[slots]
+        self._means, self._walls = self._means[slots], self._walls[slots]
         self._on_kept(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
@@ -71,12 +74,21 @@ class EKF:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         self._propagate()
         pose_cov = self._symmetric(np.arange(3))
-        return Estimate(self._pose, pose_cov, np.array(list(self._slots), dtype=np.int64), self._means.copy())
+        landmarks, _ = translated(self._means, self._walls, self._origin)
+        ids = np.array(list(self._slots), dtype=np.int64)
+        return Estimate(self._world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         self._propagate()
-        return self._symmetric(_state_index(np.array([self._slots[i] for i in ids], dtype=np.int64)))
+        slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
+        joint = self._symmetric(_state_index(slots))
+        _, jacobian = translated(self._means[slots], self._walls[slots], self._origin)
+        for k in np.flatnonzero(self._walls[slots]):
+            at = slice(3 + 2 * k, 5 + 2 * k)
+            joint[at] = jacobian[k] @ joint[at]
+            joint[:, at] = joint[:, at] @ jacobian[k].T
+        return joint
 
     def trajectory(self) -> Array:
         """(K, 3), the filtered pose at each update."""
@@ -86,17 +98,21 @@ class EKF:
         """The way (2,) with which the heading's error turns into one of position, as the robot has `moved` (2,)."""
         return moved
 
-    def _levers(self, slots: NDArray[np.int64]) -> Array:
-        """(m, 2), robot to landmark, at which a sighting is linearised in the heading; world frame."""
-        return self._means[slots] - self._pose.position
+    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The robot's position (2,) and the landmarks (m, 2) at which sightings are linearised."""
+        return self._pose.position, self._means[slots]
 
     def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
         """Take the correction in that sightings of known landmarks bring: add `shift` (3 + 2n,) to the state."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
         self._means += shift[3:].reshape(-1, 2)
+        self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
 
-    def _on_born(self, offsets: Array) -> None:
-        """Landmarks were added, `offsets` (k, 2) from the robot, world frame."""
+    def _on_born(self, sightings: Collection[Sighting]) -> None:
+        """Landmarks were added, of these sightings."""
+
+    def _world(self, pose: Pose) -> Pose:
+        return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
 
     def _on_kept(self, slots: NDArray[np.int64]) -> None:
         """Of the landmarks only those in `slots` are left, in that order."""
@@ -128,14 +144,16 @@ class EKF:
         Returns the correction (3 + 2n,) of the state, which is still to be made.
         """
         n, m = self._size, len(slots)
-        predicted, by_pose, by_landmark = predict_points(self._pose, self._means[slots])
-        by_pose[:, :, 2] = -turned(self._levers(slots)) @ by_landmark.T
-        innovation = np.concatenate([s.z for s in sightings]) - predicted.ravel()  # (2m,)
+        walls = self._walls[slots]
+        predicted, _, _ = predict(self._pose, self._means[slots], walls)
+        position, landmarks = self._linearised_at(slots)
+        _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), landmarks, walls)
+        innovation = innovations(np.array([s.z for s in sightings]), predicted, walls).ravel()  # (2m,)
         index = _state_index(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the columns of H that are not zero
         for k in range(m):
             H[2 * k : 2 * k + 2, :3] = by_pose[k]
-            H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark
+            H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
         columns = np.empty((n, len(index)), order="F")  # Sigma[:, index], from the lower triangle
         for k, i in enumerate(index):
             columns[i:, k] = self._cov[i:, i]
@@ -157,8 +175,11 @@ class EKF:
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
         means, rows, noise = [], [], []
+        position, _ = self._linearised_at(np.zeros(0, dtype=np.int64))
+        at = Pose(position[0], position[1], self._pose.theta)
         for sighting in sightings.values():
-            mean, by_pose, by_z = born_point(self._pose, sighting.z)
+            mean, _, by_z = born(self._pose, sighting)
+            _, by_pose, _ = born(at, sighting)
             means.append(mean)
             rows.append(by_pose)
             noise.append(by_z @ sighting.cov @ by_z.T)
@@ -169,7 +190,8 @@ class EKF:
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
         self._means = np.vstack([self._means, *means])
-        self._on_born(np.array(means) - self._pose.position)
+        self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
+        self._on_born(sightings.values())
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
 
 

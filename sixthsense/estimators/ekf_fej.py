@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sixthsense.estimators.base import Estimate
 from sixthsense.estimators.ekf import EKF
 from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import LandmarkId, turned
+from sixthsense.landmarks import LandmarkId, Sighting, born, turned
 
 
 class AnchoredEKF(EKF):
@@ -27,10 +27,10 @@ class AnchoredEKF(EKF):
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
         super().__init__(start, start_cov)
-        self._point = start.position
-        """(2,) the robot's point of linearisation, world frame"""
+        self._point = np.zeros(2)
+        """(2,) the robot's point of linearisation"""
         self._anchors = np.zeros((0, 2))
-        """(n, 2) the landmarks', world frame"""
+        """(n, 2) the landmarks'"""
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -40,17 +40,20 @@ class AnchoredEKF(EKF):
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order, about their estimates."""
         joint = super().joint_covariance(ids)
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
+        walls = self._walls[slots]
         robot = turned(self._pose.position - self._point)
-        u = np.concatenate([robot, [0.0], turned(self._means[slots] - self._anchors[slots]).ravel()])
+        moved = turned(self._means[slots], walls) - turned(self._anchors[slots], walls)
+        u = np.concatenate([robot, [0.0], moved.ravel()])
         # T joint T^T with T = I + u e_theta^T: from the null vector at the points to that at the estimates
         half = np.outer(u, joint[:, 2] + 0.5 * joint[2, 2] * u)
         return np.asarray(joint + (half + half.T))
 
-    def _levers(self, slots: NDArray[np.int64]) -> Array:
-        return self._anchors[slots] - self._point
+    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+        return self._point, self._anchors[slots]
 
-    def _on_born(self, offsets: Array) -> None:
-        self._anchors = np.vstack([self._anchors, self._point + offsets])
+    def _on_born(self, sightings: Collection[Sighting]) -> None:
+        at = Pose(self._point[0], self._point[1], self._pose.theta)
+        self._anchors = np.vstack([self._anchors, *(born(at, sighting)[0] for sighting in sightings)])
 
     def _on_kept(self, slots: NDArray[np.int64]) -> None:
         self._anchors = self._anchors[slots]

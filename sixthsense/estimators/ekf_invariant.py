@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyr2
 
 from sixthsense.estimators.ekf import EKF
-from sixthsense.geometry import Array, Pose, rotation
+from sixthsense.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.landmarks import turned
 
 
@@ -23,13 +23,18 @@ class InvariantEKF(EKF):
 
     def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
         theta = float(shift[2])
+        points = np.concatenate([[True], ~self._walls])
         before = np.vstack([self._pose.position, self._means])  # (1 + n, 2)
+        step = np.vstack([shift[:2], shift[3:].reshape(-1, 2)])
         # xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17).
-        xi = np.vstack([shift[:2], shift[3:].reshape(-1, 2)]) - theta * turned(before)
+        xi = step - theta * turned(before)
         after = before @ rotation(theta).T + xi @ _left_jacobian(theta).T
+        # A turn adds to a wall's angle, wherever it is, and leaves its offset from the origin alone: A is the identity.
+        after[~points] = before[~points] + step[~points]
+        after[~points, 0] = wrap_angle(after[~points, 0])
         self._pose = Pose(after[0, 0], after[0, 1], self._pose.theta + theta)
         self._means = after[1:]
-        self._lean(turned(after - before))
+        self._lean(np.where(points[:, None], turned(after - before), 0.0))
 
     def _lean(self, moved: Array) -> None:
         """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T, u the rows (1 + n, 2) of `moved`."""

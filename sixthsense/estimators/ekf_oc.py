@@ -31,6 +31,13 @@ class ObservabilityConstrainedEKF(AnchoredEKF):
 
     def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
         super()._on_seen(slots, shift)
-        gaps = self._levers(slots) - (self._means[slots] - self._pose.position)  # (m, 2)
-        # argmin of |pull|^2 + sum |gap - pull|^2
-        self._pull = gaps.sum(axis=0) / (1 + len(slots))
+        walls = self._walls[slots]
+        point, anchors = self._linearised_at(slots)
+        lag = self._pose.position - point
+        gaps = (anchors - self._means[slots])[~walls] + lag  # (m, 2)
+        alpha = anchors[walls, 0]
+        along = np.column_stack([-np.sin(alpha), np.cos(alpha)])
+        # argmin of |pull|^2 + sum over points |gap - pull|^2 + sum over walls (along . (lag - pull))^2: how a wall's
+        # offset follows its angle depends on where along it the robot is.
+        spread = along.T @ along
+        self._pull = np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)

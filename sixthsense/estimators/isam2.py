@@ -6,10 +6,12 @@ from collections.abc import Collection, Mapping, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import L, W, X
+from scipy.linalg import block_diag
 
 from sixthsense.config import ISAM2Config
 from sixthsense.estimators.base import Estimate, check_covariance, check_sightings
+from sixthsense.estimators.wallframe import birth, line, measurement
 from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
@@ -21,8 +23,9 @@ _FLOOR = 1e-6
 class ISAM2:
     """A factor graph with one pose per update: a prior, odometry between poses, bearing and range to landmarks.
 
-    GTSAM's tangent of a pose is the robot's frame: covariances are turned into it and out of it. Poses of updates
-    without a sighting wait for the next update with one: until then there is nothing to solve.
+    A wall is a frame of its own (`wallframe.py`). GTSAM's tangent of a pose is the robot's frame: covariances are
+    turned into it and out of it. Poses of updates without a sighting wait for the next update with one: until then
+    there is nothing to solve.
     """
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
@@ -38,6 +41,7 @@ class ISAM2:
         self._poses = 0
         """solved and waiting"""
         self._keys: dict[LandmarkId, int] = {}
+        self._is_wall: dict[LandmarkId, bool] = {}
         self._born = 0
         self._factors: dict[LandmarkId, list[int]] = {}
         """per landmark: places of its factors in the graph"""
@@ -68,12 +72,11 @@ class ISAM2:
             return
         first = self._graph.size()
         for i, sighting in sightings.items():
-            if i not in self._keys:
-                self._keys[i], self._factors[i] = L(self._born), []
-                self._born += 1
-                bearing, distance, _ = sighting.bearing_range()
-                self._values.insert(self._keys[i], guess @ (distance * rotation(bearing)[:, 0]))
-            self._graph.add(self._factor(self._keys[i], sighting))
+            is_new = i not in self._keys
+            if is_new:
+                self._bear(i, guess, sighting)
+            add = self._wall_factor if sighting.is_wall else self._point_factor
+            self._graph.add(add(self._keys[i], guess, sighting, is_new))
         places = self._isam.update(self._graph, self._values).getNewFactorsIndices()
         for i, place in zip(sightings, places[first:], strict=True):
             self._factors[i].append(place)
@@ -93,7 +96,7 @@ class ISAM2:
             return
         places = [place for i in gone for place in self._factors.pop(i)]
         for i in gone:
-            del self._keys[i]
+            del self._keys[i], self._is_wall[i]
         self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), sorted(places))
         for _ in range(self._iterations - 1):
             self._isam.update()
@@ -103,24 +106,32 @@ class ISAM2:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         pose = self._pose @ self._pending.motion
         cov = self._moved(self._pose_cov)
-        return Estimate(pose, cov, np.array(list(self._keys), dtype=np.int64), self._landmarks.copy())
+        ids, walls = np.array(list(self._keys), dtype=np.int64), np.array(list(self._is_wall.values()), dtype=np.bool_)
+        return Estimate(pose, cov, ids, self._landmarks.copy(), walls)
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         keys = [self._keys[i] for i in ids]
         if not keys:
             return self._moved(self._pose_cov)
-        # GTSAM answers in the order of the query; only the pose has a frame of its own.
+        # GTSAM answers in the order of the query, each variable in its own tangent.
         joint = self._isam.jointMarginalCovariance([self._last_solved, *keys]).fullMatrix()
-        turn = rotation(self._pose.theta)
-        joint[:2] = turn @ joint[:2]
-        joint[:, :2] = joint[:, :2] @ turn.T
+        turn = np.eye(3)
+        turn[:2, :2] = rotation(self._pose.theta)
+        walls = [self._is_wall[i] for i in ids]
+        blocks = [
+            line(_pose(self._isam.calculateEstimatePose2(k)))[1] if w else np.eye(2)
+            for k, w in zip(keys, walls, strict=True)
+        ]
+        to_world = block_diag(turn, *blocks)
+        joint = to_world @ joint @ to_world.T
         joint[:3, :3] = self._pose_cov
         return self._moved(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, as all evidence up to now has it."""
-        solved = np.asarray(gtsam.utilities.extractPose2(self._isam.calculateEstimate())).reshape(-1, 3)
+        frames = np.asarray(gtsam.utilities.extractPose2(self._isam.calculateEstimate())).reshape(-1, 3)
+        solved = frames[sum(self._is_wall.values()) :]  # the letter of walls comes before that of poses
         return np.vstack([solved, *(pose.array() for pose in self._waiting)])
 
     def graph_error(self) -> float:
@@ -141,12 +152,29 @@ class ISAM2:
             noise = _gaussian(self._step)
             self._graph.add(gtsam.BetweenFactorPose2(key - 1, key, _pose2(self._step.motion), noise))
 
-    def _factor(self, key: int, sighting: Sighting) -> gtsam.NonlinearFactor:
+    def _bear(self, i: LandmarkId, guess: Pose, sighting: Sighting) -> None:
+        self._factors[i], self._is_wall[i] = [], sighting.is_wall
+        if sighting.is_wall:
+            self._keys[i] = W(self._born)
+            self._values.insert(self._keys[i], _pose2(birth(guess, sighting)))
+        else:
+            self._keys[i] = L(self._born)
+            bearing, distance, _ = sighting.bearing_range()
+            self._values.insert(self._keys[i], guess @ (distance * rotation(bearing)[:, 0]))
+        self._born += 1
+
+    def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         bearing, distance, cov = sighting.bearing_range()
-        noise: gtsam.noiseModel.Base = gtsam.noiseModel.Gaussian.Covariance(cov)
-        if self._robust is not None:
-            noise = gtsam.noiseModel.Robust.Create(self._robust, noise)
-        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
+        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, self._noise(cov))
+
+    def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
+        frame = birth(guess, sighting) if is_new else _pose(self._isam.calculateEstimatePose2(key))
+        motion, cov = measurement(guess, frame, sighting, is_new)
+        return gtsam.BetweenFactorPose2(X(self._poses - 1), key, _pose2(motion), self._noise(cov))
+
+    def _noise(self, cov: Array) -> gtsam.noiseModel.Base:
+        noise = gtsam.noiseModel.Gaussian.Covariance(cov)
+        return noise if self._robust is None else gtsam.noiseModel.Robust.Create(self._robust, noise)
 
     def _settle(self, guess: Pose) -> None:
         """Solve again while the newest pose lies farther than the threshold from where it was linearised."""
@@ -161,15 +189,21 @@ class ISAM2:
     def _read(self) -> None:
         """Take pose, covariance and landmarks over from the solver."""
         last = self._last_solved
-        pose = self._isam.calculateEstimatePose2(last)
-        self._pose = Pose(pose.x(), pose.y(), pose.theta())
+        self._pose = _pose(self._isam.calculateEstimatePose2(last))
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
         cov = turn @ self._isam.marginalCovariance(last) @ turn.T
         self._pose_cov = 0.5 * (cov + cov.T)
         # One by one: there are fewer landmarks than poses.
-        rows = [self._isam.calculateEstimatePoint2(key) for key in self._keys.values()]
+        rows = [
+            self._landmark(key, wall) for key, wall in zip(self._keys.values(), self._is_wall.values(), strict=True)
+        ]
         self._landmarks = np.array(rows).reshape(-1, 2)
+
+    def _landmark(self, key: int, is_wall: bool) -> Array:
+        if is_wall:
+            return line(_pose(self._isam.calculateEstimatePose2(key)))[0]
+        return np.asarray(self._isam.calculateEstimatePoint2(key))
 
     def _moved(self, joint: Array) -> Array:
         """A joint covariance (n, n) of the last update's pose and landmarks, with the motion since taken in; a copy."""
@@ -192,6 +226,10 @@ def solver_parameters(config: ISAM2Config) -> gtsam.ISAM2Params:
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
     parameters.enableAdaptiveReorder = True  # an order that has grown bad costs the 99th percentile half as much again
     return parameters
+
+
+def _pose(pose: gtsam.Pose2) -> Pose:
+    return Pose(pose.x(), pose.y(), pose.theta())
 
 
 def _pose2(pose: Pose) -> gtsam.Pose2:

@@ -13,8 +13,9 @@ from sixthsense.features.landmarks import find_landmarks
 from sixthsense.features.lines import fit_lines
 from sixthsense.features.partition import Indices, partition
 from sixthsense.features.split import split
-from sixthsense.geometry import Array, rotation
-from sixthsense.landmarks import Kind, Sighting
+from sixthsense.features.walls import find_walls
+from sixthsense.geometry import Array, Pose, rotation
+from sixthsense.landmarks import Kind, Sighting, born
 from sixthsense.laser import Scan
 from sixthsense.motion import variance
 
@@ -66,44 +67,62 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
         sigma_bearing,
         seed,
     )
-    rules = config.landmarks
-    kinds, found = find_landmarks(
-        points,
-        ranges,
-        bearings,
-        pieces,
-        piece_of_span[where[:, 0]],
-        lines,
-        where,
-        owner,
-        scan.closed,
-        cyclic,
-        rules.corners,
-        rules.ends,
-        rules.max_gap_m,
-        rules.min_angle_rad,
-        scan.max_range,
-        rules.range_margin_m,
-        rules.min_points,
-        fitting.ransac_threshold_m,
-        sigma_range,
-        sigma_bearing,
-    )
+    scan_of = (points, ranges, bearings, pieces, piece_of_span[where[:, 0]], lines, where, owner, scan.closed, cyclic)
+    rules = config.points
+    limits = (scan.max_range, rules.range_margin_m, rules.min_points, fitting.ransac_threshold_m)
+    sigmas = (sigma_range, sigma_bearing)
+    if config.landmarks == "corners":
+        corners = (rules.corners, rules.ends, rules.max_gap_m, rules.min_angle_rad)
+        kinds, found = find_landmarks(*scan_of, *corners, *limits, *sigmas)
+        sightings: list[Sighting] = []
+    else:
+        ends = config.landmarks == "both" and rules.ends
+        reserved = (config.walls.min_length_m, config.walls.end_points)
+        walls, found = find_walls(*scan_of, ends, rules.max_gap_m, rules.min_angle_rad, *limits, *reserved, *sigmas)
+        kinds = np.full(len(found), Kind.END)
+        sightings = _wall_sightings(walls, scan.T_robot_laser, assumed, config)
+    sightings += _point_sightings(kinds, found, scan.T_robot_laser, assumed, config)
     mount = scan.T_robot_laser
-    turn = rotation(mount.theta)
-    sightings = []
-    for kind, (x, y, xx, xy, yy) in zip(kinds, found, strict=True):
-        # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
-        worst = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
-        if worst <= rules.max_sigma_m**2:
-            cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
-            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov))
     return Features(
         mount @ _clip(points, lines, where),
         tuple(sightings),
         tuple((offset + np.arange(a, b)) % n for a, b in pieces),
         tuple((offset + np.arange(a, b)) % n for a, b in spans),
     )
+
+
+def _point_sightings(
+    kinds: Indices, found: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
+) -> list[Sighting]:
+    """Sightings, in the robot's frame, of points (K, 5) in the laser's, without those that are known too badly."""
+    turn = rotation(mount.theta)
+    sightings = []
+    for kind, (x, y, xx, xy, yy) in zip(kinds, found, strict=True):
+        # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
+        worst = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+        if worst <= config.points.max_sigma_m**2:
+            cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
+            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov))
+    return sightings
+
+
+def _wall_sightings(walls: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig) -> list[Sighting]:
+    """Sightings, in the robot's frame, of walls (W, 7) in the laser's; their normals turned towards the laser."""
+    sightings = []
+    for alpha, d, aa, ad, dd, low, high in walls.tolist():
+        if not aa <= config.walls.max_sigma_rad**2:
+            continue
+        # Seen from the laser the wall is at -d along the normal that points to the laser.
+        in_laser = Sighting(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
+        z, _, by_z = born(mount, in_laser)
+        middle = 0.5 * (low + high)
+        # A wall is as crooked as its ends are off, whatever the robot's distance: about its middle, not its foot.
+        bent = np.array([[1.0, 0.0], [middle, 1.0]])
+        floor = bent @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ bent.T
+        cov = by_z @ (in_laser.cov + floor) @ by_z.T
+        foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
+        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low)))
+    return sightings
 
 
 def _spans(points: Array, pieces: Indices, cyclic: bool, config: FeaturesConfig) -> tuple[Indices, Indices]:

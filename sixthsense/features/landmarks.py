@@ -100,7 +100,7 @@ def _wall_ends(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _clear_of(points: Array, index: Indices, corner: Array, radius: float) -> Indices:
+def clear_of(points: Array, index: Indices, corner: Array, radius: float) -> Indices:
     """The returns at `index` farther than `radius` from a corner; nearer ones may be of the other wall."""
     dx, dy = points[index, 0] - corner[0], points[index, 1] - corner[1]
     clear: Indices = index[dx * dx + dy * dy > radius * radius]
@@ -108,7 +108,7 @@ def _clear_of(points: Array, index: Indices, corner: Array, radius: float) -> In
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark_corners(
+def mark_corners(
     points: Array,
     piece_of_line: Indices,
     lines: Array,
@@ -135,7 +135,7 @@ def _mark_corners(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark_ends(
+def mark_ends(
     ranges: Array,
     bearings: Array,
     pieces: Indices,
@@ -175,7 +175,7 @@ def _fit_sides(
             other = leads_to[j, side]
             if other >= 0:
                 turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
-                mine = _clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+                mine = clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
         middle = len(mine) // 2 if leads_to[j, 0] != NOTHING and leads_to[j, 1] != NOTHING else -1
         for side in range(2):
             half = mine
@@ -216,9 +216,9 @@ def find_landmarks(
     count, spacing = len(lines), abs(bearings[1] - bearings[0])
     leads_to = np.full((count, 2), NOTHING, np.int64)  # from each line's first and last return
     if use_corners:
-        _mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, leads_to)
+        mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, leads_to)
     if use_ends and not cyclic:
-        _mark_ends(
+        mark_ends(
             ranges, bearings, pieces, piece_of_line, lines, where, closed, max_range, margin, min_points, threshold,
             leads_to,
         )  # fmt: skip

@@ -1,0 +1,94 @@
+"""Walls of a scan as landmarks, with the loose ends that are known beside them.
+
+Each laser return is evidence once: a loose end has returns of its own, which its wall does without, and a corner, which
+is where two walls meet, has none and is no landmark here.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from sixthsense.features.landmarks import LOOSE, NOTHING, clear_of, intersect, loose_end, mark_corners, mark_ends
+from sixthsense.features.lines import fit_line
+from sixthsense.features.partition import Indices
+from sixthsense.geometry import Array
+
+
+@numba.njit(cache=True, error_model="numpy")
+def find_walls(
+    points: Array,
+    ranges: Array,
+    bearings: Array,
+    pieces: Indices,
+    piece_of_line: Indices,
+    lines: Array,
+    where: Indices,
+    owner: Indices,
+    closed: bool,
+    cyclic: bool,
+    use_ends: bool,
+    max_gap: float,
+    min_angle: float,
+    max_range: float,
+    margin: float,
+    min_points: int,
+    threshold: float,
+    min_length: float,
+    reserved: int,
+    sigma_range: float,
+    sigma_bearing: float,
+) -> tuple[Array, Array]:
+    """Walls and loose ends of one scan, all in the laser's frame, metres and radians; arguments as `find_landmarks`.
+
+    A loose end takes the last `reserved` returns on its side, its wall all others but those near a corner. Returns
+    (W, 7) alpha, d, aa, ad, dd and from where to where along the wall it was seen; and (E, 5) x, y, xx, xy, yy.
+    """
+    count, spacing = len(lines), abs(bearings[1] - bearings[0])
+    corners = np.full((count, 2), NOTHING, np.int64)
+    ends = np.full((count, 2), NOTHING, np.int64)
+    mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, corners)
+    if use_ends and not cyclic:
+        mark_ends(
+            ranges,
+            bearings,
+            pieces,
+            piece_of_line,
+            lines,
+            where,
+            closed,
+            max_range,
+            margin,
+            min_points,
+            threshold,
+            ends,
+        )
+    walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
+    w = e = 0
+    for j in range(count):
+        mine = np.flatnonzero(owner == j)
+        for side in range(2):
+            other = corners[j, side]
+            if other >= 0:
+                turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
+                mine = clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+        for side, step in ((0, -spacing), (1, spacing)):
+            if ends[j, side] == LOOSE and len(mine) >= 2 * reserved:
+                own = mine[:reserved] if side == 0 else mine[-reserved:]
+                mine = mine[reserved:] if side == 0 else mine[:-reserved]
+                fit = fit_line(points, own, sigma_range, sigma_bearing)
+                found[e] = loose_end(fit, bearings[where[j, 1 + side]], step, sigma_bearing)
+                e += 1
+        if len(mine) < 3:
+            continue
+        fit = fit_line(points, mine, sigma_range, sigma_bearing)
+        c, s = math.cos(fit[0]), math.sin(fit[0])
+        first, last = points[where[j, 1]], points[where[j, 2]]
+        a, b = first[1] * c - first[0] * s, last[1] * c - last[0] * s
+        if abs(b - a) >= min_length:
+            walls[w, :5] = fit
+            walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
+            w += 1
+    return walls[:w].copy(), found[:e].copy()
