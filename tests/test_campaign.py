@@ -445,9 +445,14 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
         add(rows, values)
         os.kill(os.getpid(), signal.SIGINT)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(Rows, "add", add_and_press)
-        assert run_command(*words) == cli.INTERRUPTED
+    # What runs in the background of a shell ignores Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with monkeypatch.context() as patch:
+            patch.setattr(Rows, "add", add_and_press)
+            assert run_command(*words) == cli.INTERRUPTED
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert "interrupted, 1 of 4 runs are in c/, the same command makes the rest" in capsys.readouterr().err
     assert len(ss.load_campaign("c")) == 1
     assert run_command(*words) == cli.DONE
