@@ -65,8 +65,7 @@ def over_time(trace: Trace) -> tuple[Array, Array, Array, Array]:
     first = full_rank_from(covs)
     nees = np.full(len(t), np.nan)
     nees[first:] = nees_world(poses[first:] - truth[first:], covs[first:])
-    ms = np.array([sum(v for stage, v in row.items() if stage != "sense") for row in trace.stopwatch.rows])
-    return t, np.hypot(*(poses - truth)[:, :2].T), nees, ms
+    return t, np.hypot(*(poses - truth)[:, :2].T), nees, trace.stopwatch.key_scan_ms()
 
 
 def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:

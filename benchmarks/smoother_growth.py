@@ -12,18 +12,12 @@ from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense.config import preset
 from sixthsense.estimators import ESTIMATORS
-from sixthsense.geometry import Array
 from sixthsense.loop import run, warm_up
 from sixthsense.plot import ESTIMATE, LANDMARK, new_figure, save
-from sixthsense.trace import STAGES, Trace
+from sixthsense.trace import STAGES
 
 BUDGET_MS = 16.7
 TENTHS = 10
-
-
-def key_scan_ms(trace: Trace) -> Array:
-    """(K,) the whole processing of each key scan, without the simulation."""
-    return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in trace.stopwatch.rows])
 
 
 def main() -> None:
@@ -38,7 +32,7 @@ def main() -> None:
         scene="apartment", task="tour", estimator=options.estimator, seed=options.seed, max_time=options.seconds
     )
     trace = run(config)
-    ms = key_scan_ms(trace)
+    ms = trace.stopwatch.key_scan_ms()
     print(machine())
     print(f"{len(trace.stamps_ns)} scans, {len(ms)} key scans, {len(trace.records)} landmarks, {trace.outcome}")
     parts = np.array_split(np.arange(len(ms)), TENTHS)

@@ -16,7 +16,7 @@ from sixthsense.config import AssociationConfig
 from sixthsense.estimators.base import Estimate, Estimator
 from sixthsense.geometry import Array, Pose
 from sixthsense.landmarks import Kind, LandmarkId, Sighting
-from sixthsense.matching import Indices, Innovations, assign, compare, joint_nis, pairs, world_sigmas
+from sixthsense.matching import Indices, Innovations, assign, compare, joint_nis, pairs
 from sixthsense.walls import ends, fused, joined
 
 
@@ -107,7 +107,7 @@ class Associator:
                 records[j].sightings += 1
                 if known[i].is_wall:
                     records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
-        new = self._born(sightings, np.flatnonzero(free & fits.apart.all(axis=1)).tolist(), estimate)
+        new = self._born(sightings, np.flatnonzero(free & fits.apart.all(axis=1)).tolist(), fits.sigmas, estimate)
         accepted = known | new
         return Association(accepted, len(sightings) - len(accepted), nis, dof)
 
@@ -147,10 +147,11 @@ class Associator:
         self.culled += len(bad)
         return bad
 
-    def _born(self, sightings: Sequence[Sighting], free: list[int], estimate: Estimate) -> dict[LandmarkId, Sighting]:
-        """New landmarks of the sightings at `free`, which fit none."""
+    def _born(
+        self, sightings: Sequence[Sighting], free: list[int], sigmas: Array, estimate: Estimate
+    ) -> dict[LandmarkId, Sighting]:
+        """New landmarks of the sightings at `free`, which fit none; `sigmas` (m,) of all in the world, m."""
         new: dict[LandmarkId, Sighting] = {}
-        sigmas = world_sigmas(sightings, estimate)
         for k in free:
             sighting = sightings[k]
             # One scan may show a wall's end from both sides, or a wall in two pieces: one landmark, not two.

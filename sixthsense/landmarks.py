@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.geometry import Array, Pose, wrap_angle
+from sixthsense.geometry import Array, Pose, rotation, wrap_angle
 
 LandmarkId = int
 
@@ -62,6 +62,19 @@ class Sighting:
         arm = max(r, math.sqrt(across) / math.pi)
         cov = np.array([[across / arm**2, mixed / arm], [mixed / arm, along]])
         return bearing + mixed / arm**2, max(r - 0.5 * across / arm, 0.5 * arm), cov
+
+
+def polar_sighting(distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0) -> Sighting:
+    """A sighting from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
+
+    On average a point whose bearing errs lies nearer than it is, by the factor exp(-variance / 2): the mean is freed of
+    that (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` gives range and bearing back.
+    """
+    reach = distance * math.exp(0.5 * variances[1])
+    turn = rotation(bearing)
+    cov = turn @ np.diag([variances[0], distance**2 * variances[1]]) @ turn.T
+    z = reach * turn[:, 0]
+    return Sighting(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
 
 
 def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:

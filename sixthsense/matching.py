@@ -31,6 +31,8 @@ class Pairs:
     """(m, n) worth a look at the innovation"""
     apart: Mask
     """(m, n) far enough from each other for the sighting to be of another landmark"""
+    sigmas: Array
+    """(m,) sigma, at most, of where points, or the middles of walls, lie in the world; m"""
 
 
 def pairs(
@@ -49,7 +51,7 @@ def pairs(
     """
     shape = len(sightings), len(estimate.ids)
     plausible, apart = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
-    own = world_sigmas(sightings, estimate)
+    own = _world_sigmas(sightings, estimate)
     walls = np.array([s.is_wall for s in sightings], dtype=bool)
     rows, cols = np.flatnonzero(~walls), np.flatnonzero(~estimate.walls)
     if len(rows) and len(cols):
@@ -69,10 +71,10 @@ def pairs(
         reach = np.clip(gates * own[rows], _REACH_M, cfg.pre_gate_m)
         plausible[np.ix_(rows, cols)] = in_line & (angle < turn) & (offset < reach[:, None])
         apart[np.ix_(rows, cols)] = ~(in_line & (angle < _TURN_RAD[0]) & (offset <= cfg.new_separation_m))
-    return Pairs(plausible, apart)
+    return Pairs(plausible, apart, own)
 
 
-def world_sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:
+def _world_sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:
     """(m,) sigma, at most, of where points, or the middles of walls, lie in the world; m."""
     cov = estimate.pose_cov
     out = np.empty(len(sightings))

@@ -100,11 +100,24 @@ def _wall_ends(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def clear_of(points: Array, index: Indices, corner: Array, radius: float) -> Indices:
+def _clear_of(points: Array, index: Indices, corner: Array, radius: float) -> Indices:
     """The returns at `index` farther than `radius` from a corner; nearer ones may be of the other wall."""
     dx, dy = points[index, 0] - corner[0], points[index, 1] - corner[1]
     clear: Indices = index[dx * dx + dy * dy > radius * radius]
     return clear
+
+
+@numba.njit(cache=True, error_model="numpy")
+def clear_of_corners(
+    points: Array, mine: Indices, j: int, lines: Array, leads_to: Indices, sigma_range: float
+) -> Indices:
+    """The returns at `mine`, of line j, that are clear of the corners that it `leads_to` (L, 2) at its ends."""
+    for side in range(2):
+        other = leads_to[j, side]
+        if other >= 0:
+            turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
+            mine = _clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+    return mine
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -170,12 +183,7 @@ def _fit_sides(
     """(L, 2, 5): the line as each of its landmarks may use it, so that no return is used for both; NaN for none."""
     sides = np.full((len(lines), 2, 5), np.nan)
     for j in range(len(lines)):
-        mine = np.flatnonzero(owner == j)
-        for side in range(2):
-            other = leads_to[j, side]
-            if other >= 0:
-                turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
-                mine = clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+        mine = clear_of_corners(points, np.flatnonzero(owner == j), j, lines, leads_to, sigma_range)
         middle = len(mine) // 2 if leads_to[j, 0] != NOTHING and leads_to[j, 1] != NOTHING else -1
         for side in range(2):
             half = mine

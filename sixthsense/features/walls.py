@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.features.landmarks import LOOSE, NOTHING, clear_of, intersect, loose_end, mark_corners, mark_ends
+from sixthsense.features.landmarks import LOOSE, NOTHING, clear_of_corners, loose_end, mark_corners, mark_ends
 from sixthsense.features.lines import fit_line
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array
@@ -68,12 +68,7 @@ def find_walls(
     walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
     w = e = 0
     for j in range(count):
-        mine = np.flatnonzero(owner == j)
-        for side in range(2):
-            other = corners[j, side]
-            if other >= 0:
-                turn = abs(math.sin(lines[j, 0] - lines[other, 0]))
-                mine = clear_of(points, mine, intersect(lines[j], lines[other]), 4.0 * sigma_range / turn)
+        mine = clear_of_corners(points, np.flatnonzero(owner == j), j, lines, corners, sigma_range)
         for side, step in ((0, -spacing), (1, spacing)):
             if ends[j, side] == LOOSE and len(mine) >= 2 * reserved:
                 own = mine[:reserved] if side == 0 else mine[-reserved:]

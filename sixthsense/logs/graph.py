@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.geometry import Array, Pose, rotation
-from sixthsense.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.landmarks import Kind, LandmarkId, Sighting, polar_sighting
 from sixthsense.logs import LogError
 from sixthsense.logs.log import Log
-from sixthsense.logs.mrclam import polar_sighting
 from sixthsense.logs.text import Record, lines, shown
 from sixthsense.source import Tick
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config import AssumedConfig
-from sixthsense.geometry import Array, Pose, rotation
-from sixthsense.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import LandmarkId, Sighting, polar_sighting
 from sixthsense.logs import LogError
 from sixthsense.logs.log import Log
 from sixthsense.logs.text import Record, lines, shown
@@ -112,19 +112,6 @@ def read_mrclam(
         raise LogError(f"{vicon}: found truth at no stamp of the odometry, allowed: of the same drive")
     places = _existing(path, "Landmark_Groundtruth.dat")
     return MrclamLog(ticks, {} if places is None else _landmarks(places), misread)
-
-
-def polar_sighting(distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0) -> Sighting:
-    """A sighting from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
-
-    On average a point whose bearing errs lies nearer than it is, by the factor exp(-variance / 2): the mean is freed of
-    that (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` gives range and bearing back.
-    """
-    reach = distance * math.exp(0.5 * variances[1])
-    turn = rotation(bearing)
-    cov = turn @ np.diag([variances[0], distance**2 * variances[1]]) @ turn.T
-    z = reach * turn[:, 0]
-    return Sighting(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
 
 
 class _Truth:
