@@ -12,12 +12,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import chi2
 
+from sixthsense.align import Alignment, align
 from sixthsense.config import AssociationConfig
 from sixthsense.estimators.base import Estimate, Estimator
 from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.jcbb import jointly_compatible
+from sixthsense.landmarks import Kind, LandmarkId, Sighting, innovations
 from sixthsense.matching import Indices, Innovations, assign, compare, joint_nis, pairs
-from sixthsense.walls import ends, fused, joined
+from sixthsense.walls import disagreement, ends, fused, in_line, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,8 @@ class Record:
     """updates it has received, its birth included"""
     born_scan: int
     """key scan of its birth"""
+    seen_scan: int
+    """key scan of its last sighting"""
     sigma_m: float = math.inf
     """at most that of a point's position along any direction, when it was last looked at"""
     extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
@@ -69,6 +73,8 @@ class Associator:
         """of every landmark in the state"""
         self.culled = 0
         """landmarks removed so far"""
+        self.walls_merged = 0
+        """of them not counted: walls that have turned out to be others"""
         if config.method == "chi2":
             self._match_gate = float(chi2.ppf(config.match_probability, 2))
             self._new_gate = float(chi2.ppf(config.new_probability, 2))
@@ -87,29 +93,37 @@ class Associator:
         records = [self.records[i] for i in estimate.ids.tolist()]
         sigmas = np.array([record.sigma_m for record in records])
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
-        fits = pairs(sightings, estimate, sigmas, extents, self._sigmas, self._config)
+        aligned = Alignment(estimate.pose, 0.0)
+        if self._config.align.enabled:
+            aligned = align(sightings, estimate, extents, self._config.wall_gap_m, self._config.align)
+        fits = pairs(sightings, estimate, aligned, sigmas, extents, self._sigmas, self._config)
         near = np.flatnonzero(fits.plausible.any(axis=0))
         known: dict[LandmarkId, Sighting] = {}
-        nis, free = 0.0, np.ones(len(sightings), dtype=bool)
+        nis, free, pieces = 0.0, np.ones(len(sightings), dtype=bool), 0
         if len(near):
             joint = estimator.joint_covariance(estimate.ids[near].tolist())
             for j, k in enumerate(near):
                 records[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
             innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near])
-            rows, cols = assign(innovation, self._match_gate)
+            rows, cols = self._assigned(innovation, sightings, joint)
             free = innovation.squared.min(axis=1) > self._new_gate
             free[rows] = False
-            known = {int(estimate.ids[near[j]]): sightings[i] for i, j in zip(rows, cols, strict=True)}
-            nis = _matches_nis(innovation, sightings, rows, cols, joint)
+            matched = [sightings[i] for i in rows.tolist()]
+            for i in np.flatnonzero(~free).tolist():
+                if i not in rows and sightings[i].is_wall:
+                    pieces += self._joins(sightings[i], innovation.squared[i, cols], matched)
+            known = {int(estimate.ids[near[j]]): sighting for j, sighting in zip(cols, matched, strict=True)}
+            nis = _matches_nis(innovation, matched, cols, joint)
         dof = 2 * len(known)
         for j, i in enumerate(estimate.ids.tolist()):
             if i in known:
                 records[j].sightings += 1
+                records[j].seen_scan = self._scan
                 if known[i].is_wall:
                     records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
-        new = self._born(sightings, np.flatnonzero(free & fits.apart.all(axis=1)).tolist(), fits.sigmas, estimate)
-        accepted = known | new
-        return Association(accepted, len(sightings) - len(accepted), nis, dof)
+        new, more = self._born(sightings, np.flatnonzero(free & fits.apart.all(axis=1)).tolist(), fits.sigmas, estimate)
+        accepted, pieces = known | new, pieces + more
+        return Association(accepted, len(sightings) - len(accepted) - pieces, nis, dof)
 
     def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
         """Take sightings whose landmarks are known by name, unless it was misread; the NIS is that of the old ones."""
@@ -126,10 +140,10 @@ class Associator:
             innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=bool))
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = _matches_nis(innovation, seen, kept, kept, joint)
+            nis = _matches_nis(innovation, [seen[k] for k in kept], kept, joint)
         accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
         for i, sighting in accepted.items():
-            self.records.setdefault(i, Record(sighting.kind, 0, self._scan)).sightings += 1
+            self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
         return Association(accepted, len(misread), nis, 2 * (len(old) - len(misread)))
 
     def cull(self) -> list[LandmarkId]:
@@ -147,27 +161,84 @@ class Associator:
         self.culled += len(bad)
         return bad
 
+    def merged(self, estimator: Estimator) -> list[LandmarkId]:
+        """Walls to forget now, because they have turned out to be walls that are known longer; looked at once a period.
+
+        Two walls are one when they lie in line, without a gap, and the joint covariance does not tell them apart. What
+        the younger has told of the poses stays with them, but that both are one is not fed back.
+        """
+        if self._scan % self._config.cull_period:
+            return []
+        estimate = estimator.estimate()
+        there = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been culled
+        ids, walls = estimate.ids[there].tolist(), estimate.landmarks[there]
+        records = [self.records[i] for i in ids]
+        extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
+        recent = np.array([self._scan - record.seen_scan < self._config.cull_period for record in records], dtype=bool)
+        gone: list[LandmarkId] = []
+        for j, k in in_line(walls, extents, recent, self._config.wall_gap_m, self._config.new_separation_m):
+            if ids[j] in gone or ids[k] in gone:
+                continue
+            joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]
+            cov = joint[:2, :2] + joint[2:, 2:] - joint[:2, 2:] - joint[2:, :2]
+            if disagreement(walls[j], walls[k], cov) > self._match_gate:
+                continue
+            young, old = sorted((j, k), key=lambda n: (records[n].sightings, -ids[n]))
+            records[old].extent = joined(walls[old], records[old].extent, records[young].extent)
+            records[old].sightings += records[young].sightings
+            del self.records[ids[young]]
+            gone.append(ids[young])
+        self.walls_merged += len(gone)
+        return gone
+
+    def _assigned(
+        self, innovation: Innovations, sightings: Sequence[Sighting], joint: Array
+    ) -> tuple[Indices, Indices]:
+        if self._config.assignment == "optimal":
+            return assign(innovation, self._match_gate)
+        noise = np.array([s.cov for s in sightings])
+        return jointly_compatible(innovation, joint, noise, self._match_gate, self._config.joint_probability)
+
+    def _joins(self, piece: Sighting, squared: Array, matched: list[Sighting]) -> bool:
+        """Whether another piece of a wall was fused with the one that is matched: both must be one to the laser, too.
+
+        `squared` (n,) is the piece's squared innovation against the landmarks of `matched`.
+        """
+        if not len(squared) or squared.min() > self._match_gate:
+            return False
+        n = int(squared.argmin())
+        if disagreement(piece.z, matched[n].z, piece.cov + matched[n].cov) > self._match_gate:
+            return False
+        matched[n] = fused(matched[n], piece)
+        return True
+
     def _born(
         self, sightings: Sequence[Sighting], free: list[int], sigmas: Array, estimate: Estimate
-    ) -> dict[LandmarkId, Sighting]:
-        """New landmarks of the sightings at `free`, which fit none; `sigmas` (m,) of all in the world, m."""
+    ) -> tuple[dict[LandmarkId, Sighting], int]:
+        """New landmarks of the sightings at `free`, which fit none, and how many more of these are pieces of them.
+
+        `sigmas` (m,) metres, of all sightings in the world.
+        """
         new: dict[LandmarkId, Sighting] = {}
+        pieces = 0
         for k in free:
             sighting = sightings[k]
             # One scan may show a wall's end from both sides, or a wall in two pieces: one landmark, not two.
             twin = next((i for i, other in new.items() if self._same(sighting, other)), None)
             if twin is not None:
-                if sighting.is_wall:
+                apart = disagreement(sighting.z, new[twin].z, sighting.cov + new[twin].cov) if sighting.is_wall else 0.0
+                if sighting.is_wall and apart <= self._match_gate:
                     new[twin] = fused(new[twin], sighting)
+                    pieces += 1
                     self.records[twin].extent = ends(estimate.pose, new[twin])
                 continue
             if not sighting.is_wall and not self._proves_itself(estimate.pose @ sighting.z):
                 continue
             extent = ends(estimate.pose, sighting) if sighting.is_wall else np.zeros((2, 2))
             new[self._next_id] = sighting
-            self.records[self._next_id] = Record(sighting.kind, 1, self._scan, float(sigmas[k]), extent)
+            self.records[self._next_id] = Record(sighting.kind, 1, self._scan, self._scan, float(sigmas[k]), extent)
             self._next_id += 1
-        return new
+        return new, pieces
 
     def _same(self, one: Sighting, other: Sighting) -> bool:
         """Whether two sightings of one scan are too near each other to be of two landmarks."""
@@ -177,7 +248,8 @@ class Associator:
             return math.dist(one.z, other.z) <= self._config.new_separation_m
         seen = Estimate(Pose(), np.zeros((3, 3)), np.zeros(1, np.int64), other.z[None], np.ones(1, dtype=bool))
         extent = ends(Pose(), other)[None]
-        return not pairs([one], seen, np.zeros(1), extent, self._sigmas, self._config).apart[0, 0]
+        here = Alignment(Pose(), 1.0)
+        return not pairs([one], seen, here, np.zeros(1), extent, self._sigmas, self._config).apart[0, 0]
 
     def _proves_itself(self, position: Array) -> bool:
         """Count a sighting that fits no landmark; True when its candidate has been seen often enough."""
@@ -199,15 +271,14 @@ class Associator:
         return False
 
 
-def _matches_nis(
-    innovation: Innovations, sightings: Sequence[Sighting], rows: Indices, cols: Indices, joint: Array
-) -> float:
+def _matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:
     """Normalised innovation squared of all matches together, with the correlations between them."""
     index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
+    z = np.array([s.z for s in matched]).reshape(-1, 2)
     return joint_nis(
         joint[np.ix_(index, index)],
         innovation.by_pose[cols],
         innovation.by_landmark[cols],
-        innovation.values[rows, cols],
-        np.array([sightings[i].cov for i in rows]),
+        innovations(z, innovation.predicted[cols], innovation.walls[cols]),
+        np.array([s.cov for s in matched]),
     )

@@ -195,7 +195,7 @@ def drive(
                     association = associator.known(tick.sightings or {}, estimator)
                 watch.lap("associate")
                 estimator.update(association.sightings)
-                estimator.forget(associator.cull())
+                estimator.forget([*associator.cull(), *associator.merged(estimator)])
                 estimate = estimator.estimate()
                 pose = estimate.pose
                 watch.lap("update")
@@ -227,7 +227,7 @@ def drive(
     trace.final = estimator.estimate()
     trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
     trace.trajectory = estimator.trajectory()
-    trace.records, trace.culled = associator.records, associator.culled
+    trace.records, trace.culled, trace.walls_merged = associator.records, associator.culled, associator.walls_merged
     trace.grid, trace.rebuilds = mapper.grid, mapper.rebuilds
 
 

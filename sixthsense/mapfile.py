@@ -23,6 +23,7 @@ _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 _LONGEST = 1 << 16  # characters
 _LONGEST_NAME = 1000
+_LONGEST_REASON = 300
 _DEEPEST = 20  # lists in one another, over which a parser of YAML takes its time
 # A segment costs 1 and this much for each squared cell by which an outline corner lies off it. Above 2, so that
 # cutting off the end of a wall one cell thick (two corners off by half a cell for one segment less) does not pay;
@@ -209,7 +210,9 @@ def _read_yaml(file: Path) -> dict[Any, Any]:
         # The base loader leaves every value a text, so that 5e-2 is as good a number here as in map_server.
         table = yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
-        raise SceneError(f"is not YAML ({' '.join(str(error).split())})") from None
+        said = " ".join(str(error).split())
+        shortened = said if len(said) <= _LONGEST_REASON else f"{said[:_LONGEST_REASON]}..."
+        raise SceneError(f"is not YAML ({shortened})") from None
     if not isinstance(table, dict):
         raise SceneError(f"found {shown(table)}, allowed: a table with {', '.join(_REQUIRED)}")
     return table

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
+from sixthsense.align import Alignment
 from sixthsense.config import AssociationConfig
 from sixthsense.estimators.base import Estimate
 from sixthsense.geometry import Array
@@ -38,24 +40,27 @@ class Pairs:
 def pairs(
     sightings: Sequence[Sighting],
     estimate: Estimate,
+    aligned: Alignment,
     sigmas: Array,
     extents: Array,
     gates: float,
     cfg: AssociationConfig,
 ) -> Pairs:
-    """Compare sightings with all landmarks of the estimate.
+    """Compare sightings with all landmarks of the estimate, as seen from the aligned pose.
 
     `sigmas` (n,) metres, what each point is known to at worst; `extents` (n, 2, 2) ends of walls; `gates` in sigmas.
     The sigma of a difference is at most the sum of both, however they are correlated: a point that is left out here
     could not have passed a gate. Sigmas of landmarks shrink; the factor leaves room for what linearising anew changes.
+    Walls that lie on others once the scan is aligned have no need of such room.
     """
     shape = len(sightings), len(estimate.ids)
     plausible, apart = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
     own = _world_sigmas(sightings, estimate)
+    pose, fits = aligned.pose, aligned.explained >= cfg.align.enough
     walls = np.array([s.is_wall for s in sightings], dtype=bool)
     rows, cols = np.flatnonzero(~walls), np.flatnonzero(~estimate.walls)
     if len(rows) and len(cols):
-        positions = estimate.pose @ np.array([sightings[k].z for k in rows.tolist()])
+        positions = pose @ np.array([sightings[k].z for k in rows.tolist()])
         gap = positions[:, None, :] - estimate.landmarks[None, cols, :]
         distance = np.hypot(gap[..., 0], gap[..., 1])
         reach = np.minimum(cfg.pre_gate_m, gates * (own[rows, None] + 2.0 * sigmas[None, cols]))
@@ -63,12 +68,14 @@ def pairs(
         apart[np.ix_(rows, cols)] = distance > cfg.new_separation_m
     rows, cols = np.flatnonzero(walls), np.flatnonzero(estimate.walls)
     if len(rows) and len(cols):
-        sighted = np.array([ends(estimate.pose, sightings[k]) for k in rows.tolist()])
-        alphas = np.array([sightings[k].z[0] for k in rows.tolist()]) + estimate.pose.theta
+        sighted = np.array([ends(pose, sightings[k]) for k in rows.tolist()])
+        alphas = np.array([sightings[k].z[0] for k in rows.tolist()]) + pose.theta
         near = nearness(sighted, alphas, estimate.landmarks[cols], extents[cols])
         angle, offset, in_line = np.abs(near.angle), np.abs(near.offset), near.gap < cfg.wall_gap_m
-        turn = float(np.clip(gates * math.sqrt(estimate.pose_cov[2, 2]), *_TURN_RAD))
-        reach = np.clip(gates * own[rows], _REACH_M, cfg.pre_gate_m)
+        turn, reach = _TURN_RAD[0], np.full(len(rows), _REACH_M)
+        if not fits:
+            turn = float(np.clip(gates * math.sqrt(estimate.pose_cov[2, 2]), *_TURN_RAD))
+            reach = np.clip(gates * own[rows], _REACH_M, cfg.pre_gate_m)
         plausible[np.ix_(rows, cols)] = in_line & (angle < turn) & (offset < reach[:, None])
         apart[np.ix_(rows, cols)] = ~(in_line & (angle < _TURN_RAD[0]) & (offset <= cfg.new_separation_m))
     return Pairs(plausible, apart, own)
@@ -103,6 +110,10 @@ class Innovations:
     """(k, 2, 3)"""
     by_landmark: Array
     """(k, 2, 2)"""
+    predicted: Array
+    """(k, 2) sightings"""
+    walls: Mask
+    """(k,) which of the landmarks are walls"""
 
 
 def compare(
@@ -118,7 +129,8 @@ def compare(
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
     a, b = values[..., 0], values[..., 1]
     squared = (a * a * S[..., 1, 1] - 2 * a * b * S[..., 0, 1] + b * b * S[..., 0, 0]) / det
-    return Innovations(values, np.where(plausible, squared, np.inf), np.log(det), by_pose, by_landmark)
+    squared = np.where(plausible, squared, np.inf)
+    return Innovations(values, squared, np.log(det), by_pose, by_landmark, predicted, walls)
 
 
 def assign(innovation: Innovations, gate: float) -> tuple[Indices, Indices]:
@@ -147,15 +159,19 @@ def joint_nis(joint: Array, by_pose: Array, by_landmark: Array, innovation: Arra
 
     `joint` (3 + 2m, 3 + 2m) in the order of the matches, all else (m, ...).
     """
-    m = len(by_pose)
-    if m == 0:
+    if len(by_pose) == 0:
         return 0.0
-    H = np.zeros((2 * m, len(joint)))
-    S = np.zeros((2 * m, 2 * m))
-    for k in range(m):
-        H[2 * k : 2 * k + 2, :3] = by_pose[k]
-        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = noise[k]
-    S += H @ joint @ H.T
+    H = stacked_jacobian(by_pose, by_landmark)
+    S = H @ joint @ H.T + block_diag(*noise)
     stacked = innovation.ravel()
     return float(stacked @ np.linalg.solve(S, stacked))
+
+
+def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
+    """(2m, 3 + 2m) Jacobian of m predicted sightings by the pose and the landmarks, in order."""
+    m = len(by_pose)
+    H = np.zeros((2 * m, 3 + 2 * m))
+    H[:, :3] = by_pose.reshape(2 * m, 3)
+    for k in range(m):
+        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
+    return H

@@ -117,6 +117,8 @@ class Trace:
     """of the landmarks in the final estimate"""
     culled: int = 0
     """landmarks removed"""
+    walls_merged: int = 0
+    """walls that have turned out to be others"""
     relations: Relations | None = None
     """hand-checked relations to measure the trajectory against"""
     grid: Grid | None = None
@@ -196,6 +198,7 @@ class Trace:
         out |= self._relations()
         out["landmarks"] = len(self.records)
         out["landmarks_culled"] = self.culled
+        out["walls_merged"] = self.walls_merged
         out["path_length_m"] = self.path_length_m
         out["plans"] = len(self.plans)
         sim_time_s = 1e-9 * (self.stamps_ns[-1] - self.stamps_ns[0]) if self.stamps_ns else 0.0

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.geometry import Array, Pose, wrap_angle
 from sixthsense.landmarks import Sighting
+
+_PARALLEL_RAD = 0.15  # walls that differ by more in direction are two
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,29 @@ def nearness(sighted: Array, alphas: Array, landmarks: Array, extents: Array) ->
     high = np.minimum(mine.max(axis=2), theirs.max(axis=1))
     angle = wrap_angle(alphas[:, None] - landmarks[None, :, 0])
     return Nearness(angle, middle @ normal.T - landmarks[:, 1], low - high)
+
+
+def in_line(
+    landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
+) -> list[tuple[int, int]]:
+    """Pairs of walls (n, 2) of which one is `recent` (n,) and that may be one by direction, offset and extent."""
+    pairs: list[tuple[int, int]] = []
+    mine = np.flatnonzero(recent)
+    if not len(mine):
+        return pairs
+    near = nearness(extents[mine], landmarks[mine, 0], landmarks, extents)
+    close = (np.abs(near.angle) < _PARALLEL_RAD) & (np.abs(near.offset) <= offset_m) & (near.gap < gap_m)
+    for j, k in zip(*np.nonzero(close), strict=True):
+        first, second = int(mine[j]), int(k)
+        if first != second and not (recent[second] and second < first):
+            pairs.append((first, second))
+    return pairs
+
+
+def disagreement(first: Array, second: Array, cov: Array) -> float:
+    """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
+    gap = np.array([wrap_angle(float(first[0] - second[0])), first[1] - second[1]])
+    return float(gap @ np.linalg.solve(cov, gap))
 
 
 def joined(landmark: Array, *extents: Array) -> Array:

@@ -9,11 +9,13 @@ from scipy.optimize import least_squares
 
 from sixthsense.config import ISAM2Config
 from sixthsense.geometry import Pose, rotation, wrap_angle
-from sixthsense.landmarks import Kind, Sighting
+from sixthsense.landmarks import Kind, Sighting, predict_walls
 from sixthsense.motion import STANDSTILL, Odometry
 
 POINTS = np.random.default_rng(3).uniform(-5, 5, (12, 2))
 DEFAULT = ISAM2Config()
+TRUSTING = ISAM2Config(undo_probability=1.0)
+MISSING = np.zeros(2)
 
 
 def log_se2(pose):
@@ -152,14 +154,16 @@ def test_a_landmark_seen_once_and_forgotten_leaves_the_pose_as_odometry_has_it()
     assert np.allclose(smoother.trajectory(), alone.trajectory(), atol=1e-6)
 
 
-def crossed(config, wrong=None):
+def crossed(config, wrong=None, seed=0):
     """A smoother after a drive on which one sighting of landmark 0 was `wrong`, and its position error."""
-    rng, true, smoother = np.random.default_rng(0), START, make("isam2", isam2=config)
+    rng, true, smoother = np.random.default_rng(seed), START, make("isam2", isam2=config)
     for k in range(40):
         smoother.predict(step())
         true = true @ noisy(step(), rng)
         sightings = sight(true, range(6), rng, points=POINTS)
-        if k == 30 and wrong is not None:
+        if k == 30 and wrong is MISSING:
+            del sightings[0]
+        elif k == 30 and wrong is not None:
             sightings[0] = Sighting(Kind.CORNER, sightings[0].z + wrong, sightings[0].cov)
         smoother.update(sightings)
     order = np.argsort(smoother.estimate().ids)
@@ -168,11 +172,43 @@ def crossed(config, wrong=None):
 
 @pytest.mark.parametrize("robust", ["huber", "cauchy"])
 def test_a_robust_loss_holds_against_a_wrong_match(robust):
-    config = ISAM2Config(robust=robust, iterations=3)
-    plain, _ = crossed(DEFAULT, np.array([3.0, -2.0]))
+    config = ISAM2Config(robust=robust, iterations=3, undo_probability=1.0)
+    plain, _ = crossed(TRUSTING, np.array([3.0, -2.0]))
     guarded, _ = crossed(config, np.array([3.0, -2.0]))
-    clean, _ = crossed(DEFAULT)
+    clean, _ = crossed(TRUSTING)
     assert guarded < 0.5 * plain and abs(guarded - clean) < 0.02 < plain
+
+
+def test_a_match_that_all_else_contradicts_is_taken_back():
+    exact = {"relinearize_threshold": 1e-9, "iterations": 5}
+    trust = ISAM2Config(**exact, undo_probability=1.0)
+    plain, trusting = crossed(trust, np.array([3.0, -2.0]))
+    mended, smoother = crossed(ISAM2Config(**exact), np.array([3.0, -2.0]))
+    _, reference = crossed(trust, MISSING)
+    assert (trusting.undone, smoother.undone) == (0, 1) and mended < 0.5 * plain
+    assert np.allclose(smoother.estimate().pose.array(), reference.estimate().pose.array(), atol=1e-5)
+    assert np.allclose(smoother.estimate().landmarks, reference.estimate().landmarks, atol=1e-5)
+    assert np.allclose(smoother.estimate().pose_cov, reference.estimate().pose_cov, rtol=1e-3, atol=1e-9)
+
+
+def test_no_right_match_is_taken_back_by_chance():
+    assert all(crossed(DEFAULT, seed=seed)[1].undone == 0 for seed in range(10))
+
+
+def test_a_wrong_match_of_a_wall_is_taken_back_too():
+    walls = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0]])
+    rng, true, smoother = np.random.default_rng(1), START, make("isam2", isam2=DEFAULT)
+    cov = np.diag([4e-5, 1e-4])
+    for k in range(40):
+        smoother.predict(step())
+        true = true @ noisy(step(), rng)
+        z = predict_walls(true, walls)[0] + rng.multivariate_normal(np.zeros(2), cov, 3)
+        if k == 25:
+            z[0, 1] += 0.6
+        smoother.update({i: Sighting(Kind.WALL, z[i], cov, (-1.0, 1.0)) for i in range(3)})
+    estimate = smoother.estimate()
+    assert smoother.undone == 1
+    assert np.abs(wrap_angle(estimate.landmarks[np.argsort(estimate.ids)][:, 0] - walls[:, 0])).max() < 0.02
 
 
 def test_a_wide_robust_loss_is_none():

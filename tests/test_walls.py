@@ -248,6 +248,39 @@ def test_a_wall_is_found_again_and_its_other_side_is_another():
     assert sorted(np.round(associator.records[0].extent[:, 1], 6)) == [-1.0, 1.4]
 
 
+def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_proud():
+    for step, fused_in in ((0.0, True), (0.2, False)):
+        estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+        wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 3.0))
+        estimator.update(associator.associate([wall], estimator).sightings)
+        near = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 0.5))
+        far = Sighting(Kind.WALL, np.array([0.0, -2.0 + step]), COV, (1.0, 3.0))
+        found = associator.associate([near, far], estimator)
+        assert found.dof == 2 and len(found.sightings) == 1
+        assert np.allclose(found.sightings[0].cov, COV / 2 if fused_in else COV)
+        assert found.sightings[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
+        assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
+
+
+def test_two_walls_that_turn_out_to_be_one_are_merged():
+    config = AssociationConfig(cull_period=2, cull_below=1)
+    for offset, gone in ((0.005, [1]), (0.15, [])):
+        estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
+        # Two stretches too far apart to be called one, until a sighting of the first reaches the second.
+        first = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
+        second = Sighting(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
+        for longer in (-0.5, 0.2):
+            seen = Sighting(Kind.WALL, first.z, COV, (-2.0, longer))
+            estimator.update(associator.associate([seen, second], estimator).sightings)
+        assert estimator.estimate().walls.sum() == 2
+        merged = associator.merged(estimator)
+        estimator.forget(merged)
+        assert merged == gone and associator.walls_merged == len(gone)
+        if gone:
+            assert associator.records[0].sightings == 4
+            assert sorted(np.round(associator.records[0].extent[:, 1], 3)) == [-2.0, 2.0]
+
+
 @pytest.mark.parametrize("kinds", ["walls", "both"])
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
 def test_walls_hold_the_block_where_corners_let_it_drift(kinds, estimator):

@@ -2,6 +2,7 @@
 
 from sixthsense.config.files import is_of_replay, load_config, save_config
 from sixthsense.config.pipeline import (
+    AlignConfig,
     AssociationConfig,
     FeaturesConfig,
     FollowConfig,
@@ -29,6 +30,7 @@ from sixthsense.config.values import Distribution
 
 __all__ = [
     "PRESETS",
+    "AlignConfig",
     "AssociationConfig",
     "AssumedConfig",
     "Config",

@@ -96,7 +96,7 @@ class WallsConfig(Section):
 class FeaturesConfig(Section):
     """From a scan to walls and landmarks (report section 4.2)."""
 
-    landmarks: Literal["corners", "walls", "both"] = "corners"
+    landmarks: Literal["corners", "walls", "both"] = "both"
     """corners: corners and loose ends, as in the report; walls: walls alone; both: walls and loose ends (a corner is
     where two walls meet and adds nothing to them)."""
 
@@ -105,6 +105,28 @@ class FeaturesConfig(Section):
     lines: LinesConfig = field(default_factory=LinesConfig)
     points: PointsConfig = field(default_factory=PointsConfig)
     walls: WallsConfig = field(default_factory=WallsConfig)
+
+
+@dataclass(frozen=True)
+class AlignConfig(Section):
+    """Laying a scan's walls onto the map's before matches are chosen: nothing but the choice depends on it."""
+
+    enabled: bool = True
+    """Off: landmarks near the predicted sightings are looked at, however far the prediction may be off."""
+    steps: PositiveCount = 6
+    """Robust Gauss-Newton steps."""
+    headings_rad: tuple[Positive, Positive] = (0.12, 0.25)
+    """Headings to start from, to either side, when the predicted one leaves much unexplained."""
+    reach_m: Positive = 0.6
+    """A sighted wall is laid onto one that lies at most this far off."""
+    reach_rad: Positive = 0.2
+    """The same for its direction."""
+    scale_m: Positive = 0.05
+    """Offset at which the loss bends."""
+    enough: Probability = 0.6
+    """No other heading is tried when this share of the sighted walls' length lies on known ones."""
+    margin: Probability = 0.15
+    """Another heading must explain so much more of it."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +151,10 @@ class AssociationConfig(Section):
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
     """A landmark known by name was seen inside this much of the innovation's distribution, else misread; 1: always."""
+    assignment: Literal["optimal", "joint"] = "optimal"
+    """optimal: the likeliest one-to-one matches; joint: the most that agree with each other (Neira and Tardos 2001)."""
+    joint_probability: Probability = 0.999
+    """joint: all matches together lie inside this much of their innovations' distribution."""
     candidate_sightings: PositiveCount = 1
     """A landmark joins the state at its n-th sighting; 1: at once."""
     candidate_gate_m: Positive = 0.2
@@ -141,6 +167,7 @@ class AssociationConfig(Section):
     """Key scans between two checks."""
     cull_below: Count = 3
     """A landmark with fewer sightings than this, a period after its birth, is removed."""
+    align: AlignConfig = field(default_factory=AlignConfig)
 
 
 @dataclass(frozen=True)
@@ -157,6 +184,8 @@ class ISAM2Config(Section):
     """Loss on landmarks' factors, against wrong matches."""
     robust_scale: Positive = 1.5
     """Whitened error at which the loss bends."""
+    undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
+    """A match whose residual lies outside this much of its noise, once all is known, is taken back; 1: never."""
 
 
 @dataclass(frozen=True)

@@ -8,16 +8,21 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, W, X
 from scipy.linalg import block_diag
+from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
 from sixthsense.estimators.base import Estimate, check_covariance, check_sightings
+from sixthsense.estimators.evidence import Evidence
 from sixthsense.estimators.wallframe import birth, line, measurement
 from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
 
-# Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular.
-_FLOOR = 1e-6
+# Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular,
+# nor leave the Cholesky factor without digits.
+_FLOOR = 1e-5
+_UNDO_PERIOD = 10  # updates between two looks for matches to take back
+_MOST_UNDONE = 5  # at one look
 
 
 class ISAM2:
@@ -43,8 +48,10 @@ class ISAM2:
         self._keys: dict[LandmarkId, int] = {}
         self._is_wall: dict[LandmarkId, bool] = {}
         self._born = 0
-        self._factors: dict[LandmarkId, list[int]] = {}
-        """per landmark: places of its factors in the graph"""
+        self._evidence = Evidence()
+        self._undo_gate = float(chi2.ppf(config.undo_probability, 2))  # infinite for 1
+        self.undone = 0
+        """matches taken back so far"""
         self._step = STANDSTILL
         """motion since the last pose, waiting or not"""
         self._pending = STANDSTILL
@@ -71,21 +78,23 @@ class ISAM2:
         if not sightings:
             return
         first = self._graph.size()
-        for i, sighting in sightings.items():
-            is_new = i not in self._keys
+        births = [i not in self._keys for i in sightings]
+        for (i, sighting), is_new in zip(sightings.items(), births, strict=True):
             if is_new:
                 self._bear(i, guess, sighting)
             add = self._wall_factor if sighting.is_wall else self._point_factor
             self._graph.add(add(self._keys[i], guess, sighting, is_new))
         places = self._isam.update(self._graph, self._values).getNewFactorsIndices()
-        for i, place in zip(sightings, places[first:], strict=True):
-            self._factors[i].append(place)
+        for (i, sighting), place, is_new in zip(sightings.items(), places[first:], births, strict=True):
+            self._evidence.add(self._poses - 1, i, place, sighting, is_new)
         # Fresh ones each time: a factor that is sent twice counts twice.
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._waiting.clear()
         self._pending = STANDSTILL
         self._settle(guess)
         self._read()
+        if self._poses % _UNDO_PERIOD == 0:
+            self._undo()
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks with all their factors: what they have told of the poses is forgotten with them."""
@@ -94,13 +103,10 @@ class ISAM2:
             self._keys[i]  # KeyError before anything is removed
         if not gone:
             return
-        places = [place for i in gone for place in self._factors.pop(i)]
+        places = self._evidence.places(gone)
         for i in gone:
             del self._keys[i], self._is_wall[i]
-        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), sorted(places))
-        for _ in range(self._iterations - 1):
-            self._isam.update()
-        self._read()
+        self._remove(places)
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -153,7 +159,7 @@ class ISAM2:
             self._graph.add(gtsam.BetweenFactorPose2(key - 1, key, _pose2(self._step.motion), noise))
 
     def _bear(self, i: LandmarkId, guess: Pose, sighting: Sighting) -> None:
-        self._factors[i], self._is_wall[i] = [], sighting.is_wall
+        self._is_wall[i] = sighting.is_wall
         if sighting.is_wall:
             self._keys[i] = W(self._born)
             self._values.insert(self._keys[i], _pose2(birth(guess, sighting)))
@@ -185,6 +191,28 @@ class ISAM2:
                 return
             self._isam.update()
             linearised = solved
+
+    def _remove(self, places: list[int]) -> None:
+        """Take factors out of the graph and solve."""
+        self._evidence.drop(places)
+        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+        for _ in range(self._iterations - 1):
+            self._isam.update()
+        self._read()
+
+    def _undo(self) -> None:
+        """Take back matches that all the other evidence contradicts, the worst first.
+
+        At the solution a right sighting's residual is smaller than its noise has it, so the gate is on the safe side.
+        Births stay: without its own a wall's frame could slide along the wall.
+        """
+        for _ in range(_MOST_UNDONE):
+            ids = np.array(list(self._keys), dtype=np.int64)
+            squared, places = self._evidence.squared_residuals(self.trajectory(), ids, self._landmarks)
+            if not len(squared) or squared.max() <= self._undo_gate:
+                return
+            self._remove([int(places[squared.argmax()])])
+            self.undone += 1
 
     def _read(self) -> None:
         """Take pose, covariance and landmarks over from the solver."""
@@ -222,7 +250,8 @@ def solver_parameters(config: ISAM2Config) -> gtsam.ISAM2Params:
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(config.relinearize_threshold)
     parameters.relinearizeSkip = config.relinearize_skip
-    parameters.setFactorization("QR")  # Cholesky fails beside an exactly known start
+    # A third of the time of QR, which stacks what walls that are seen from everywhere have gathered.
+    parameters.setFactorization("CHOLESKY")
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
     parameters.enableAdaptiveReorder = True  # an order that has grown bad costs the 99th percentile half as much again
     return parameters

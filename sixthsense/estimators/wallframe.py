@@ -1,6 +1,6 @@
 """Walls in a factor graph: a frame whose origin lies on the wall, x along it and y its normal.
 
-Where along the wall the origin lies means nothing: it is held weakly where the wall was born, and a sighting is stated
+Where along the wall the origin lies means nothing: it is held where the wall was born, and a sighting is stated
 at that very place, so that a factor between two frames of GTSAM's will do.
 """
 
@@ -10,10 +10,12 @@ import math
 
 import numpy as np
 
-from sixthsense.geometry import Array, Pose, rotation
+from sixthsense.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.landmarks import Sighting
 
-_AT_BIRTH_M, _LATER_M = 1.0, 1e3  # sigma along the wall
+# Sigma along the wall. Loose at birth, the origin's own uncertainty would come in across the wall, times half of each
+# angle's residual: GTSAM's logarithm of a motion mixes them.
+_AT_BIRTH_M, _LATER_M = 1e-3, 1e3
 
 
 def birth(pose: Pose, sighting: Sighting) -> Pose:
@@ -28,17 +30,19 @@ def measurement(pose: Pose, frame: Pose, sighting: Sighting, at_birth: bool) -> 
     """A sighting from `pose` as the motion from there to the wall's `frame`, and its covariance (3, 3), frame's axes.
 
     The measured line is taken where the frame's origin is expected: there its offset is known by d and, with the lever
-    from the robot's foot, by alpha.
+    from the robot's foot, by alpha. It is stated as the frame expected and the innovation from there: with the
+    measured line's own axes the residual would be off by d times the square of the angle's error.
     """
-    alpha, d = float(sighting.z[0]), float(sighting.z[1])
-    normal, along = np.array([math.cos(alpha), math.sin(alpha)]), np.array([-math.sin(alpha), math.cos(alpha)])
-    lever = float(along @ (pose.inverse() @ frame.position))
-    origin = d * normal + lever * along
+    expected = pose.inverse() @ frame
+    (alpha, d), axes = line(expected)
+    lever = float(axes[1, 2])
+    turn = wrap_angle(float(sighting.z[0]) - float(alpha))
+    offset = float(sighting.z[1]) - float(d) - lever * turn
     # Errors of (x, y, theta) in the frame's axes, of which x is the wall's own business: y = dd - lever * dalpha.
     by_z = np.array([[0.0, 0.0], [-lever, 1.0], [1.0, 0.0]])
     cov = by_z @ sighting.cov @ by_z.T
     cov[0, 0] = (_AT_BIRTH_M if at_birth else _LATER_M) ** 2
-    return Pose(origin[0], origin[1], alpha - 0.5 * math.pi), cov
+    return expected @ Pose(0.0, offset, turn), cov
 
 
 def line(frame: Pose) -> tuple[Array, Array]:

@@ -112,6 +112,10 @@ def _wall_sightings(walls: Array, mount: Pose, assumed: AssumedConfig, config: F
     for alpha, d, aa, ad, dd, low, high in walls.tolist():
         if not aa <= config.walls.max_sigma_rad**2:
             continue
+        # A line turns about the middle of its returns, so an error of its angle lengthens d by d/2 times its square.
+        # The mean of that is taken out, its variance added.
+        dd += 0.5 * (d * aa) ** 2
+        d -= 0.5 * d * aa
         # Seen from the laser the wall is at -d along the normal that points to the laser.
         in_laser = Sighting(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
         z, _, by_z = born(mount, in_laser)

@@ -115,6 +115,28 @@ def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: f
 
 
 @numba.njit(cache=True, error_model="numpy")
+def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float, sigma_bearing: float) -> Array:
+    """The line through the returns at `index` that is parallel to a fitted `line`; arguments and result as `fit_line`.
+
+    Its distance is the weighted mean of the returns', its direction and the error of that are the given line's.
+    """
+    c, s = math.cos(line[0]), math.sin(line[0])
+    total = offset = along = 0.0
+    for i in index:
+        x, y = points[i, 0], points[i, 1]
+        r = math.hypot(x, y)
+        cosine = max((x * c + y * s) / r, _NEVER_FLATTER)
+        arm = min(line[1] / cosine, 2.0 * r) * (y * c - x * s) / r
+        weight = 1.0 / max((sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2, 1e-18)
+        total += weight
+        offset += weight * (x * c + y * s)
+        along += weight * arm
+    arm = along / total
+    aa = line[2]
+    return np.array([line[0], offset / total, aa, arm * aa, arm * arm * aa + 1.0 / total])
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _one_line(
     points: Array,
     free: NDArray[np.bool_],

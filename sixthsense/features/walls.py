@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from sixthsense.features.landmarks import LOOSE, NOTHING, clear_of_corners, loose_end, mark_corners, mark_ends
-from sixthsense.features.lines import fit_line
+from sixthsense.features.lines import fit_line, parallel_line
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array
 
@@ -43,7 +43,8 @@ def find_walls(
 ) -> tuple[Array, Array]:
     """Walls and loose ends of one scan, all in the laser's frame, metres and radians; arguments as `find_landmarks`.
 
-    A loose end takes the last `reserved` returns on its side, its wall all others but those near a corner. Returns
+    A loose end takes the last `reserved` returns on its side, its wall all others but those near a corner; so few
+    returns say nothing of a direction, which is the wall's. Returns
     (W, 7) alpha, d, aa, ad, dd and from where to where along the wall it was seen; and (E, 5) x, y, xx, xy, yy.
     """
     count, spacing = len(lines), abs(bearings[1] - bearings[0])
@@ -69,16 +70,20 @@ def find_walls(
     w = e = 0
     for j in range(count):
         mine = clear_of_corners(points, np.flatnonzero(owner == j), j, lines, corners, sigma_range)
-        for side, step in ((0, -spacing), (1, spacing)):
-            if ends[j, side] == LOOSE and len(mine) >= 2 * reserved:
-                own = mine[:reserved] if side == 0 else mine[-reserved:]
-                mine = mine[reserved:] if side == 0 else mine[:-reserved]
-                fit = fit_line(points, own, sigma_range, sigma_bearing)
-                found[e] = loose_end(fit, bearings[where[j, 1 + side]], step, sigma_bearing)
-                e += 1
+        at_first = ends[j, 0] == LOOSE and len(mine) >= 2 * reserved
+        first_own = mine[: reserved if at_first else 0]
+        mine = mine[len(first_own) :]
+        at_last = ends[j, 1] == LOOSE and len(mine) >= 2 * reserved
+        last_own = mine[len(mine) - (reserved if at_last else 0) :]
+        mine = mine[: len(mine) - len(last_own)]
         if len(mine) < 3:
             continue
         fit = fit_line(points, mine, sigma_range, sigma_bearing)
+        for side, own, step in ((0, first_own, -spacing), (1, last_own, spacing)):
+            if len(own):
+                across = parallel_line(points, own, fit, sigma_range, sigma_bearing)
+                found[e] = loose_end(across, bearings[where[j, 1 + side]], step, sigma_bearing)
+                e += 1
         c, s = math.cos(fit[0]), math.sin(fit[0])
         first, last = points[where[j, 1]], points[where[j, 2]]
         a, b = first[1] * c - first[0] * s, last[1] * c - last[0] * s

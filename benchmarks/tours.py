@@ -1,0 +1,180 @@
+"""What the benchmarks of tours share: runs judged against the truth, a row each, made by a few processes and resumed.
+
+A campaign keeps what `Trace.metrics` says of a run; here NEES over time and each match are needed, which only the trace
+knows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from sixthsense.campaign.plan import config_hash
+from sixthsense.config import Config, load_config, merge, preset
+from sixthsense.errors import InputError
+from sixthsense.geometry import Array
+from sixthsense.loop import mission, run, warm_up
+from sixthsense.matches import judge_matches, true_identities
+from sixthsense.metrics import full_rank_from, nees_invariant, nees_world
+from sixthsense.scene import load_scene
+from sixthsense.trace import Trace
+
+Row = dict[str, Any]
+
+NEES = ("nees3", "nees3_invariant", "nees_position", "nees_heading")
+"""of the pose in world and in right-invariant coordinates (3 if consistent), of the position (2), of the heading (1)"""
+
+
+def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | None = None, **fields: Any) -> Config:
+    """A tour's configuration for seed 0: the preset of that name, the partial configuration in `file`, the `fields`.
+
+    Raises InputError for what is not allowed.
+    """
+    config = preset(name)
+    if file is not None:
+        config = dataclasses.replace(load_config(file, config), preset=name)
+    config = merge(config, {"scene": scene, "estimator": estimator, "task": "tour", "max_time": seconds, **fields})
+    mission(load_scene(scene), config)
+    return config
+
+
+def judge(trace: Trace) -> Row:
+    """What a run is worth: errors, matches against the truth, NIS, and NEES each second, of the last key scan then.
+
+    Of NEES there is none (null) before the covariance has full rank.
+    """
+    metrics = trace.metrics()
+    assert trace.scene is not None
+    truths = np.array(trace.key_truths)
+    matches = judge_matches([a.sightings for a in trace.associations], truths, true_identities(trace.scene.walls))
+    row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor", "landmarks")}
+    row |= {key: metrics[key] for key in ("ate_rmse_m", "ate_max_m", "heading_rmse_rad", "scan_ms_p99")}
+    row |= {"nis": sum(a.nis for a in trace.associations), "nis_dof": sum(a.dof for a in trace.associations)}
+    row |= {"sightings": matches.sightings, "wrong": len(matches.wrong), "unexplained": len(matches.unexplained)}
+    row["key_scans"] = len(truths)
+    stamps_s = 1e-9 * (np.array(trace.key_stamps_ns) - trace.key_stamps_ns[0])
+    poses = np.array([e.pose.array() for e in trace.key_estimates])
+    covs = np.array([e.pose_cov for e in trace.key_estimates])
+    series = key_scan_nees(poses, truths, covs)
+    seconds = np.arange(1, math.floor(trace.config.max_time) + 1)
+    # A run that ended early has nothing to say of the time after.
+    seconds = seconds[seconds <= metrics["sim_time_s"] + 1e-9]
+    last = np.searchsorted(stamps_s, seconds + 1e-9, side="right") - 1
+    for name, values in series.items():
+        row[name] = [None if math.isnan(v) else round(v, 5) for v in values[last].tolist()]
+    return row
+
+
+def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
+    """Each kind of NEES (K,) of poses (K, 3), NaN before their world-frame covariance (K, 3, 3) has full rank."""
+    out = {name: np.full(len(poses), math.nan) for name in NEES}
+    first = full_rank_from(covs)
+    if first == len(poses):
+        return out
+    error, cov = (poses - truths)[first:], covs[first:]
+    out["nees3"][first:] = nees_world(error, cov)
+    out["nees3_invariant"][first:] = nees_invariant(poses[first:], truths[first:], cov)
+    solved = np.linalg.solve(cov[:, :2, :2], error[:, :2, None])[:, :, 0]
+    out["nees_position"][first:] = np.einsum("ki,ki->k", error[:, :2], solved)
+    turn = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    out["nees_heading"][first:] = turn**2 / cov[:, 2, 2]
+    return out
+
+
+def make_row(config: Config) -> Row:
+    """Run and judge."""
+    names = ("scene", "estimator", "preset", "seed")
+    return {**{name: getattr(config, name) for name in names}, **judge(run(config))}
+
+
+def rows(configs: Sequence[Config], jobs: int, folder: Path | None = None) -> list[Row]:
+    """A row per configuration, in order, made by `jobs` processes; with a `folder` each is kept there, or found."""
+    files = [None if folder is None else folder / f"{_name(config)}.json" for config in configs]
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+    found: dict[int, Row] = {k: json.loads(f.read_text()) for k, f in enumerate(files) if f is not None and f.exists()}
+    due = [k for k in range(len(configs)) if k not in found]
+    for k, row in zip(due, _made([configs[k] for k in due], jobs), strict=True):
+        found[k] = row
+        file = files[k]
+        if file is not None:
+            aside = file.with_suffix(".partial")
+            aside.write_text(json.dumps(row) + "\n")
+            aside.replace(file)
+    return [found[k] for k in range(len(configs))]
+
+
+def _name(config: Config) -> str:
+    name = f"{Path(config.scene).stem}-{config.preset}-{config.estimator}-{config.features.landmarks}"
+    return f"{name}-{config.seed:03d}-{config_hash(config)}"
+
+
+def _made(configs: Sequence[Config], jobs: int) -> Iterator[Row]:
+    if not configs:
+        return
+    bar = tqdm(total=len(configs), unit=" runs", disable=None, leave=False)
+    with bar:
+        if jobs == 1:
+            for config in configs:
+                yield make_row(config)
+                bar.update()
+            return
+        with ProcessPoolExecutor(jobs, initializer=warm_up) as pool:
+            for row in pool.map(make_row, configs):
+                yield row
+                bar.update()
+
+
+def add_tour_options(parser: argparse.ArgumentParser, seeds: int) -> None:
+    """The options that benchmarks of tours have in common."""
+    parser.add_argument("--seeds", type=int, default=seeds, metavar="N", help=f"seeds 0 to N - 1 ({seeds})")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="S", help="begin at this seed instead (0)")
+    parser.add_argument("--max-time", type=float, default=400.0, metavar="S", help="simulated seconds (400)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    parser.add_argument("--rows", type=Path, metavar="DIR", help="keep a row per run there, and skip those it has")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="partial configuration, laid over the preset")
+
+
+def check_tour_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """Refuse numbers that will not do, in one line."""
+    for name, least in (("seeds", 1), ("first_seed", 0), ("jobs", 1), ("max_time", 1.0)):
+        if not getattr(options, name) >= least:
+            found = f"--{name.replace('_', '-')}: found {getattr(options, name)}"
+            parser.error(f"{found}, allowed: at least {least}")
+
+
+def seeded(configs: Sequence[Config], options: argparse.Namespace) -> list[Config]:
+    """Each configuration with each seed, seed by seed, so that all settings grow alike."""
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    return [dataclasses.replace(config, seed=seed) for seed in seeds for config in configs]
+
+
+def over_runs(rows: Sequence[Row], name: str) -> Array:
+    """(T,) per second the mean over runs of a kind of NEES, NaN where no run has it."""
+    longest = max(len(row[name]) for row in rows)
+    values = np.full((len(rows), longest), math.nan)
+    for k, row in enumerate(rows):
+        values[k, : len(row[name])] = [math.nan if v is None else v for v in row[name]]
+    known = ~np.isnan(values)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(known, values, 0.0).sum(axis=0) / known.sum(axis=0))
+
+
+def nees_of(row: Row, name: str = "nees3") -> float:
+    """A run's mean over time of a kind of NEES."""
+    return float(np.nanmean(np.array([math.nan if v is None else v for v in row[name]])))
+
+
+__all__ = [
+    "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "make_row", "nees_of",
+    "over_runs", "rows", "seeded", "tour",
+]  # fmt: skip
