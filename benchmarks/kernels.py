@@ -16,7 +16,7 @@ from sixthsense.features import extract
 from sixthsense.geometry import Array, Pose, point_segment_distance
 from sixthsense.grid import Grid
 from sixthsense.laser import Scan, beam_bearings, cast_rays
-from sixthsense.planners.astar import _search
+from sixthsense.planners.costtree import search
 from sixthsense.scene import Scene, load_scene
 
 REACH = {
@@ -191,7 +191,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
     seed = 0
     while len(solvable) < grids:
         blocked = random_grid(seed, size)
-        _, cost, count = _search(blocked, 0, 0, last, last)
+        _, cost, count = search(blocked, (0, 0), (last, last))
         seed += 1
         if math.isfinite(cost):
             solvable.append(blocked)
@@ -202,7 +202,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
             np.median(
                 alternate(
                     [blocked] * repeats,
-                    lambda blocked: _search(blocked, 0, 0, last, last),
+                    lambda blocked: search(blocked, (0, 0), (last, last)),
                     lambda blocked: search_heapq(blocked, 0, blocked.size - 1),
                 ),
                 axis=0,

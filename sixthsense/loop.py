@@ -43,10 +43,11 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     """
     scene = load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
-    world_rng, ransac_rng = _streams(config.seed)
+    world_rng, ransac_rng, planner_rng = _streams(config.seed)
     source = World(scene.walls, start, radius_m, config, world_rng)
     follower = Follower(config.follow, config.robot)
-    driver = Driver(goals, config.task == "tour", make_planner(config.planner), follower, config)
+    planner = make_planner(config.planner, config.rrtstar, planner_rng)
+    driver = Driver(goals, config.task == "tour", planner, follower, config)
     trace = Trace(config, scene, radius_m)
     drive(source, start, driver, trace, ransac_rng, on_tick)
     return trace
@@ -61,16 +62,19 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     log.rewind()
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
-    _, ransac_rng = _streams(config.seed)
+    _, ransac_rng, _ = _streams(config.seed)
     trace = Trace(config, scene, radius_m, relations=relations)
     drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
 
 
-def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Randomness of the world and of RANSAC, apart, so that a replay repeats the second without the first."""
-    world, ransac = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2))
-    return world, ransac
+def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
+    """Randomness of the world, of RANSAC and of the planner, apart.
+
+    So a replay repeats the second without the first, and a change of planner leaves the noise alone.
+    """
+    world, ransac, planner = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
+    return world, ransac, planner
 
 
 def _recorded_scene(log: Log, config: Config) -> Scene | None:
@@ -106,11 +110,16 @@ def warm_up() -> None:
     walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
     config = Config(max_time=2.0)
     scene = Scene("room", walls, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    driver = Driver(np.array([[1.0, 1.0]]), False, make_planner("astar"), Follower(config.follow, config.robot), config)
+    planner = make_planner("astar")
+    driver = Driver(np.array([[1.0, 1.0]]), False, planner, Follower(config.follow, config.robot), config)
     rng = np.random.default_rng(0)
     trace = Trace(config, scene, 0.2)
     drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
     trace.metrics()
+    assert trace.grid is not None
+    space = trace.grid.free_space()
+    for _ in range(2):  # the second is a replan
+        planner.plan(space, (0.0, 0.0), (1.0, 1.0))
     # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
     gc.collect()
     gc.freeze()

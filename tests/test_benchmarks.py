@@ -7,11 +7,13 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from sixthsense.config import LaserConfig, preset
+from sixthsense.config import LaserConfig, RRTStarConfig, preset
+from sixthsense.freespace import FreeSpace
 from sixthsense.geometry import Pose
 from sixthsense.laser import Scan, beam_bearings, cast_rays
 from sixthsense.logs.log import Log
 from sixthsense.logs.relations import Relations
+from sixthsense.scene import load_scene
 from sixthsense.source import Tick
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
@@ -127,6 +129,62 @@ def room_log(laser: LaserConfig, poses: list[Pose]) -> Log:
         scan = Scan.from_config(cast_rays(pose, beam_bearings(laser), walls, laser.max_range), laser)
         ticks.append(Tick(k * 10**9, pose, scan, log_stamp_s=float(k)))
     return Log(ticks)
+
+
+@of("planning")
+def test_a_star_is_compared_with_dijkstra_on_true_maps(script):
+    drawn = script.true_map(load_scene("rectangle"), 0.1)
+    figures = script.optimality_figures({"rectangle": drawn}, 2, 5)
+    assert figures["optimality.queries"] == 10
+    assert figures["optimality.worst_difference_m"] < 1e-9
+
+
+@of("planning")
+def test_dijkstra_cuts_no_corner(script):
+    def costs(blocked):
+        space = FreeSpace(np.array(blocked), np.array(blocked), (0.0, 0.0), 1.0)
+        return script.dijkstra(script.step_graph(space.blocked), space, np.array([0.5, 0.5]))
+
+    assert costs([[False, False], [False, False]])[1, 1] == math.sqrt(2.0)
+    assert costs([[False, True], [False, False]])[1, 1] == 2.0
+    assert costs([[False, True], [True, False]])[1, 1] == math.inf
+
+
+@of("planning")
+def test_four_ways_of_planning_have_their_medians_and_a_line_in_the_table(script):
+    drawn = script.true_map(load_scene("rectangle"), 0.1)
+    figures = script.comparison_figures({"rectangle": drawn}, 4, RRTStarConfig(iterations=500))
+    names = [f"{where}.{way}" for where in ("rectangle", "all") for way in ("astar", "astar_shortcut", "rrtstar")]
+    assert all_finite(figures)
+    assert figures["all.astar.gave_up"] == 0 and figures["all.astar_shortcut.ratio_median"] == 1.0
+    assert figures["all.astar.length_m_median"] >= figures["all.astar_shortcut.length_m_median"]
+    lines = script.comparison_rows(figures)
+    assert {*names, "all.informed"} <= {line[0] for line in lines}
+    assert {len(line) for line in lines} == {len(lines[0])}
+
+
+@of("planning")
+def test_turns_count_both_ways_and_straight_on_is_none(script):
+    assert script.turns(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [3.0, 0.0]])) == 0.0
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
+    assert script.turns(square) == pytest.approx(math.pi)
+
+
+@of("planning")
+def test_a_replan_costs_what_one_from_scratch_does(script):
+    drawn = script.true_map(load_scene("apartment"), 0.1)
+    figures = script.replan_figures(drawn, 4, 2)
+    for where in ("ahead", "anywhere"):
+        assert figures[f"replan.{where}.worst_difference_m"] < 1e-9
+        assert 0.0 <= figures[f"replan.{where}.found_share"] <= 1.0
+    assert all_finite(figures)
+
+
+@of("planning")
+def test_the_robot_is_asked_for_places_inside_willow_garage(script, data_dir):
+    drawn = script.true_map(script.willow(data_dir / "maps"), 0.2)
+    assert len(drawn.cells) > 1000
+    assert (drawn.cells.min(axis=0) > 0).all()
 
 
 @of("intel")

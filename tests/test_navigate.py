@@ -4,16 +4,19 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig
 from sixthsense.follow import Follower
+from sixthsense.freespace import FreeSpace
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.laser import Scan
 from sixthsense.motion import rk4
 from sixthsense.navigate import Driver, Outcome, Passenger
-from sixthsense.planners import make_planner
+from sixthsense.planners import Plan, make_planner
+from sixthsense.planners.astar import AStar
 from sixthsense.planners.shortcut import path_is_free
 from sixthsense.source import Command
 
@@ -177,3 +180,23 @@ def test_a_slow_robot_is_given_the_time_it_needs() -> None:
         if navigator.outcome is not None:
             break
     assert navigator.outcome == "goal reached"
+
+
+def test_a_replan_begins_with_what_the_last_plan_found() -> None:
+    asked: list[tuple[Plan, Plan]] = []
+
+    class Compared(AStar):
+        def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+            asked.append((super().plan(space, start, goal), AStar().plan(space, start, goal)))
+            return asked[-1][0]
+
+    grid = empty_grid()
+    navigator = Driver(np.array([[4.0, 1.0]]), False, Compared(), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
+    wall_up(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
+    navigator.look(grid, Pose())
+    wall_up(grid, [[[1.0, -0.5], [1.0, 0.9]]])
+    navigator.look(grid, Pose())
+    (first, _), (again, scratch) = asked
+    assert first.found and again.found
+    assert again.cost == pytest.approx(scratch.cost, abs=1e-9)
+    assert again.expanded < scratch.expanded

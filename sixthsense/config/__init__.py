@@ -12,6 +12,7 @@ from sixthsense.config.pipeline import (
     LinesConfig,
     PartitionConfig,
     PointsConfig,
+    RRTStarConfig,
     SplitConfig,
     WallsConfig,
 )
@@ -47,6 +48,7 @@ __all__ = [
     "MotionNoise",
     "PartitionConfig",
     "PointsConfig",
+    "RRTStarConfig",
     "Range",
     "RobotConfig",
     "Section",

@@ -214,6 +214,20 @@ class GridConfig(Section):
 
 
 @dataclass(frozen=True)
+class RRTStarConfig(Section):
+    """The sampling planner: RRT* (Karaman and Frazzoli 2011) and Informed RRT* (Gammell et al. 2014)."""
+
+    informed: bool = True
+    """Once there is a path, draw from the ellipse that a shorter one must lie in (Informed RRT*)."""
+    iterations: Annotated[int, Range(1, 10_000_000)] = 10_000
+    """States drawn per plan, all of them; without a path by then it gives up."""
+    range_m: NonNegative = 2.0
+    """A draw extends the tree by this much at most; 0: a fifth of the diagonal of what can be reached."""
+    goal_bias: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.05
+    """Share of draws, before there is a path, that are the goal itself; no other draw would hit it."""
+
+
+@dataclass(frozen=True)
 class FollowConfig(Section):
     """Orient, then translate (report section 4.4)."""
 

@@ -12,6 +12,7 @@ from sixthsense.config.pipeline import (
     GridConfig,
     ISAM2Config,
     KeyScanConfig,
+    RRTStarConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
 from sixthsense.config.section import Range, Section
@@ -28,8 +29,8 @@ class Config(Section):
     """Values under those of a file and of options: default, worn, noiseless, report, intel, mrclam or victoria."""
     estimator: Literal["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"] = "ekf"
     """Back end: the report's filter, three that are consistent when the robot turns, and a smoother."""
-    planner: Literal["astar"] = "astar"
-    """Path planner."""
+    planner: Literal["astar", "rrtstar"] = "astar"
+    """Path planner: shortest over the grid's cells, or sampled in the plane."""
     task: Literal["goal", "tour"] = "goal"
     """goal: drive there; tour: repeat the scene's list of goals until max-time."""
     goal: tuple[float, float] | None = None
@@ -51,4 +52,5 @@ class Config(Section):
     association: AssociationConfig = field(default_factory=AssociationConfig)
     isam2: ISAM2Config = field(default_factory=ISAM2Config)
     grid: GridConfig = field(default_factory=GridConfig)
+    rrtstar: RRTStarConfig = field(default_factory=RRTStarConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)

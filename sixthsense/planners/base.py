@@ -26,7 +26,7 @@ class Plan:
     cost: float
     """length of the path, metres; inf unless found"""
     expanded: int
-    """nodes expanded (A*) or drawn (sampling planners)"""
+    """nodes expanded (A*: this time) or drawn (sampling planners)"""
     seconds: float
     """wall-clock time it took"""
 
@@ -62,7 +62,8 @@ class Planner(Protocol):
        stays within; the free rim of `Grid.free_space` makes sure that no way round, nor a shorter one, is lost.
     5. Without a path, `status` says why, the path is (0, 2) and the cost inf: "start blocked" comes before "goal
        blocked"; "no path" means there is none within, "gave up" that none was found within the planner's budget.
-    6. The same input (and seed, if it draws) gives the same path.
+    6. The same questions in the same order (and seed, if it draws) give the same paths, and the same question again the
+       same path. A planner may remember the last question: what it says is then found sooner, and no longer.
     7. A start or goal of another shape than (2,), or not finite, raises ValueError.
     """
 
