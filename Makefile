@@ -11,7 +11,7 @@ $(VENV)/installed: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
 	touch $@
 
-run: $(VENV)/installed  ## see a robot find its goal
+run: $(VENV)/installed  ## see a robot explore an apartment
 	$(BIN)/sixthsense run apartment --out runs/first --overwrite
 
 test: $(VENV)/installed  ## what CI runs

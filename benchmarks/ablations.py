@@ -146,7 +146,8 @@ def run_figures(trace: Trace, landmarks: Array) -> dict[str, float]:
 
 def ablation_figures(name: str, seeds: int, scene: str = "apartment", max_time: float | None = None) -> Figures:
     """All switches for one preset, under keys `preset.switch.figure`; times and lengths are of runs at their goal."""
-    base = preset(name, scene=scene, task="goal", max_time=max_time or MAX_TIME[name])
+    report = {"task": "goal", "features": {"landmarks": "corners"}}
+    base = preset(name, scene=scene, max_time=max_time or MAX_TIME[name], **report)
     walls = load_scene(scene).walls
     landmarks = true_landmarks(walls)
     views: list[View] = []

@@ -26,12 +26,13 @@ from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
 from sixthsense.scene import Scene
 
 SCAN = 48  # key scan of the apartment in which much is to be seen: corridor, living room, bath, kitchen
-WITHOUT_IEP = preset("default", features={"split": {"enabled": False}})
+CORNERS = {"landmarks": "corners"}
+WITHOUT_IEP = preset("default", task="goal", features={**CORNERS, "split": {"enabled": False}})
 # Three times the noise, known as such, and RANSAC's best pair as it is: bad landmarks come about.
 ROUGH: dict[str, Any] = {
     "world": {"laser": {"range_m": 0.03}},
     "assumed": {"laser": {"range_m": 0.03}},
-    "features": {"lines": {"least_squares": False}},
+    "features": {**CORNERS, "lines": {"least_squares": False}},
     "task": "tour",
     "max_time": 80.0,
     "seed": 2,
@@ -41,7 +42,7 @@ ROUGH: dict[str, Any] = {
 @functools.cache
 def apartment() -> Recording:
     """The run that most figures are of."""
-    return record(preset("default"))
+    return record(preset("default", task="goal", features=CORNERS))
 
 
 def calibration(file: Path) -> None:

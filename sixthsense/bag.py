@@ -16,6 +16,7 @@ import numpy as np
 
 from sixthsense.geometry import Array, Pose
 from sixthsense.landmarks import LandmarkId, Sighting
+from sixthsense.laser import sweep_ns
 from sixthsense.logs.cloud import CLOUD, FIELDS, POINT_BYTES, increment_covariance, spatial, to_bytes
 from sixthsense.source import Tick
 from sixthsense.trace import Trace
@@ -56,8 +57,9 @@ _LATCHED = """\
 class BagWriter:
     """Writes `FOLDER/bag/`; call it after every tick, as the loop's `on_tick`, and leave its `with` block to close it.
 
-    A message's record time is the tick's stamp; a scan's header has the log's own stamp, where there is one. A chunk
-    ends with a tick and is flushed twice a second of wall time, so that a killed run loses no more than its last one.
+    A message's record time is the tick's stamp; a scan's header has the log's own stamp, where there is one, else that
+    of its first beam, as ROS has it: before the tick's where the scan took time. A chunk ends with a tick and is
+    flushed twice a second of wall time, so that a killed run loses no more than its last one.
     Where a log states how well the motion since its last tick is known, that covariance stands in the odometry's
     pose.covariance (axes of the robot before, and z, roll, pitch 1e6), which is zero otherwise.
     Raises OSError, naming the file, when it cannot be written.
@@ -136,13 +138,16 @@ class BagWriter:
         if tick.truth is not None:
             self._write("/truth", stamp, self._pose_stamped(stamp, tick.truth))
         if tick.scan is not None:
-            own = stamp if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
             scan, message = tick.scan, self._types["sensor_msgs/msg/LaserScan"]
+            begin = max(stamp + sweep_ns(len(scan.ranges), scan.time_increment), 0)
+            own = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
             first, step = scan.angle_min, scan.angle_increment
             last = np.float32(first + step * (len(scan.ranges) - 1))
             none = np.zeros(0, dtype=np.float32)
             header = self._header(own, LASER)
-            self._write("/scan", stamp, message(header, first, last, step, 0, 0, 0, scan.max_range, scan.ranges, none))
+            lag = scan.time_increment
+            content = (header, first, last, step, lag, 0, 0, scan.max_range, scan.ranges, none)
+            self._write("/scan", stamp, message(*content))
         if tick.sightings is not None:
             if SIGHTINGS not in self._channels:
                 self._names[SIGHTINGS] = CLOUD

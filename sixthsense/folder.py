@@ -85,6 +85,8 @@ class RunFolder:
         write_graph(self.partial, factor_graph(trace))
         if trace.grid is not None:
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
+        if trace.outcome.startswith("explored"):
+            write_places_left(self.partial / "places_left.csv", trace)
         values = trace.metrics()
         (self.partial / "metrics.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         return values
@@ -111,6 +113,14 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
             seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
             half = 0.5 * theta
             out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
+
+
+def write_places_left(file: Path, trace: Trace) -> None:
+    """Write what an exploration has left unseen, the largest place first: x, y and area in metres, and the reason."""
+    with file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["x", "y", "area_m2", "reason"])
+        writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
 
 
 LANDMARK_COLUMNS = (

@@ -81,6 +81,14 @@ class FreeSpace:
         x1, y1 = self._in_cells("b", b_world)
         return not bool(_line_touches(self.blocked, x0, y0, x1, y1))
 
+    def window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Bools:
+        """(R, C) whether the cells of these rows and columns are blocked; those outside the grid are not."""
+        height, width = self.blocked.shape
+        inside_rows, inside_cols = (rows >= 0) & (rows < height), (cols >= 0) & (cols < width)
+        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)
+        blocked[np.ix_(inside_rows, inside_cols)] = self.blocked[np.ix_(rows[inside_rows], cols[inside_cols])]
+        return blocked
+
     def nearest_free(self, point_world: ArrayLike, within_m: float) -> Array | None:
         """The point itself if free, else the nearest free cell's centre at most `within_m` away, else None."""
         point = as_point("point", point_world)
@@ -90,10 +98,7 @@ class FreeSpace:
         row, col = self.cell_of(point)
         reach = math.ceil(min(within_m / self.cell_m, max(height, width))) + 1
         rows, cols = np.arange(row - reach, row + reach + 1), np.arange(col - reach, col + reach + 1)
-        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)  # what lies outside the grid is free
-        blocked[np.ix_((rows >= 0) & (rows < height), (cols >= 0) & (cols < width))] = self.blocked[
-            max(row - reach, 0) : row + reach + 1, max(col - reach, 0) : col + reach + 1
-        ]
+        blocked = self.window(rows, cols)
         x = self.origin[0] + (cols + 0.5) * self.cell_m - point[0]
         y = self.origin[1] + (rows + 0.5) * self.cell_m - point[1]
         distance = np.where(blocked, np.inf, np.hypot(x[None, :], y[:, None]))
@@ -120,6 +125,13 @@ class FreeSpace:
         origin = self.origin[0] + col * self.cell_m, self.origin[1] + row * self.cell_m
         return FreeSpace(blocked, seen, origin, self.cell_m)
 
+    def between(self, a_world: ArrayLike, b_world: ArrayLike, length_m: float) -> FreeSpace:
+        """The same with what no way of `length_m` from one (2,) point to the other can reach blocked: an ellipse."""
+        (ax, ay), (bx, by) = self._in_cells("a", a_world), self._in_cells("b", b_world)
+        blocked = self.blocked.copy()
+        _block_beyond(blocked, ax, ay, bx, by, length_m / self.cell_m + 2.0)
+        return FreeSpace(blocked, self.seen, self.origin, self.cell_m)
+
     def _in_cells(self, name: str, point_world: ArrayLike) -> tuple[float, float]:
         """X and y of a point in cells from the grid's corner."""
         x, y = as_point(name, point_world)
@@ -138,6 +150,19 @@ def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]
             f"allowed: at most {MAX_CELLS:,} cells, within 2^48 of the origin"
         )
     return (int(low[0]), int(low[1])), (int(height), int(width))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _block_beyond(blocked: Bools, ax: float, ay: float, bx: float, by: float, length: float) -> None:
+    """Block the cells whose centres' distances from two points add up to more than `length`; all in cells."""
+    height, width = blocked.shape
+    for row in range(height):
+        down_a, down_b = row + 0.5 - ay, row + 0.5 - by
+        for col in range(width):
+            if not blocked[row, col]:
+                x = col + 0.5
+                far = math.sqrt(down_a * down_a + (x - ax) ** 2) + math.sqrt(down_b * down_b + (x - bx) ** 2)
+                blocked[row, col] = far > length
 
 
 @numba.njit(cache=True, error_model="numpy")

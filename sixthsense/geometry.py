@@ -95,6 +95,21 @@ class Pose:
         return mapped
 
 
+def interpolated(stamps_s: Array, poses: Array, times_s: Array) -> Array:
+    """(N, 3) poses at (N,) times on the way through (K, 3) `poses` at ascending (K,) stamps, held beyond both ends.
+
+    Between two of them x, y and the heading, the short way round, change evenly.
+    """
+    if len(stamps_s) == 1:
+        return np.repeat(poses, len(times_s), axis=0)
+    after = np.clip(np.searchsorted(stamps_s, times_s), 1, len(stamps_s) - 1)
+    before = after - 1
+    share = np.clip((times_s - stamps_s[before]) / (stamps_s[after] - stamps_s[before]), 0.0, 1.0)
+    way = poses[after] - poses[before]
+    way[:, 2] = wrap_angle(way[:, 2])
+    return np.asarray(poses[before] + share[:, None] * way)
+
+
 def point_segment_distance(point: Array, segments: Array) -> Array:
     """(N,) distances from a (2,) point to (N, 2, 2) segments, in metres."""
     start = segments[:, 0]

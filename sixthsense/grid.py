@@ -58,8 +58,8 @@ class Grid:
             raise ValueError(f"radius_m: found {radius_m}, allowed: at least 0")
         self._config = config
         reach = (radius_m + config.clearance_m) / config.cell_m
-        if reach > MOST_REACH:
-            raise InputError(f"grid: found an inflation of {reach:.0f} cells, allowed: at most {MOST_REACH}")
+        _check_reach(reach)
+        self._reach = reach
         self._stencil = _disc(reach)
         self.clear()
 
@@ -106,10 +106,36 @@ class Grid:
             self._scans, self._config.min_hits, self._config.max_hits, self._config.passes_per_hit,
         )  # fmt: skip
 
-    def free_space(self, *points_world: ArrayLike) -> FreeSpace:
-        """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points."""
+    def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0) -> FreeSpace:
+        """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
+
+        `margin_m` is added to the inflation, by the same discs; a negative one is taken off it, down to no inflation
+        at all. A positive one gives way within `margin_m` of the points, so that a robot which stands that near an
+        obstacle can leave it, and a goal there be reached. Raises ValueError for a margin of NaN
+        or inf, InputError for an inflation of more than 1000 cells.
+        """
         space = FreeSpace(self._cover > 0, self._seen, self.origin, self._config.cell_m)
-        return space.covering(*points_world)
+        if margin_m == 0.0:
+            return space.covering(*points_world)
+        if not margin_m < math.inf:
+            raise ValueError(f"margin_m: found {margin_m}, allowed: a finite number")
+        cell_m = self._config.cell_m
+        reach = max(self._reach + margin_m / cell_m, 0.0)
+        _check_reach(reach)
+        stencil = _disc(reach)
+        rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
+        blocked, seen = np.pad(self._obstacles, rim), np.pad(self._seen, rim)
+        width = blocked.shape[1]
+        _stamp_discs(np.flatnonzero(blocked), stencil[:, 0] * width + stencil[:, 1], blocked)
+        origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
+        wide = FreeSpace(blocked, seen, origin, cell_m).covering(*points_world)
+        if margin_m < 0.0 or not points_world:
+            return wide
+        blocked = wide.blocked.copy()
+        narrow = space.covering(*points_world)
+        for point in points_world:
+            _give_way(blocked, narrow, wide, point, margin_m)
+        return FreeSpace(blocked, wide.seen, wide.origin, cell_m)
 
     @property
     def hits(self) -> Ints:
@@ -168,6 +194,38 @@ class Grid:
             setattr(self, name, grown)
         self._first = (row, col)
         self._flat_stencil = self._stencil[:, 0] * width + self._stencil[:, 1]
+
+
+def _check_reach(reach: float) -> None:
+    if reach > MOST_REACH:
+        raise InputError(f"grid: found an inflation of {reach:.0f} cells, allowed: at most {MOST_REACH}")
+
+
+def _give_way(blocked: Bools, narrow: FreeSpace, wide: FreeSpace, point: ArrayLike, radius_m: float) -> None:
+    """Set the cells of `blocked`, those of `wide`, whose centres lie within `radius_m` of a point as `narrow` has them.
+
+    The point's own cell is among them; both spaces have the same cells, `wide` maybe more.
+    """
+    row, col = wide.cell_of(point)
+    reach = math.ceil(radius_m / wide.cell_m) + 1
+    height, width = wide.blocked.shape
+    rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
+    cols = np.arange(max(col - reach, 0), min(col + reach + 1, width))
+    x, y = wide.origin[0] + (cols + 0.5) * wide.cell_m, wide.origin[1] + (rows + 0.5) * wide.cell_m
+    at = np.asarray(point, dtype=np.float64)
+    near = np.hypot(x[None, :] - at[0], y[:, None] - at[1]) <= radius_m + wide.cell_m
+    down, across = (round((wide.origin[k] - narrow.origin[k]) / wide.cell_m) for k in (1, 0))
+    there = narrow.window(rows + down, cols + across)
+    blocked[np.ix_(rows, cols)] &= there | ~near
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _stamp_discs(cells: NDArray[np.int64], stencil: NDArray[np.int64], blocked2: Bools) -> None:
+    """Block the `stencil` (K,) of flat offsets about each of the flat `cells` (N,); it must not leave the array."""
+    blocked = blocked2.ravel()
+    for cell in cells:
+        for offset in stencil:
+            blocked[cell + offset] = True
 
 
 def _disc(radius: float) -> NDArray[np.int64]:

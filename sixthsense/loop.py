@@ -11,8 +11,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from sixthsense.association import Associator
-from sixthsense.config import AssumedConfig, Config, KeyScanConfig
+from sixthsense.config import AssumedConfig, Config, KeyScanConfig, merge
+from sixthsense.deskew import Deskewer
 from sixthsense.estimators import make_estimator
+from sixthsense.explore import Explorer
 from sixthsense.features import extract
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose
@@ -23,6 +25,7 @@ from sixthsense.mapper import Mapper
 from sixthsense.motion import STANDSTILL, Odometry, odometry
 from sixthsense.navigate import Driver, Navigator, Passenger
 from sixthsense.planners import make_planner
+from sixthsense.safety import Guard
 from sixthsense.scene import Scene, SceneError, check_placement, load_scene
 from sixthsense.source import Command, Source, Tick
 from sixthsense.trace import Trace
@@ -43,13 +46,18 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
     """
     scene = load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
-    world_rng, ransac_rng, planner_rng = _streams(config.seed)
+    world_rng, ransac_rng, planner_rng, explore_rng = _streams(config.seed)
     source = World(scene.walls, start, radius_m, config, world_rng)
     follower = Follower(config.follow, config.robot)
     planner = make_planner(config.planner, config.rrtstar, planner_rng)
-    driver = Driver(goals, config.task == "tour", planner, follower, config)
+    navigator: Navigator
+    if config.task == "explore":
+        region = config.region or scene.region
+        navigator = Explorer(start, region, radius_m, planner, follower, config, explore_rng)
+    else:
+        navigator = Driver(goals, config.task == "tour", planner, follower, config)
     trace = Trace(config, scene, radius_m)
-    drive(source, start, driver, trace, ransac_rng, on_tick)
+    drive(source, start, navigator, trace, ransac_rng, on_tick)
     return trace
 
 
@@ -62,19 +70,18 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     log.rewind()
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
-    _, ransac_rng, _ = _streams(config.seed)
+    _, ransac_rng, *_ = _streams(config.seed)
     trace = Trace(config, scene, radius_m, relations=relations)
     drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
 
 
-def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator, np.random.Generator]:
-    """Randomness of the world, of RANSAC and of the planner, apart.
+def _streams(seed: int) -> list[np.random.Generator]:
+    """Randomness of the world, of RANSAC, of the planner and of exploration, apart.
 
-    So a replay repeats the second without the first, and a change of planner leaves the noise alone.
+    So a replay repeats the second alone, and a change of planner leaves the noise alone.
     """
-    world, ransac, planner = (np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3))
-    return world, ransac, planner
+    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
 
 
 def _recorded_scene(log: Log, config: Config) -> Scene | None:
@@ -89,6 +96,8 @@ def _recorded_scene(log: Log, config: Config) -> Scene | None:
 def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     """Start, goals (N, 2) and robot radius of a task, from the configuration or else from the scene.
 
+    An exploration has no goals.
+
     Raises SceneError, naming the field, for a place that is missing, outside the region or too near a wall.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
@@ -97,22 +106,28 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
         raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
     if config.task == "tour" and not scene.tour:
         raise SceneError(f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: goal")
-    if config.task == "tour":
+    if config.task == "explore" and config.goal is not None:
+        raise SceneError(
+            f"goal: found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore, allowed: with task goal"
+        )
+    if config.task != "goal":
         goal = None
-    tour = scene.tour if goal is None else ()
+    tour = scene.tour if config.task == "tour" else ()
     check_placement(scene, start, goal, config.region, config.robot.radius, tour)
     assert start is not None  # check_placement has seen to it
-    return start, np.array(tour or (goal,), dtype=np.float64), config.robot.radius or scene.radius
+    goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
+    return start, goals, config.robot.radius or scene.radius
 
 
 def warm_up() -> None:
     """Compile the hot loops, or load them compiled, so that the first key scan is as quick as the rest."""
-    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
-    config = Config(max_time=2.0)
+    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+    config = Config(max_time=3.0)
     scene = Scene("room", walls, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    planner = make_planner("astar")
-    driver = Driver(np.array([[1.0, 1.0]]), False, planner, Follower(config.follow, config.robot), config)
     rng = np.random.default_rng(0)
+    follower = Follower(config.follow, config.robot)
+    planner = make_planner("astar")
+    driver = Explorer(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
     drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
     trace.metrics()
@@ -120,6 +135,15 @@ def warm_up() -> None:
     space = trace.grid.free_space()
     for _ in range(2):  # the second is a replan
         planner.plan(space, (0.0, 0.0), (1.0, 1.0))
+    # What most runs do without: scans that take time, and a search that is bounded.
+    swept = merge(config, {"laser": {"sweep_s": 0.1}})
+    deskew, tick = Deskewer(), World(walls, Pose(), 0.2, swept, rng).step(Command())
+    deskew.moved(0, STANDSTILL)
+    assert tick is not None and tick.scan is not None
+    extract(deskew(tick.scan), config.assumed, config.features, rng)
+    mapper = Mapper(config.grid, 0.2)
+    mapper.add(np.zeros((1, 3)), tick.scan, NO_WALLS)
+    mapper.grid.free_space(margin_m=0.1).between((0.0, 0.0), (1.0, 0.0), 1.0)
     # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
     gc.collect()
     gc.freeze()
@@ -167,6 +191,7 @@ def drive(
     associator = Associator(config.association)
     mapper = Mapper(config.grid, trace.radius_m)
     keyscans = KeyScans(config.keyscans)
+    guard, deskew = Guard(config, trace.radius_m), Deskewer(config.features.deskew)
     command, pose = Command(), start
     trace.plans = navigator.plans
     before: Pose | None = None
@@ -184,18 +209,25 @@ def drive(
             if before is None:
                 deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
                 T_world_odom = start @ tick.odometry.inverse()
+                deskew.moved(tick.stamp_ns, STANDSTILL)
             else:
                 increment = _increment(before, tick, config.assumed)
                 keyscans.moved(increment)
+                guard.moved(increment.motion)
+                deskew.moved(tick.stamp_ns, increment)
                 pose = pose @ increment.motion
             before = tick.odometry
+            scan = None
+            if tick.scan is not None:
+                scan = deskew(tick.scan)
+                guard.see(scan)
             watch.lap("predict")
             if keyscans.due(tick):
                 motion = keyscans.take()
                 estimator.predict(motion)
                 watch.lap("predict")
-                if tick.scan is not None:
-                    features = extract(tick.scan, config.assumed, config.features, rng)
+                if scan is not None:
+                    features = extract(scan, config.assumed, config.features, rng)
                     walls = features.walls
                     watch.lap("extract")
                     association = associator.associate(features.sightings, estimator)
@@ -208,14 +240,16 @@ def drive(
                 estimate = estimator.estimate()
                 pose = estimate.pose
                 watch.lap("update")
-                if tick.scan is not None:
-                    mapper.add(estimator.trajectory(), tick.scan, walls)
+                if scan is not None:
+                    mapper.add(estimator.trajectory(), scan, walls)
                 watch.lap("grid")
-                navigator.look(mapper.grid, pose)
+                navigator.look(mapper.grid, estimate)
                 watch.lap("plan")
                 watch.key_scan()
                 trace.add_key_scan(tick, motion, estimate, association, walls)
-            command = navigator.step(pose, tick.stamp_ns)
+            command = guard.check(navigator.step(pose, tick.stamp_ns))
+            if guard.blocked:
+                navigator.blocked(pose)
             watch.lap("plan")
             dead_reckoned = T_world_odom @ tick.odometry
             trace.add_tick(tick, dead_reckoned)
@@ -232,6 +266,9 @@ def drive(
                 trace.outcome = outcome
                 break
     trace.wall_time_s = time.perf_counter() - began
+    if navigator.plans_below_margin is not None:
+        trace.guard_stops, trace.plans_below_margin = guard.stops, navigator.plans_below_margin
+    trace.left = navigator.left
     estimator.predict(keyscans.take())
     trace.final = estimator.estimate()
     trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())

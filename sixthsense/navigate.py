@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Iterator
-from typing import Literal, Protocol
+from dataclasses import dataclass
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
+from sixthsense.clearance import margin_m, plan_with_margin, way_out
 from sixthsense.config import Config
+from sixthsense.estimators import Estimate
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose, wrap_angle
 from sixthsense.grid import FreeSpace, Grid
@@ -17,11 +21,35 @@ from sixthsense.planners import Planner
 from sixthsense.planners.shortcut import path_is_free, shortcut
 from sixthsense.source import Command
 
-Outcome = Literal["goal reached", "goal unreachable", "stuck"]
+Outcome = Literal["goal reached", "explored", "explored in part", "goal unreachable", "stuck"]
+Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
-_ESCAPE_M = 0.5  # how far a robot that finds itself inside the inflation looks for a way out
 _STUCK_S = 60.0  # a robot that has not come this much nearer to anywhere is stuck
 _STUCK_M = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place that an exploration has left unseen."""
+
+    x: float
+    """world frame, metres"""
+    y: float
+    """the same"""
+    area_m2: float
+    """of what was not seen there, as far as the map tells"""
+    reason: Reason
+    """cut off by inflation only: without the clearance the robot would fit through; unreachable: it would not; gave up:
+    it was looked at and did not show"""
+
+
+def as_reason(text: str) -> Reason:
+    """The reason of that name; ValueError listing the known ones for any other."""
+    reasons: tuple[Reason, ...] = get_args(Reason)
+    for reason in reasons:
+        if text == reason:
+            return reason
+    raise ValueError(f"reason: found {text!r}, allowed: {', '.join(reasons)}")
 
 
 class Navigator(Protocol):
@@ -33,9 +61,17 @@ class Navigator(Protocol):
     """the outcome when time is up before that"""
     plans: list[Array]
     """every planned path, (N, 2) each, world frame"""
+    plans_below_margin: int | None
+    """how many of them keep less than the margin that was wanted; None of who plans nothing"""
+    left: list[Place]
+    """what an exploration that is over has not seen"""
 
-    def look(self, grid: Grid, pose: Pose) -> None:
-        """Take in a map that has changed."""
+    def look(self, grid: Grid, estimate: Estimate) -> None:
+        """Take in a map that has changed, and what is believed of the robot."""
+        ...
+
+    def blocked(self, pose: Pose) -> None:
+        """Take in that the guard has stopped the last command."""
         ...
 
     def step(self, pose: Pose, stamp_ns: int) -> Command:
@@ -50,8 +86,13 @@ class Passenger:
         self.outcome: Outcome | None = None
         self.at_the_end = "log ended"
         self.plans: list[Array] = []
+        self.plans_below_margin: int | None = None
+        self.left: list[Place] = []
 
-    def look(self, grid: Grid, pose: Pose) -> None:
+    def look(self, grid: Grid, estimate: Estimate) -> None:
+        """Nothing to do."""
+
+    def blocked(self, pose: Pose) -> None:
         """Nothing to do."""
 
     def step(self, pose: Pose, stamp_ns: int) -> Command:
@@ -67,12 +108,16 @@ class Driver:
         self.outcome: Outcome | None = None
         self.at_the_end = "tour ended" if rounds else "out of time"
         self.plans: list[Array] = []
+        self.plans_below_margin: int | None = 0
+        self.left: list[Place] = []
         self._goals: Iterator[Array] = itertools.cycle(goals) if rounds else iter(goals)
         self._goal = next(self._goals)
-        self._planner = planner
+        self._planners = planner, copy.copy(planner)
         self._follower = follower
         self._config = config
+        self._grid: Grid | None = None
         self._space: FreeSpace | None = None
+        self._margin_m = 0.0  # wanted beyond the inflation
         self._planned = False
         self._turn_left = 0.0
         self._heading: float | None = None  # last seen while turning to look around
@@ -81,53 +126,91 @@ class Driver:
         self._patience_ns = 1e9 * max(_STUCK_S, 4.0 * math.pi / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
         self._anchor: tuple[int, Pose] | None = None
 
-    def look(self, grid: Grid, pose: Pose) -> None:
+    def look(self, grid: Grid, estimate: Estimate) -> None:
         """Replan if the path is crossed by an obstacle now, or if there is none."""
-        self._space = grid.free_space(pose.position, self._goal)
+        pose = estimate.pose
+        self._grid, self._margin_m = grid, margin_m(estimate.pose_cov, self._config)
+        self._space = self._free_space(pose.position, self._goal)
         if self._planned and path_is_free(self._space, self._follower.remaining(pose)):
             return
         self._plan(pose)
 
+    def blocked(self, pose: Pose) -> None:
+        """Turn on the spot, until a key scan has brought what is in the way into the map and a plan leads round it."""
+        self._planned = False
+        if self._heading is None:
+            self._heading, self._turn_left = pose.theta, 2.0 * math.pi
+
     def step(self, pose: Pose, stamp_ns: int) -> Command:
         """Follow the path; at the goal take the next one; without a path turn once around and look again."""
         if math.dist(pose.position, self._goal) <= self._config.follow.goal_slack_m:
-            following = next(self._goals, None)
-            if following is None:
-                self.outcome = "goal reached"
+            self._arrived(pose)
+            if self.outcome is not None:
                 return Command()
-            self._goal = following
-            self._anchor = None
-            if self._space is not None:
-                self._space = self._space.covering(pose.position, self._goal)
-                self._plan(pose)
         self._watch(pose, stamp_ns)
         if self._planned:
             return self._follower.step(pose)
         return self._look_around(pose)
 
+    def _arrived(self, pose: Pose) -> None:
+        """What to do at the goal: head for the next one, or be done."""
+        following = next(self._goals, None)
+        if following is None:
+            self.outcome = "goal reached"
+        else:
+            self._head_for(following, pose)
+
+    def _looked_around(self, pose: Pose) -> None:
+        """What to do after a turn around that has shown no way."""
+        self.outcome = "goal unreachable"
+
+    def _got_stuck(self, pose: Pose) -> None:
+        """What to do about a robot that gets nowhere."""
+        self.outcome = "stuck"
+
+    def _head_for(self, goal: Array, pose: Pose) -> None:
+        self._goal = goal
+        self._anchor = None
+        if self._space is not None:
+            self._space = self._space.covering(pose.position, self._goal)
+            self._plan(pose)
+
     def _plan(self, pose: Pose) -> None:
-        assert self._space is not None
-        start = pose.position
-        way_out = np.zeros((0, 2))
+        assert self._space is not None and self._grid is not None
+        start, config = pose.position, self._config
+        leaving = np.zeros((0, 2))
         if self._space.is_blocked(start):
             # Noise has put the robot inside the inflation: leave it by the shortest way, then plan.
-            free = self._space.nearest_free(start, _ESCAPE_M)
-            if free is not None:
-                way_out, start = start[None], free
+            path = way_out(self._grid, self._space, start, config.grid.clearance_m)
+            if path is not None:
+                leaving, start = path[:-1], path[-1]
         # A goal that the inflation covers by a hair is reached as well from the nearest free place within the slack.
         slack = self._config.follow.goal_slack_m - self._config.follow.distance_slack_m
         goal = self._space.nearest_free(self._goal, slack)
-        plan = self._planner.plan(self._space, start, self._goal if goal is None else goal)
+        goal = self._goal if goal is None else goal
+
+        def free_space(margin_m: float) -> FreeSpace:
+            return self._free_space(start, goal, margin_m)
+
+        plan, kept_m = plan_with_margin(self._planners, free_space, start, goal, self._margin_m, config.safety.detour)
         self._planned = plan.found
         if not plan.found:
             if self._heading is None:
                 self._heading, self._turn_left = pose.theta, 2.0 * math.pi
             return
         self._heading = None
-        path = shortcut(self._space, plan.path_world) if self._config.follow.shortcut else plan.path_world
-        path = np.vstack([way_out, path])
-        self.plans.append(np.vstack([way_out, plan.path_world]))
+        path = plan.path_world
+        if config.follow.shortcut:
+            path = shortcut(free_space(kept_m), path)
+        path = np.vstack([leaving, path])
+        self.plans.append(np.vstack([leaving, plan.path_world]))
+        self.plans_below_margin = (self.plans_below_margin or 0) + (kept_m < self._margin_m)
         self._follower.follow(path)
+
+    def _free_space(self, start: Array, goal: Array, margin_m: float = 0.0) -> FreeSpace:
+        """Where the robot may drive, with a margin beyond the inflation."""
+        assert self._grid is not None
+        return self._grid.free_space(start, goal, margin_m=margin_m)
 
     def _look_around(self, pose: Pose) -> Command:
         """Turn once on the spot: what blocks the way may be one stray return, which more scans will clear."""
@@ -136,7 +219,8 @@ class Driver:
         self._turn_left -= abs(wrap_angle(pose.theta - self._heading))
         self._heading = pose.theta
         if self._turn_left <= 0.0:
-            self.outcome = "goal unreachable"
+            self._heading = None
+            self._looked_around(pose)
             return Command()
         return Command(0.0, self._config.robot.turn_rate)
 
@@ -144,4 +228,5 @@ class Driver:
         if self._anchor is None or math.dist(pose.position, self._anchor[1].position) > _STUCK_M:
             self._anchor = (stamp_ns, pose)
         elif stamp_ns - self._anchor[0] > self._patience_ns:
-            self.outcome = "stuck"
+            self._anchor = None
+            self._got_stuck(pose)

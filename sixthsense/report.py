@@ -11,7 +11,7 @@ from typing import Any
 
 from sixthsense.config.section import shown, shown_name
 from sixthsense.errors import InputError
-from sixthsense.figures import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
+from sixthsense.figures import COMPONENTS, draw_coverage, draw_error, draw_exploration, draw_nees, draw_nis, draw_stages
 from sixthsense.plot import CYCLE, draw_map, map_height, new_figure, save, save_map
 from sixthsense.trace import Trace
 
@@ -22,6 +22,7 @@ _TITLES = {
     "nis": "Consistency of the matches: normalised innovation squared",
     "stages": "Where the time goes",
     "coverage": "Area seen",
+    "exploration": "Seen area, what is left of its frontiers, and the plans over time",
 }
 MOST_RUNS = 12  # more panels than that are too small to be read
 
@@ -106,6 +107,7 @@ def report(runs: Sequence[FinishedRun], out: Path | str) -> list[Path]:
         "nis": _nis,
         "stages": _stages,
         "coverage": _coverage,
+        "exploration": _exploration,
     }
     files = [out / "map.png"]
     if len(runs) == 1:
@@ -163,14 +165,27 @@ def _color(k: int) -> str:
 
 
 def _maps(runs: Sequence[FinishedRun], names: Sequence[str]) -> Any:
+    return _planes(runs, names, draw_map)
+
+
+def _exploration(runs: Sequence[FinishedRun], names: Sequence[str]) -> Any:
+    shown = [k for k, run in enumerate(runs) if run.trace.config.task == "explore" and run.trace.plans]
+    if not shown:
+        return None
+    return _planes([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
+
+
+def _planes(runs: Sequence[FinishedRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Any:
+    """One panel a run, drawn by `draw`, with one legend."""
     columns = min(len(runs), 3)
     rows = -(-len(runs) // columns)
     width = max(_WIDTH_IN, 5.0 * columns)
     figure = new_figure(width, width)
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, run, name in zip(panels, runs, names, strict=False):
-        draw_map(ax, run.trace)
-        ax.set_title(f"{name}: {run.metrics.get('outcome', run.trace.outcome)}", fontsize=10)
+        draw(ax, run.trace)
+        if len(runs) > 1:
+            ax.set_title(f"{name}: {run.metrics.get('outcome', run.trace.outcome)}", fontsize=10)
     for ax in panels[len(runs) :]:
         ax.set_axis_off()
     heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]

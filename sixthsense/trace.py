@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import time
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from sixthsense.landmarks import LandmarkId
 from sixthsense.laser import beam_bearings
 from sixthsense.logs.relations import Relations
 from sixthsense.motion import Odometry
+from sixthsense.navigate import Place, as_reason
 from sixthsense.scene import Scene
 from sixthsense.source import Tick
 
@@ -107,6 +109,12 @@ class Trace:
     """of the loop"""
     plans: list[Array] = field(default_factory=list)
     """planned paths"""
+    plans_below_margin: int | None = None
+    """of these, that keep less from obstacles than was wanted; none in a log"""
+    guard_stops: int | None = None
+    """times the guard stopped the moving robot; none in a log"""
+    left: list[Place] = field(default_factory=list)
+    """what an exploration has not seen"""
     trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(K, 3) final pose at each key scan"""
     final: Estimate = field(default_factory=lambda: NOTHING)
@@ -132,7 +140,8 @@ class Trace:
         """Read the folder of a run, or the `.partial` that a killed run has left, back into a Trace.
 
         The estimates are made anew from the recorded evidence with the folder's configuration, which repeats the run
-        exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one). The times
+        exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one), what was left
+        unseen from `places_left.csv`. The times
         are those of the repetition. Raises InputError for a folder that is no run's, or has recorded nothing.
         """
         from sixthsense.config import load_config
@@ -145,6 +154,7 @@ class Trace:
         trace = replay(log, config)
         trace.plans = list(log.plans)
         trace.outcome = _outcome(path / "metrics.json")
+        trace.left = _places_left(path / "places_left.csv")
         return trace
 
     def add_tick(self, tick: Tick, odometry: Pose) -> None:
@@ -190,7 +200,7 @@ class Trace:
         out: dict[str, Any] = {"outcome": self.outcome}
         if self.truths:
             out["collisions"] = int(self.outcome == "collided")
-            out |= self._goal_error()
+            out |= self._goal_error() | self._home_error()
             out |= self._errors()
             if self.scene is not None:
                 out |= self._coverage(self.scene)
@@ -199,8 +209,13 @@ class Trace:
         out["landmarks"] = len(self.records)
         out["landmarks_culled"] = self.culled
         out["walls_merged"] = self.walls_merged
+        if self.outcome.startswith("explored"):
+            out["places_left"] = len(self.left)
+            out["area_left_m2"] = sum(place.area_m2 for place in self.left)
         out["path_length_m"] = self.path_length_m
         out["plans"] = len(self.plans)
+        if self.plans_below_margin is not None and self.guard_stops is not None:
+            out["plans_below_margin"], out["guard_stops"] = self.plans_below_margin, self.guard_stops
         sim_time_s = 1e-9 * (self.stamps_ns[-1] - self.stamps_ns[0]) if self.stamps_ns else 0.0
         out["sim_time_s"] = sim_time_s
         out |= self._timing(sim_time_s)
@@ -212,6 +227,13 @@ class Trace:
         if goal is None or self.config.task != "goal" or self._last_position is None:
             return {}
         return {"goal_error_m": float(np.hypot(*(self._last_position - np.array(goal))))}
+
+    def _home_error(self) -> dict[str, float]:
+        """How far from where it began the robot truly is after an exploration that was to end there."""
+        ended = self.config.explore.return_home and self.outcome.startswith("explored")
+        if not ended or self.config.task != "explore" or self._last_position is None:
+            return {}
+        return {"home_error_m": float(np.hypot(*(self._last_position - self.truths[0][:2])))}
 
     def _coverage(self, scene: Scene) -> dict[str, float]:
         laser = self.config.laser
@@ -290,3 +312,15 @@ def _outcome(file: Path) -> str:
         return str(json.loads(file.read_text(encoding="utf-8"))["outcome"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return "interrupted"
+
+
+def _places_left(file: Path) -> list[Place]:
+    """What an exploration left unseen, from its table; nothing of a run without one."""
+    try:
+        with file.open(newline="", encoding="utf-8") as rows:
+            return [
+                Place(float(row["x"]), float(row["y"]), float(row["area_m2"]), as_reason(row["reason"]))
+                for row in csv.DictReader(rows)
+            ]
+    except (OSError, ValueError, LookupError, TypeError):
+        return []

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numba
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.geometry import Array, Pose
-from sixthsense.laser import Scan, beam_bearings, cast_rays
+from sixthsense.geometry import Array, Pose, interpolated
+from sixthsense.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times, time_increment
 from sixthsense.motion import draw, rk4, slip_variances
 from sixthsense.source import Command, Tick
 
@@ -60,6 +61,9 @@ class World:
         self._ticks = 0
         self._collided = False
         self._bearings = beam_bearings(config.laser)
+        self._times_s = sweep_times(config.laser.beams, time_increment(config.laser))
+        # True poses at the last control ticks, as many as a sweep may reach back to.
+        self._past: deque[Pose] = deque([start], maxlen=config.laser.period_ticks + 2)
 
     def step(self, command: Command) -> Tick | None:
         """Drive for one control tick under `command`, clipped to what the drive can do; None after a collision.
@@ -70,6 +74,7 @@ class World:
             return None
         if self._ticks > 0:
             self._drive(command)
+            self._past.append(self._truth)
         scan = self._sense() if self._ticks % self._config.laser.period_ticks == 0 else None
         stamp_ns = self._ticks * self._period_ns
         tick = Tick(stamp_ns, self._odometry, scan, truth=self._truth, collided=self._collided)
@@ -106,6 +111,17 @@ class World:
         laser, noise = self._config.laser, self._config.world.laser
         T_world_laser = self._truth @ Pose(*laser.mount)
         bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
-        ranges = cast_rays(T_world_laser, bearings, self._walls, laser.max_range)
+        if laser.sweep_s == 0.0:
+            ranges = cast_rays(T_world_laser, bearings, self._walls, laser.max_range)
+        else:
+            ranges = cast_sweep(self._sweep(), bearings, self._walls, laser.max_range)
         ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)
         return Scan.from_config(np.maximum(ranges, 0.0), laser)
+
+    def _sweep(self) -> Array:
+        """(N, 3) where the laser truly is at each beam's time, between the control ticks on a straight line."""
+        stamps_s = 1e-9 * self._period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
+        poses = interpolated(stamps_s, np.array([pose.array() for pose in self._past]), self._times_s)
+        x, y, theta = self._config.laser.mount
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + theta])

@@ -44,7 +44,7 @@ def test_what_lies_behind_the_robot_or_far_away_is_not_visible(ablations) -> Non
 
 
 def test_a_perfect_scan_of_a_room_has_no_false_and_no_missed_landmark(ablations) -> None:
-    config = preset("noiseless", scene="rectangle", max_time=3.0)
+    config = preset("noiseless", scene="rectangle", max_time=3.0, features={"landmarks": "corners"})
     _, views = ablations.collect(config)
     figures = ablations.detection_figures(views, load_scene("rectangle").walls, config)
     assert len(views) == 4
@@ -54,7 +54,7 @@ def test_a_perfect_scan_of_a_room_has_no_false_and_no_missed_landmark(ablations)
 
 
 def test_a_landmark_that_is_not_there_is_false_and_one_not_seen_is_missed(ablations) -> None:
-    config = preset("noiseless", scene="rectangle", max_time=3.0)
+    config = preset("noiseless", scene="rectangle", max_time=3.0, features={"landmarks": "corners"})
     _, views = ablations.collect(config)
     far = load_scene("rectangle").walls + 50.0
     seen = ablations.detection_figures(views, far, config)

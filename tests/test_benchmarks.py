@@ -231,3 +231,13 @@ def test_functions_are_timed_in_alternation(script):
     ms = script.alternate([1, 2], lambda x: calls.append(("a", x)), lambda x: calls.append(("b", x)))
     assert calls == [("a", 1), ("b", 1), ("a", 2), ("b", 2)]
     assert ms.shape == (2, 2)
+
+
+@of("deskew")
+def test_de_skewing_is_measured_against_instants_and_against_skewed_scans(script):
+    config = preset(scene="rectangle", task="tour", max_time=4.0)
+    for name, changes in script.SETTINGS.items():
+        figures = script.setting_figures(name, config, changes, 1)
+        assert all_finite(figures)
+        assert {f"{name}.{key}" for _, key in script.COLUMNS} < set(figures)
+        assert 0.0 < figures[f"{name}.map_rmse_mm_median"] < 60.0

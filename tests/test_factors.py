@@ -19,7 +19,8 @@ KEEP = {"culling": False}  # a culled landmark's sightings are in the solver's p
 
 @pytest.fixture(scope="module", params=["isam2", "ekf"])
 def trace(request: pytest.FixtureRequest) -> Trace:
-    return run(preset(scene="apartment", estimator=request.param, task="tour", max_time=40.0, seed=2, association=KEEP))
+    corners = {"features": {"landmarks": "corners"}, "association": KEEP}  # the file has no tag for walls
+    return run(preset(scene="apartment", estimator=request.param, task="tour", max_time=40.0, seed=2, **corners))
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,11 @@ from sixthsense.landmarks import Kind
 from sixthsense.laser import Scan, beam_bearings, cast_rays
 
 
+def corners():
+    """The default with the report's landmarks."""
+    return preset(features={"landmarks": "corners"})
+
+
 def box(x0, y0, x1, y1):
     corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
     return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
@@ -139,7 +144,7 @@ def test_the_covariance_of_a_line_is_that_of_its_errors(span, sigma_bearing):
 
 
 def test_lines_follow_each_other_in_the_order_of_the_scan():
-    config = preset()
+    config = corners()
     scan = scan_from(Pose(1.5, 1.0, 0.3), config)
     points = scan.points_robot
     spans = np.array([[0, 360]])
@@ -201,7 +206,7 @@ def sightings_and_truth(config, rng, poses, sigma):
 
 def test_landmarks_are_true_and_their_covariance_is_honest():
     """Over a thousand scans: no false landmark, and a NEES of 2 for either kind."""
-    config, rng = preset(), np.random.default_rng(5)
+    config, rng = corners(), np.random.default_rng(5)
     nees = {Kind.CORNER: [], Kind.END: []}
     for sighting, error in sightings_and_truth(config, rng, free_poses(rng, 1000), 0.01):
         assert math.hypot(*error) < 0.3
@@ -214,7 +219,7 @@ def test_landmarks_are_true_and_their_covariance_is_honest():
 @pytest.mark.parametrize("sigma", [0.003, 0.03])
 def test_the_covariances_follow_the_noise(sigma):
     stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"ransac_threshold_m": 5 * sigma}}
-    config = merge(preset(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
+    config = merge(corners(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
     rng = np.random.default_rng(6)
     values = [e @ np.linalg.solve(s.cov, e) for s, e in sightings_and_truth(config, rng, free_poses(rng, 400), sigma)
               if s.kind == Kind.CORNER and math.hypot(*e) < 0.5]  # fmt: skip
@@ -223,7 +228,7 @@ def test_the_covariances_follow_the_noise(sigma):
 
 def test_two_corners_of_one_wall_have_independent_errors():
     """Each return is evidence once: the halves of a wall's returns make its two ends."""
-    config, rng = preset(), np.random.default_rng(7)
+    config, rng = corners(), np.random.default_rng(7)
     room, pose = np.array(box(-2, -1.5, 2, 1.5), dtype=float), Pose(0.2, 0.1, 0.0)
     pairs = []
     for _ in range(1500):
@@ -237,7 +242,7 @@ def test_two_corners_of_one_wall_have_independent_errors():
 
 
 def test_the_rules_for_loose_ends():
-    config = preset()
+    config = corners()
     rng = np.random.default_rng(8)
 
     def ends(walls, pose, settings=config):
@@ -259,7 +264,7 @@ def test_the_rules_for_loose_ends():
 
 def test_a_wall_that_goes_on_flatly_has_no_loose_end():
     rng = np.random.default_rng(9)
-    config = preset()
+    config = corners()
     corridor = np.array([[(-9, -0.5), (9, -0.5)], [(-9, 0.5), (9, 0.5)]], float)
     for x in np.linspace(-3, 3, 40):
         features = extract(scan_from(Pose(x, 0.05, 0.01 * x), config, rng, walls=corridor), config.assumed,
@@ -272,7 +277,7 @@ def test_a_wall_that_goes_on_flatly_has_no_loose_end():
     {"points": {"corners": False}}, {"points": {"ends": False}}, {"partition": {"method": "fixed"}},
 ])  # fmt: skip
 def test_every_stage_can_be_switched_off(change):
-    config, rng = merge(preset(), {"features": change}), np.random.default_rng(10)
+    config, rng = merge(corners(), {"features": change}), np.random.default_rng(10)
     features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features, rng)
     kinds = {s.kind for s in features.sightings}
     assert len(features.walls) >= 3
@@ -281,7 +286,7 @@ def test_every_stage_can_be_switched_off(change):
 
 
 def test_walls_lie_on_the_true_walls_and_the_mount_is_honoured():
-    config = merge(preset(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
+    config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
     rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
     features = extract(scan_from(pose, config, rng), config.assumed, config.features, rng)
     for sighting in features.sightings:
@@ -296,7 +301,7 @@ def test_walls_lie_on_the_true_walls_and_the_mount_is_honoured():
 
 @pytest.mark.parametrize("ranges", [np.full(360, np.inf), np.zeros(360), np.full(360, 1e-3), np.full(360, 9.99)])
 def test_odd_scans_have_no_landmarks_and_do_no_harm(ranges):
-    config = preset()
+    config = corners()
     features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features,
                        np.random.default_rng(0))  # fmt: skip
     assert isinstance(features.sightings, tuple)
@@ -304,7 +309,7 @@ def test_odd_scans_have_no_landmarks_and_do_no_harm(ranges):
 
 
 def test_the_same_scan_and_stream_give_the_same_bits():
-    config = preset()
+    config = corners()
     scan = scan_from(Pose(1.5, 1.0, 0.3), config, np.random.default_rng(1))
     one, two = (extract(scan, config.assumed, config.features, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one.walls, two.walls)
@@ -313,8 +318,8 @@ def test_the_same_scan_and_stream_give_the_same_bits():
 
 
 def test_uniform_noise_counts_by_its_variance():
-    gaussian = merge(preset(), {"assumed": {"laser": {"range_m": 0.03 / math.sqrt(3)}}})
-    uniform = merge(preset(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
+    gaussian = merge(corners(), {"assumed": {"laser": {"range_m": 0.03 / math.sqrt(3)}}})
+    uniform = merge(corners(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
     assert uniform.assumed.laser == LaserNoise("uniform", 0.03, 0.0)
     scan = scan_from(Pose(1.5, 1.0, 0.3), gaussian)
     covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).sightings]

@@ -140,7 +140,7 @@ def test_neighbouring_partitions_differ_in_colour(ax, scan):
 
 
 def test_detections_are_drawn_where_they_are(ax, scan):
-    config = preset()
+    config = preset(features={"landmarks": "corners"})
     features = extract(scan, config.assumed, config.features, np.random.default_rng(0))
     figures.draw_detections(ax, Pose(0.3, 0.2, 0.1), features, enlarged=2.0)
     corners = np.asarray(ax.collections[1].get_offsets())

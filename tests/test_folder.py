@@ -16,7 +16,8 @@ from sixthsense.mapfile import read_map
 from sixthsense.plot import save_map
 from sixthsense.trace import Trace
 
-CONFIG = dataclasses.replace(preset(), scene="rectangle", task="tour", max_time=15.0, seed=5)
+CORNERS = {"landmarks": "corners"}
+CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
 FILES = [
     "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz",
     "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "smoothed.tum", "truth.tum",
@@ -24,7 +25,9 @@ FILES = [
 KEYS = {
     "outcome", "collisions", "coverage", "ate_rmse_m", "ate_max_m", "dead_reckoning_ate_rmse_m", "heading_rmse_rad",
     "pose_nees_world_mean", "pose_nees_invariant_mean", "nis_mean_per_dof", "landmarks", "landmarks_culled",
-    "landmark_rmse_m", "path_length_m", "plans", "sim_time_s", "wall_time_s", "realtime_factor", "scan_ms_p50",
+    "walls_merged",
+    "landmark_rmse_m", "path_length_m", "plans", "plans_below_margin", "guard_stops", "sim_time_s", "wall_time_s",
+    "realtime_factor", "scan_ms_p50",
     "scan_ms_p99", "scan_ms_max",
     *(f"stage_ms_mean.{s}" for s in ("sense", "extract", "associate", "predict", "update", "grid", "plan")),
 }  # fmt: skip

@@ -53,7 +53,7 @@ def test_another_seed_gives_another_run() -> None:
 
 @pytest.mark.parametrize("scene", ["rectangle", "block"])
 def test_without_noise_the_estimate_is_the_truth(scene: str) -> None:
-    trace = run(dataclasses.replace(preset("noiseless"), scene=scene))
+    trace = run(preset("noiseless", scene=scene, task="goal", features={"landmarks": "corners"}))
     values = trace.metrics()
     assert values["outcome"] == "goal reached"
     assert values["ate_rmse_m"] < 0.02
@@ -127,7 +127,8 @@ def test_what_is_changed_elsewhere_leaves_the_worlds_noise_alone(changes: dict[s
 
 def test_ransacs_draws_do_not_reach_the_world() -> None:
     # No landmark, no update: both robots believe the same and drive the same, whatever RANSAC draws.
-    blind = {"features": {"points": {"corners": False, "ends": False}}, "grid": {"walls": False}}
+    points = {"corners": False, "ends": False}
+    blind = {"features": {"landmarks": "corners", "points": points}, "grid": {"walls": False}}
     config = merge(dataclasses.replace(SHORT, max_time=5.0), blind)
     one, two = (run(merge(config, {"features": {"lines": {"ransac_iterations": n}}})) for n in (1, 50))
     assert np.array_equal(np.array(one.truths), np.array(two.truths))
@@ -203,7 +204,7 @@ def test_a_scan_between_key_scans_is_placed_by_its_last_key_scan_and_the_odometr
     ],
 )
 def test_a_mission_that_cannot_be_is_refused_by_the_fields_name(changes: dict[str, object], said: str) -> None:
-    config = merge(dataclasses.replace(preset(), scene="rectangle"), changes)
+    config = merge(dataclasses.replace(preset(), scene="rectangle", task="goal"), changes)
     with pytest.raises(SceneError, match=said):
         mission(load_scene("rectangle"), config)
     with pytest.raises(SceneError, match=said):
@@ -212,13 +213,17 @@ def test_a_mission_that_cannot_be_is_refused_by_the_fields_name(changes: dict[st
 
 def test_a_mission_is_the_configurations_or_else_the_scenes() -> None:
     scene = load_scene("rectangle")
-    start, goals, radius = mission(scene, preset())
+    start, goals, radius = mission(scene, preset(task="goal"))
     assert (start, goals.tolist(), radius) == (scene.start, [list(scene.goal or ())], scene.radius)
-    config = dataclasses.replace(preset(), start=(0.0, 0.0, math.pi / 2), goal=(1.0, 0.0))
+    config = preset(task="goal", start=(0.0, 0.0, math.pi / 2), goal=(1.0, 0.0))
     start, goals, radius = mission(scene, merge(config, {"robot": {"radius": 0.1}}))
     assert (start, goals.tolist(), radius) == (Pose(0.0, 0.0, math.pi / 2), [[1.0, 0.0]], 0.1)
     _, goals, _ = mission(scene, dataclasses.replace(preset(), task="tour"))
     assert goals.tolist() == [list(goal) for goal in scene.tour]
+    _, goals, _ = mission(scene, preset())
+    assert goals.shape == (0, 2)
+    with pytest.raises(SceneError, match=r"^goal: found .*, allowed: with task goal"):
+        mission(scene, preset(goal=(1.0, 0.0)))
 
 
 def test_scans_of_a_narrow_laser_drive_the_same_loop() -> None:

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, INTERRUPTED
-from sixthsense.config import Config, GridConfig, RobotConfig
+from sixthsense.config import Config, GridConfig, RobotConfig, merge
+from sixthsense.estimators import Estimate
 from sixthsense.follow import Follower
 from sixthsense.freespace import FreeSpace
 from sixthsense.geometry import Array, Pose
@@ -46,7 +47,7 @@ def steer(navigator: Driver, grid: Grid, pose: Pose, seconds: float, look_every:
     poses, period_ns = [pose], 20_000_000
     for tick in range(round(seconds / 0.02)):
         if tick % look_every == 0:
-            navigator.look(grid, pose)
+            navigator.look(grid, believed(pose))
         command = navigator.step(pose, tick * period_ns)
         if navigator.outcome is not None:
             break
@@ -55,21 +56,29 @@ def steer(navigator: Driver, grid: Grid, pose: Pose, seconds: float, look_every:
     return poses
 
 
+def believed(pose: Pose) -> Estimate:
+    """The estimate of a robot that is sure of its pose and knows no landmark."""
+    none = np.zeros(0, dtype=np.int64)
+    return Estimate(pose, np.zeros((3, 3)), none, np.zeros((0, 2)), none.astype(np.bool_))
+
+
 def xy(poses: list[Pose]) -> Array:
     return np.array([pose.position for pose in poses])
 
 
 def test_a_passenger_steers_nothing_and_is_never_done() -> None:
     passenger = Passenger()
-    passenger.look(empty_grid(), Pose())
+    passenger.look(empty_grid(), believed(Pose()))
     assert passenger.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
     assert passenger.outcome is None
     assert passenger.plans == []
 
 
 def test_what_ends_a_task_well_exits_with_0_and_everything_else_that_a_navigator_says_does_not() -> None:
-    assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached"}
-    assert {o for o, code in EXIT_CODES.items() if code == DONE} == {"goal reached", "tour ended", "log ended"}
+    explored = {"explored", "explored in part"}
+    assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached", *explored}
+    done = {"goal reached", "tour ended", "log ended", *explored}
+    assert {o for o, code in EXIT_CODES.items() if code == DONE} == done
     assert EXIT_CODES["interrupted"] == INTERRUPTED
 
 
@@ -108,12 +117,12 @@ def test_rounds_begin_anew_and_never_end() -> None:
 
 def test_an_obstacle_across_the_path_makes_it_plan_anew_and_one_beside_it_does_not() -> None:
     navigator, grid = driver((4.0, 0.0)), empty_grid()
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     wall_up(grid, [[[0.0, 2.0], [4.0, 2.0]]])
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     assert len(navigator.plans) == 1
     wall_up(grid, [[[2.0, -1.0], [2.0, 1.0]]])
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     assert len(navigator.plans) == 2
     assert not path_is_free(grid.free_space(), navigator.plans[0])
     assert path_is_free(grid.free_space(), navigator.plans[1])
@@ -163,7 +172,7 @@ def test_a_robot_inside_the_inflation_leaves_it_and_arrives() -> None:
 
 def test_a_robot_that_gets_nowhere_is_stuck_after_a_minute() -> None:
     navigator, grid = driver((3.0, 0.0)), empty_grid()
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     outcomes = [(s, navigator.step(Pose(), s * 10**9) and navigator.outcome) for s in range(0, 80)]
     first = next(s for s, outcome in outcomes if outcome == "stuck")
     assert first == 61
@@ -173,7 +182,7 @@ def test_a_slow_robot_is_given_the_time_it_needs() -> None:
     config = Config(robot=RobotConfig(speed=0.001, turn_rate=0.02))
     navigator, grid = driver((-0.2, 0.0), config=config), empty_grid()
     pose = Pose()
-    navigator.look(grid, pose)
+    navigator.look(grid, believed(pose))
     for second in range(1000):
         command = navigator.step(pose, second * 10**9)
         pose = rk4(pose, command.speed, command.turn_rate, 1.0)
@@ -190,13 +199,34 @@ def test_a_replan_begins_with_what_the_last_plan_found() -> None:
             asked.append((super().plan(space, start, goal), AStar().plan(space, start, goal)))
             return asked[-1][0]
 
-    grid = empty_grid()
-    navigator = Driver(np.array([[4.0, 1.0]]), False, Compared(), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
+    grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
+    navigator = Driver(np.array([[4.0, 1.0]]), False, Compared(), Follower(config.follow, config.robot), config)
     wall_up(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     wall_up(grid, [[[1.0, -0.5], [1.0, 0.9]]])
-    navigator.look(grid, Pose())
+    navigator.look(grid, believed(Pose()))
     (first, _), (again, scratch) = asked
     assert first.found and again.found
     assert again.cost == pytest.approx(scratch.cost, abs=1e-9)
     assert again.expanded < scratch.expanded
+
+
+def test_a_robot_that_the_guard_has_stopped_turns_on_the_spot_until_it_has_another_plan() -> None:
+    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    navigator.look(grid, believed(Pose()))
+    assert navigator.step(Pose(), 0).speed > 0.0
+    navigator.blocked(Pose())
+    command = navigator.step(Pose(), 20_000_000)
+    assert command.speed == 0.0 and command.turn_rate != 0.0
+    wall_up(grid, [[[0.5, -0.5], [0.5, 0.5]]])
+    navigator.look(grid, believed(Pose(0.0, 0.0, 0.2)))
+    assert len(navigator.plans) == 2
+    assert path_is_free(grid.free_space(), navigator.plans[1])
+
+
+def test_plans_that_keep_less_than_the_margin_are_counted() -> None:
+    roomy, tight, grid = driver((3.0, 0.0)), driver((3.0, 0.0)), empty_grid()
+    roomy.look(grid, believed(Pose()))
+    wall_up(grid, [[[1.0, -4.0], [1.0, -0.35]], [[1.0, 0.35], [1.0, 4.0]]])
+    tight.look(grid, believed(Pose()))
+    assert (roomy.plans_below_margin, tight.plans_below_margin) == (0, 1)

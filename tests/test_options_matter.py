@@ -33,9 +33,10 @@ def features_at(config, T_world_laser=None):
 
 
 def test_the_mount_turns_the_covariance_with_the_sighting():
-    plain = features_at(preset()).sightings
+    corners = {"features": {"landmarks": "corners"}}
+    plain = features_at(preset(**corners)).sightings
     mount = (0.2, -0.1, 1.1)
-    turned = features_at(preset(laser={"mount": mount})).sightings
+    turned = features_at(preset(laser={"mount": mount}, **corners)).sightings
     assert len(plain) == len(turned) > 4
     for a, b in zip(plain, turned, strict=True):
         assert np.allclose(Pose(*mount) @ a.z, b.z, atol=1e-9)
@@ -43,7 +44,8 @@ def test_the_mount_turns_the_covariance_with_the_sighting():
 
 
 def test_the_floor_of_landmarks_adds_to_every_sighting():
-    plain, floored = (features_at(preset(assumed={"landmark_floor_m": f})).sightings for f in (0.0, 0.05))
+    corners = {"features": {"landmarks": "corners"}}
+    plain, floored = (features_at(preset(assumed={"landmark_floor_m": f}, **corners)).sightings for f in (0.0, 0.05))
     for a, b in zip(plain, floored, strict=True):
         assert np.allclose(a.cov + 0.0025 * np.eye(2), b.cov, atol=1e-12)
 

@@ -11,7 +11,7 @@ from sixthsense.config import preset
 from sixthsense.loop import run
 from sixthsense.report import FinishedRun, ReportError, check_folders, compact, load_run, report, table
 
-KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png"}
+KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +48,12 @@ def test_several_runs_stand_side_by_side_with_a_table(finished, tmp_path):
         rows = {row["metric"]: row for row in csv.DictReader(file)}
     assert float(rows["ate_rmse_m"]["rectangle-1"]) == finished.metrics["ate_rmse_m"]  # all digits
     assert rows["ate_rmse_m"]["log"] == ""
-    assert rows["outcome"]["log"] == "goal reached"
+    assert rows["outcome"]["log"] == "explored"
 
 
 def test_a_run_without_truth_leaves_out_what_needs_it(finished, tmp_path):
     files = report([without_truth(finished)], tmp_path)
-    assert {file.name for file in files} == {"map.png", "nis.png", "stages.png"}
+    assert {file.name for file in files} == {"map.png", "nis.png", "stages.png", "exploration.png"}
 
 
 def test_runs_of_one_name_are_told_apart(finished):
@@ -78,7 +78,7 @@ def test_a_folder_is_read_with_the_numbers_that_the_run_itself_measured(folder):
     assert loaded.metrics == json.loads((folder / "metrics.json").read_text())
     assert loaded.name == "one"
     assert "rectangle" in loaded.title
-    assert "goal reached" in loaded.title
+    assert "explored" in loaded.title
 
 
 def test_a_killed_run_is_reported_without_times(folder, tmp_path):

@@ -20,6 +20,7 @@ from sixthsense.config import Config, load_config, merge, preset
 if TYPE_CHECKING:
     from sixthsense.folder import RunFolder
     from sixthsense.loop import OnTick
+    from sixthsense.navigate import Place
     from sixthsense.source import Tick
     from sixthsense.trace import Trace
 
@@ -109,8 +110,14 @@ def finish(folder: RunFolder, trace: Trace, title: str) -> int:
     width = max(map(len, metrics))
     for key, value in metrics.items():
         print(f"{key:{width}}  {value:.4g}" if isinstance(value, float) else f"{key:{width}}  {value}")
+    if trace.left:
+        print(f"left unseen: {'; '.join(map(_described, trace.left))}")
     print(f"written to {folder.out}/")
     return EXIT_CODES.get(trace.outcome, FAILED)
+
+
+def _described(place: Place) -> str:
+    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m^2, {place.reason}"
 
 
 def each(*hooks: OnTick) -> OnTick:

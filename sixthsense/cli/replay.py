@@ -56,7 +56,19 @@ def command(args: list[str]) -> int:
     options, flags = parse_command(Replay, "log", _replay_base, args)
     config = options.settings
     robot = {f"robot.{name}" for name in flags.get("robot", {}) if name != "radius"}
-    for name in ("scene", "task", "goal", "start", "region", "planner", "rrtstar", "follow", "world", *sorted(robot)):
+    for name in (
+        "scene",
+        "task",
+        "goal",
+        "start",
+        "region",
+        "planner",
+        "rrtstar",
+        "follow",
+        "explore",
+        "world",
+        *sorted(robot),
+    ):
         if name in flags or name in robot:
             raise UsageError(f"--{name}: found on replay, allowed: options of what a log leaves open, not of the robot")
     if options.log is None:

@@ -26,7 +26,7 @@ from sixthsense.config import is_of_replay
 
 @dataclass(frozen=True)
 class Run(Common):
-    """Put a robot into a scene it has never seen and let it reach its goals."""
+    """Put a robot into a scene it has never seen and let it see all of it, or reach its goals."""
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""

@@ -1,5 +1,6 @@
 """The configuration: a tree of frozen sections that check themselves, its presets, and its files."""
 
+from sixthsense.config.explore import ExploreConfig
 from sixthsense.config.files import is_of_replay, load_config, save_config
 from sixthsense.config.pipeline import (
     AlignConfig,
@@ -25,6 +26,7 @@ from sixthsense.config.platform import (
     WorldConfig,
 )
 from sixthsense.config.presets import PRESETS, preset
+from sixthsense.config.safety import SafetyConfig
 from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
 from sixthsense.config.tree import Config
 from sixthsense.config.values import Distribution
@@ -37,6 +39,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "Distribution",
+    "ExploreConfig",
     "FeaturesConfig",
     "FollowConfig",
     "GridConfig",
@@ -51,6 +54,7 @@ __all__ = [
     "RRTStarConfig",
     "Range",
     "RobotConfig",
+    "SafetyConfig",
     "Section",
     "SplitConfig",
     "WallsConfig",

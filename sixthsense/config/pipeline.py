@@ -99,6 +99,8 @@ class FeaturesConfig(Section):
     landmarks: Literal["corners", "walls", "both"] = "both"
     """corners: corners and loose ends, as in the report; walls: walls alone; both: walls and loose ends (a corner is
     where two walls meet and adds nothing to them)."""
+    deskew: bool = True
+    """Move the returns of a scan that took time to where the robot was at its end, by odometry."""
 
     partition: PartitionConfig = field(default_factory=PartitionConfig)
     split: SplitConfig = field(default_factory=SplitConfig)

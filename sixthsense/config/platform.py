@@ -82,6 +82,8 @@ class RobotConfig(Section):
     """Top speed, m/s."""
     turn_rate: Positive = 1.0
     """Top turn rate, rad/s."""
+    deceleration: Positive = 1.0
+    """Of braking, m/s^2, that safety counts on; the simulated robot obeys at once."""
     radius: NonNegative = 0.0
     """Of the disc, m; 0 takes the scene's."""
     control_period_s: Annotated[float, Range(1e-4, 10.0)] = 0.02
@@ -104,3 +106,5 @@ class LaserConfig(Section):
     """Pose of the laser in the robot's frame: x y theta."""
     period_ticks: PositiveCount = 5
     """Control ticks per scan."""
+    sweep_s: Annotated[float, Range(0.0, 1.0)] = 0.0
+    """Time one turn of beams takes, at most that between two scans; it ends at the scan's stamp. 0: an instant."""

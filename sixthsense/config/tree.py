@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
+from sixthsense.config.explore import ExploreConfig
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
@@ -15,7 +16,8 @@ from sixthsense.config.pipeline import (
     RRTStarConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
-from sixthsense.config.section import Range, Section
+from sixthsense.config.safety import SafetyConfig
+from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.config.values import Count
 
 
@@ -31,8 +33,9 @@ class Config(Section):
     """Back end: the report's filter, three that are consistent when the robot turns, and a smoother."""
     planner: Literal["astar", "rrtstar"] = "astar"
     """Path planner: shortest over the grid's cells, or sampled in the plane."""
-    task: Literal["goal", "tour"] = "goal"
-    """goal: drive there; tour: repeat the scene's list of goals until max-time."""
+    task: Literal["explore", "goal", "tour"] = "explore"
+    """explore: see all of the region, then drive home; goal: drive there; tour: repeat the scene's list of goals until
+    max-time."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None
@@ -41,7 +44,7 @@ class Config(Section):
     """x0 y0 x1 y1 of the region of interest; none: the scene's."""
     seed: Count = 0
     """Of all randomness."""
-    max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] = 600.0
+    max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] = 1800.0
     """Simulated seconds after which the run ends."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
@@ -54,3 +57,13 @@ class Config(Section):
     grid: GridConfig = field(default_factory=GridConfig)
     rrtstar: RRTStarConfig = field(default_factory=RRTStarConfig)
     follow: FollowConfig = field(default_factory=FollowConfig)
+    explore: ExploreConfig = field(default_factory=ExploreConfig)
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        between = self.laser.period_ticks * self.robot.control_period_s
+        if self.laser.sweep_s > between * (1.0 + 1e-9):
+            raise ConfigError(
+                f"laser.sweep_s: found {self.laser.sweep_s:g}, allowed: at most {between:g}, the time between two scans"
+            )

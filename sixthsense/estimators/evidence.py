@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class Evidence:
         kept = rows[~np.isin(rows["place"], list(places))]
         self._rows[: len(kept)] = kept
         self._count = len(kept)
+
+    def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
+        """Give the factors new places: those at `before`, ascending, are now at `after`."""
+        place = self._rows["place"][: self._count]
+        place[:] = np.asarray(after)[np.searchsorted(before, place)]
 
     def squared_residuals(self, poses: Array, ids: NDArray[np.int64], landmarks: Array) -> tuple[Array, Array]:
         """Squared Mahalanobis distance of each sighting that is no birth, and the places of their factors.

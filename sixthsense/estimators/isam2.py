@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Literal, TypeVar
 
 import gtsam
 import numpy as np
@@ -18,9 +19,10 @@ from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
 
-# Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular,
-# nor leave the Cholesky factor without digits.
-_FLOOR = 1e-5
+T = TypeVar("T")
+
+# Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular.
+_FLOOR = 1e-6
 _UNDO_PERIOD = 10  # updates between two looks for matches to take back
 _MOST_UNDONE = 5  # at one look
 
@@ -38,7 +40,8 @@ class ISAM2:
         self._start_cov = check_covariance("start_cov", start_cov)
         self._iterations, self._threshold = config.iterations, config.relinearize_threshold
         self._robust = _loss(config)
-        self._isam = gtsam.ISAM2(solver_parameters(config))
+        self._config = config
+        self._isam, self._by_qr = gtsam.ISAM2(solver_parameters(config)), False
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         """what the solver has not seen yet"""
         self._waiting: list[Pose] = []
@@ -84,7 +87,7 @@ class ISAM2:
                 self._bear(i, guess, sighting)
             add = self._wall_factor if sighting.is_wall else self._point_factor
             self._graph.add(add(self._keys[i], guess, sighting, is_new))
-        places = self._isam.update(self._graph, self._values).getNewFactorsIndices()
+        places = self._solve(self._graph, self._values)
         for (i, sighting), place, is_new in zip(sightings.items(), places[first:], births, strict=True):
             self._evidence.add(self._poses - 1, i, place, sighting, is_new)
         # Fresh ones each time: a factor that is sent twice counts twice.
@@ -121,7 +124,7 @@ class ISAM2:
         if not keys:
             return self._moved(self._pose_cov)
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        joint = self._isam.jointMarginalCovariance([self._last_solved, *keys]).fullMatrix()
+        joint = self._asked(lambda: self._isam.jointMarginalCovariance([self._last_solved, *keys]).fullMatrix())
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
         walls = [self._is_wall[i] for i in ids]
@@ -189,16 +192,56 @@ class ISAM2:
             solved = self._isam.calculateEstimatePose2(self._last_solved)
             if np.abs(linearised.localCoordinates(solved)).max() <= self._threshold:
                 return
-            self._isam.update()
+            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values())
             linearised = solved
 
     def _remove(self, places: list[int]) -> None:
         """Take factors out of the graph and solve."""
         self._evidence.drop(places)
-        self._isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+        self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
         for _ in range(self._iterations - 1):
-            self._isam.update()
+            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values())
         self._read()
+
+    def _solve(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = ()
+    ) -> Sequence[int]:
+        """Update the solver; the places of the new factors."""
+        try:
+            return list(self._isam.update(graph, values, list(gone)).getNewFactorsIndices())
+        except RuntimeError:
+            # The solver has put the new factors into its graph, and taken the old ones out, before it fails.
+            places = self._turn_to_qr()
+            return places[len(places) - graph.size() :]
+
+    def _turn_to_qr(self) -> list[int]:
+        """Give all factors to a solver that uses QR, from now on; their new places.
+
+        Cholesky's method runs out of digits beside exactly known starts and among sigmas that are very unlike.
+        Raises RuntimeError when the solver uses QR already.
+        """
+        if self._by_qr:
+            raise RuntimeError("the factor graph has no solution")
+        self._by_qr = True
+        factors, values = self._isam.getFactorsUnsafe(), gtsam.Values(self._isam.getLinearizationPoint())
+        kept = [k for k in range(factors.size()) if factors.at(k) is not None]
+        graph = gtsam.NonlinearFactorGraph()
+        for k in kept:
+            graph.add(factors.at(k))
+        self._isam = gtsam.ISAM2(solver_parameters(self._config, "QR"))
+        places = list(self._isam.update(graph, values).getNewFactorsIndices())
+        self._evidence.renumber(kept, places)
+        for _ in range(self._iterations):
+            self._isam.update()
+        return places
+
+    def _asked(self, query: Callable[[], T]) -> T:
+        """The answer of the solver, of one that uses QR if need be."""
+        try:
+            return query()
+        except RuntimeError:
+            self._turn_to_qr()
+            return query()
 
     def _undo(self) -> None:
         """Take back matches that all the other evidence contradicts, the worst first.
@@ -220,7 +263,7 @@ class ISAM2:
         self._pose = _pose(self._isam.calculateEstimatePose2(last))
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
-        cov = turn @ self._isam.marginalCovariance(last) @ turn.T
+        cov = turn @ self._asked(lambda: self._isam.marginalCovariance(last)) @ turn.T
         self._pose_cov = 0.5 * (cov + cov.T)
         # One by one: there are fewer landmarks than poses.
         rows = [
@@ -245,13 +288,15 @@ class ISAM2:
         return 0.5 * (moved + moved.T)
 
 
-def solver_parameters(config: ISAM2Config) -> gtsam.ISAM2Params:
-    """GTSAM's parameters for a configuration."""
+def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "QR"] = "CHOLESKY") -> gtsam.ISAM2Params:
+    """GTSAM's parameters for a configuration.
+
+    Cholesky's method takes a third of the time of QR, which stacks what walls that are seen from everywhere gather.
+    """
     parameters = gtsam.ISAM2Params()
     parameters.setRelinearizeThreshold(config.relinearize_threshold)
     parameters.relinearizeSkip = config.relinearize_skip
-    # A third of the time of QR, which stacks what walls that are seen from everywhere have gathered.
-    parameters.setFactorization("CHOLESKY")
+    parameters.setFactorization(factorization)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
     parameters.enableAdaptiveReorder = True  # an order that has grown bad costs the 99th percentile half as much again
     return parameters

@@ -13,6 +13,7 @@ from sixthsense.features.landmarks import find_landmarks
 from sixthsense.features.lines import fit_lines
 from sixthsense.features.partition import Indices, partition
 from sixthsense.features.split import split
+from sixthsense.features.sweep import with_sweep
 from sixthsense.features.walls import find_walls
 from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import Kind, Sighting, born
@@ -45,11 +46,15 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
     sigma_bearing = math.sqrt(variance(noise.distribution, noise.bearing_rad))
     ranges, bearings = scan.ranges.astype(np.float64), scan.bearings
     spacing = float(scan.angle_increment)
-    offset, pieces, cyclic = partition(ranges, spacing, scan.closed, sigma_range, config.partition)
+    gaps = None if scan.sweep is None else np.diff(bearings, prepend=bearings[-1] - 2.0 * math.pi)
+    offset, pieces, cyclic = partition(ranges, spacing, scan.closed, sigma_range, config.partition, gaps)
 
     # From here on the scan is rolled so that no piece straddles its seam.
     ranges = np.roll(ranges, -offset)
-    bearings = bearings[0] + spacing * (offset + np.arange(n))
+    if scan.sweep is None:
+        bearings = bearings[0] + spacing * (offset + np.arange(n))
+    else:
+        bearings = np.concatenate([bearings[offset:], bearings[:offset] + 2.0 * math.pi])
     reach = np.where(np.isfinite(ranges), ranges, 0.0)
     points = np.column_stack([reach * np.cos(bearings), reach * np.sin(bearings)])
     spans, piece_of_span = _spans(points, pieces, cyclic, config)
@@ -85,7 +90,7 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
     mount = scan.T_robot_laser
     return Features(
         mount @ _clip(points, lines, where),
-        tuple(sightings),
+        with_sweep(sightings, scan),
         tuple((offset + np.arange(a, b)) % n for a, b in pieces),
         tuple((offset + np.arange(a, b)) % n for a, b in spans),
     )

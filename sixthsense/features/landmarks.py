@@ -20,6 +20,13 @@ NOTHING, LOOSE = -1, -2  # what a line's first or last return leads to, if not a
 
 
 @numba.njit(cache=True, error_model="numpy")
+def mean_spacing(bearings: Array) -> float:
+    """Radians from beam to beam: of a de-skewed scan they differ by a few percent."""
+    spacing: float = abs(bearings[-1] - bearings[0]) / (len(bearings) - 1)
+    return spacing
+
+
+@numba.njit(cache=True, error_model="numpy")
 def intersect(first: Array, second: Array) -> Array:
     """Where two lines (5,) meet: (5,) x, y and the entries xx, xy, yy of the covariance; NaN if parallel."""
     c1, s1, c2, s2 = math.cos(first[0]), math.sin(first[0]), math.cos(second[0]), math.sin(second[0])
@@ -89,7 +96,7 @@ def _wall_ends(
         return False
     if ranges[edge] < ranges[k]:  # rule 3: something nearer hides the rest
         return False
-    ahead = math.cos(bearings[k] + step * abs(bearings[1] - bearings[0]) - line[0])
+    ahead = math.cos(bearings[k] + step * mean_spacing(bearings) - line[0])
     if ahead <= 0.0 or line[1] / ahead > max_range - margin:
         return False  # rule 2 for the wall's continuation: it may go on beyond the range
     if math.isfinite(ranges[edge]):
@@ -221,7 +228,7 @@ def find_landmarks(
 
     Takes the stages' results in the scan's rolled order. Returns (K,) kinds and (K, 5) x, y, xx, xy, yy.
     """
-    count, spacing = len(lines), abs(bearings[1] - bearings[0])
+    count, spacing = len(lines), mean_spacing(bearings)
     leads_to = np.full((count, 2), NOTHING, np.int64)  # from each line's first and last return
     if use_corners:
         mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, leads_to)

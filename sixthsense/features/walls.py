@@ -11,7 +11,15 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.features.landmarks import LOOSE, NOTHING, clear_of_corners, loose_end, mark_corners, mark_ends
+from sixthsense.features.landmarks import (
+    LOOSE,
+    NOTHING,
+    clear_of_corners,
+    loose_end,
+    mark_corners,
+    mark_ends,
+    mean_spacing,
+)
 from sixthsense.features.lines import fit_line, parallel_line
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array
@@ -47,7 +55,7 @@ def find_walls(
     returns say nothing of a direction, which is the wall's. Returns
     (W, 7) alpha, d, aa, ad, dd and from where to where along the wall it was seen; and (E, 5) x, y, xx, xy, yy.
     """
-    count, spacing = len(lines), abs(bearings[1] - bearings[0])
+    count, spacing = len(lines), mean_spacing(bearings)
     corners = np.full((count, 2), NOTHING, np.int64)
     ends = np.full((count, 2), NOTHING, np.int64)
     mark_corners(points, piece_of_line, lines, where, cyclic, max_gap, min_angle, corners)

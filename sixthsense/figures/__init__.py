@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sixthsense.figures.navigation import draw_hits, draw_path, draw_robot, draw_seen
+from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns
 
@@ -12,6 +12,7 @@ __all__ = [
     "draw_coverage",
     "draw_detections",
     "draw_error",
+    "draw_exploration",
     "draw_hits",
     "draw_nees",
     "draw_nis",

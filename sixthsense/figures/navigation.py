@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from sixthsense.freespace import Bools, FreeSpace
+from sixthsense.frontier import frontier_cells, without_gaps
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
-from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, label_plane
+from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, draw_segments, label_plane
+from sixthsense.trace import Trace
 
 _INFLATED = "#F6CFBF"
 
@@ -60,3 +62,41 @@ def draw_robot(ax: Any, pose: Pose, radius_m: float) -> None:
     ax.add_patch(Circle((pose.x, pose.y), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.2, zorder=8))
     nose = pose.position + radius_m * np.array([math.cos(pose.theta), math.sin(pose.theta)])
     ax.plot([pose.x, nose[0]], [pose.y, nose[1]], color=WALL, linewidth=1.2, zorder=9)
+
+
+def draw_exploration(ax: Any, trace: Trace) -> None:
+    """Draw the seen area, the frontiers that are left, the plans, early ones pale and late ones dark, and places left.
+
+    A frontier is a free cell beside an unseen one within the region, however small.
+    """
+    assert trace.grid is not None
+    grid, cell_m = trace.grid, trace.config.grid.cell_m
+    obstacles, seen = without_gaps(grid.obstacles), grid.seen
+    unseen = ~(seen | obstacles)
+    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
+    if region is not None:
+        x0, y0, x1, y1 = region
+        y = grid.origin[1] + (np.arange(seen.shape[0]) + 0.5) * cell_m
+        x = grid.origin[0] + (np.arange(seen.shape[1]) + 0.5) * cell_m
+        unseen &= ((y > y0) & (y < y1))[:, None] & ((x > x0) & (x < x1))[None, :]
+    if trace.scene is not None:
+        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=1.6, label="walls, true", zorder=2)
+    for k, plan in enumerate(trace.plans):
+        age = (k + 1) / len(trace.plans)
+        label = "planned, pale to dark over time" if k == len(trace.plans) - 1 else None
+        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=0.8, alpha=0.15 + 0.7 * age, label=label, zorder=3)
+    driven = np.array(trace.estimates).reshape(-1, 3)
+    ax.plot(driven[:, 0], driven[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=4)
+    ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
+    edge = np.argwhere(frontier_cells(seen & ~obstacles, unseen))
+    points = (edge[:, ::-1] + 0.5) * cell_m + np.array(grid.origin)
+    ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label="frontiers left", zorder=6)
+    if trace.left:
+        left = np.array([(place.x, place.y) for place in trace.left])
+        ax.scatter(left[:, 0], left[:, 1], s=60.0, marker="x", color=LANDMARK, label="places left unseen", zorder=8)
+    _shade(ax, seen, grid.origin, cell_m, SEEN, 0.1)
+    _shade(ax, grid.obstacles, grid.origin, cell_m, SIGHTING, 0.2)
+    label_plane(ax)
+    shown = np.concatenate([driven[:, :2], *(() if trace.scene is None else trace.scene.walls)])
+    low, high = shown.min(axis=0) - 0.5, shown.max(axis=0) + 0.5
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))

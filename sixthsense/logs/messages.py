@@ -16,6 +16,7 @@ LASER_SCAN = "sensor_msgs/msg/LaserScan"
 _FARTHEST_M = 1000.0
 _FAR_OFF_M = 1e10  # of a frame's origin; squares and products of what is farther are no numbers in the end
 _MOST_BEAMS = 100_000
+_LONGEST_SWEEP_S = 1.0
 _LEAST_UPRIGHT = 0.9  # cosine of the tilt at which a scan is no longer one of the plane
 
 
@@ -72,7 +73,8 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
     """A scan as its message says; ranges outside [range_min, range_max] met nothing.
 
     `max_range` is `range_max` with all its digits, where they are known. A scan that runs clockwise is turned round, a
-    beam that repeats the first of a full circle left out.
+    beam that repeats the first of a full circle left out. A `time_increment` that makes no sweep of at most a second is
+    none: many drivers leave it unset.
     """
     first, step = float(message.angle_min), float(message.angle_increment)
     ranges = np.asarray(message.ranges, dtype=np.float32)
@@ -90,10 +92,13 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
         count = len(ranges)
     with np.errstate(invalid="ignore"):
         ranges = np.where((ranges >= low) & (ranges <= high), ranges, np.float32(np.inf))
+    lag = float(message.time_increment)
+    if not 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S:
+        lag = 0.0
     if upside_down:
         first, step = -first, -step
     if step < 0.0:
-        first, step, ranges = first + step * (count - 1), -step, ranges[::-1].copy()
+        first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
     ranges.flags.writeable = False
     reach = min(float(high), _FARTHEST_M) if max_range is None else max_range
-    return Scan(ranges, np.float32(first), np.float32(step), reach, T_robot_laser)
+    return Scan(ranges, np.float32(first), np.float32(step), reach, T_robot_laser, np.float32(lag))

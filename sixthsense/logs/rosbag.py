@@ -16,7 +16,7 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
 from sixthsense.errors import InputError
 from sixthsense.geometry import Array, Pose
-from sixthsense.laser import Scan
+from sixthsense.laser import Scan, sweep_ns
 from sixthsense.logs import LogError
 from sixthsense.logs.inflate import bounded, check_regular
 from sixthsense.logs.log import Log
@@ -67,8 +67,9 @@ def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -
     Scans and odometry are the topics of type LaserScan and Odometry, chosen by `topics` where there are several. Beams
     and ranges are the messages'. The mount is `laser.mount` if that is not zero, else what /tf_static says. Messages
     are put into the order of their own stamps where each topic's ascend, else kept in that of the file; the clock is
-    the stamp, or 1 ns after the tick before if that is later. A scan's odometry is interpolated at its stamp. Raises
-    LogError for a bag that cannot be read, is damaged or cut short, or lacks one topic of either type.
+    the stamp, or 1 ns after the tick before if that is later. A scan's odometry is interpolated at its stamp; the stamp
+    of a scan that took time, which is that of its first beam, is moved to its last.
+    Raises LogError for a bag that cannot be read, is damaged or cut short, or lacks one topic of either type.
     """
     path = Path(file)
     # All of it: a bag may define a type of a known name without the fields that are looked for.
@@ -226,8 +227,10 @@ def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tic
     """One tick per message, or one for odometry and scan of one stamp, from the first odometry on."""
     odometry = recording.odometry
 
+    ends = [own - sweep_ns(len(s.ranges), s.time_increment) for (own, _), s in zip(recording.scans, scans, strict=True)]
+
     def stamp(entry: tuple[bool, int]) -> int:
-        return recording.scans[entry[1]][0] if entry[0] else odometry[entry[1]][0]
+        return ends[entry[1]] if entry[0] else odometry[entry[1]][0]
 
     order = recording.order
     if _ascends(recording.scans) and _ascends(odometry):
@@ -245,12 +248,13 @@ def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tic
         if last < 0:
             continue  # nobody knows where the robot was
         if is_scan:
+            log_stamp_s = recording.scans[number][0] / 1e9
             if ticks and ticks[-1].scan is None and own == odometry[last][0]:
-                ticks[-1] = replace(ticks[-1], scan=scans[number], log_stamp_s=own / 1e9)
+                ticks[-1] = replace(ticks[-1], scan=scans[number], log_stamp_s=log_stamp_s)
                 continue
             clock = max(own, clock + 1)
             pose = _interpolate(odometry, last, own)
-            ticks.append(Tick(clock, pose, scans[number], log_stamp_s=own / 1e9))
+            ticks.append(Tick(clock, pose, scans[number], log_stamp_s=log_stamp_s))
         else:
             clock = max(own, clock + 1)
             ticks.append(Tick(clock, odometry[number][1]))

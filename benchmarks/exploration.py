@@ -1,0 +1,177 @@
+"""Exploration: outcome, coverage, collisions, the error at home, travel and time; against random goals and a known map.
+
+The tour of a known map is a yardstick, no bound: viewpoints that together show all of the visible area are picked
+greedily, joined by the nearest first and untangled by 2-opt, ways measured around the walls.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
+
+import numpy as np
+from harness import Figures, arguments, machine, print_table, write_json
+
+from sixthsense import frontier
+from sixthsense.config import Config, preset
+from sixthsense.coverage import visible_area
+from sixthsense.geometry import Array
+from sixthsense.loop import run, warm_up
+from sixthsense.scene import load_scene
+
+COLUMNS = ("coverage", "home_error_m", "path_length_m", "sim_time_s", "realtime_factor", "ate_rmse_m")
+CELL_M = 0.1
+ENOUGH = 0.995  # of the visible area, for the tour of a known map
+LATTICE = 3  # cells between its viewpoints
+
+
+def settings(options: Any) -> list[tuple[str, Config]]:
+    """A name and a configuration per kind of run: scenes by estimators by planners by methods by revisiting."""
+    found = []
+    for scene in options.scenes:
+        for estimator in options.estimators:
+            for planner in options.planners:
+                for method in options.methods:
+                    for revisit in options.revisit:
+                        config = preset(
+                            options.preset, scene=scene, estimator=estimator, planner=planner, task="explore",
+                            max_time=options.max_time, features={"landmarks": options.landmarks},
+                            explore={
+                                "method": method, "revisit": revisit == "on", "revisit_sigma_m": options.revisit_sigma
+                            },
+                        )  # fmt: skip
+                        name = f"{scene}.{estimator}.{planner}.{method}.{options.preset}"
+                        found.append((name if revisit == "on" else f"{name}.no_revisit", config))
+    return found
+
+
+def measure(config: Config) -> dict[str, Any]:
+    """The metrics of one run, in a process of its own."""
+    return run(config).metrics()
+
+
+def known_map_tour(scene_name: str, config: Config) -> float:
+    """Metres of a round trip from the start past viewpoints that show the visible area to a robot that has the map."""
+    scene = load_scene(scene_name)
+    assert scene.start is not None
+    start = (scene.start.x, scene.start.y)
+    area = visible_area(scene.walls, scene.region, start, scene.radius, config.laser.max_range, CELL_M)
+    shape, origin = area.mask.shape, np.array(area.origin)
+    obstacles, tight = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    x = origin[0] + (np.arange(shape[1]) + 0.5) * CELL_M
+    y = origin[1] + (np.arange(shape[0]) + 0.5) * CELL_M
+    for a, b in scene.walls:
+        e = b - a
+        s = ((x[None, :] - a[0]) * e[0] + (y[:, None] - a[1]) * e[1]) / max(float(e @ e), 1e-12)
+        s = np.clip(s, 0.0, 1.0)
+        away = np.hypot(x[None, :] - a[0] - s * e[0], y[:, None] - a[1] - s * e[1])
+        obstacles |= away < 0.51 * CELL_M
+        tight |= away < scene.radius
+    home = int((start[1] - origin[1]) / CELL_M), int((start[0] - origin[0]) / CELL_M)
+    reachable = np.isfinite(frontier.ways(~tight, tight, *home))
+    rows, cols = np.nonzero(reachable)
+    on = (rows % LATTICE == 0) & (cols % LATTICE == 0)
+    places = np.vstack([[home], np.stack([rows[on], cols[on]], axis=1)])
+    reach = config.laser.max_range / CELL_M
+    shown = np.array([frontier.cells_in_view(obstacles, area.mask, r, c, reach)[area.mask] for r, c in places])
+    wanted = shown.any(axis=0)
+    left, picked = wanted & ~shown[0], [0]
+    while np.count_nonzero(left) > (1.0 - ENOUGH) * np.count_nonzero(wanted):
+        picked.append(int(np.argmax(shown[:, left].sum(axis=1))))
+        left &= ~shown[picked[-1]]
+    stops = places[picked]
+    lengths = np.array([frontier.ways(~tight, tight, *stop)[stops[:, 0], stops[:, 1]] for stop in stops])
+    return _round_trip(lengths.astype(np.float64)) * CELL_M
+
+
+def _round_trip(lengths: Array) -> float:
+    """Length of a round trip through all stops: the nearest next, then 2-opt until nothing is gained."""
+    order = [0]
+    while len(order) < len(lengths):
+        ways = lengths[order[-1]].copy()
+        ways[order] = math.inf
+        order.append(int(np.argmin(ways)))
+    improved = True
+    while improved:
+        improved = False
+        for i in range(len(order) - 2):
+            for j in range(i + 2, len(order)):
+                a, b, c, d = order[i], order[i + 1], order[j], order[(j + 1) % len(order)]
+                if lengths[a, c] + lengths[b, d] < lengths[a, b] + lengths[c, d] - 1e-9:
+                    order[i + 1 : j + 1] = order[i + 1 : j + 1][::-1]
+                    improved = True
+    return float(sum(lengths[a, b] for a, b in zip(order, [*order[1:], order[0]], strict=True)))
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--scenes", nargs="+", default=["rectangle", "block", "apartment", "office", "loop"])
+    parser.add_argument("--estimators", nargs="+", default=["ekf-invariant"])
+    parser.add_argument("--planners", nargs="+", default=["astar"])
+    parser.add_argument("--methods", nargs="+", default=["frontier"], choices=["frontier", "random"])
+    parser.add_argument("--revisit", nargs="+", default=["on"], choices=["on", "off"], help="the ablation: on off")
+    parser.add_argument("--revisit-sigma", type=float, default=0.1, metavar="M", help="threshold of revisiting")
+    parser.add_argument("--landmarks", default="both", choices=["corners", "walls", "both"])
+    parser.add_argument("--preset", default="default")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="how many, from 0 on")
+    parser.add_argument("--max-time", type=float, default=3600.0, metavar="S", help="simulated seconds of a run")
+    parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
+    parser.add_argument("--tour", action="store_true", help="also the tour of the known map")
+    options = parser.parse_args()
+    if options.seeds < 1 or options.jobs < 1:
+        parser.error("--seeds, --jobs: allowed: at least 1")
+    warm_up()
+    figures: Figures = {}
+    rows = [
+        ["setting", "outcomes", "collisions", "coverage, min", "home m, max", "travel m", "sim s", "x real", "ATE m"]
+    ]
+    kinds = settings(options)
+    with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
+        configs = [dataclasses.replace(config, seed=seed) for _, config in kinds for seed in range(options.seeds)]
+        results = list(pool.map(measure, configs))
+    for k, (name, _) in enumerate(kinds):
+        mine = results[k * options.seeds : (k + 1) * options.seeds]
+        outcomes = Counter(result["outcome"] for result in mine)
+        figures |= {f"{name}.outcome.{o.replace(' ', '_')}": n for o, n in outcomes.items()}
+        figures[f"{name}.collisions"] = sum(result["collisions"] for result in mine)
+        reduce = {"coverage": np.min, "home_error_m": np.max}
+        for key in COLUMNS:
+            values = [result[key] for result in mine if key in result]
+            if values:
+                figures[f"{name}.{key}"] = float(reduce.get(key, np.median)(values))  # type: ignore[operator]
+        said = ", ".join(f"{n} {o}" for o, n in outcomes.most_common())
+        cells = [figures.get(f"{name}.{key}") for key in COLUMNS]
+        shown = ["" if value is None else f"{value:.4g}" for value in cells]
+        rows.append([name, said, f"{figures[f'{name}.collisions']:.0f}", *shown])
+    figures |= ratios(figures, options)
+    print(machine())
+    print_table(rows)
+    for key, value in figures.items():
+        if ".over_" in key or key.endswith("known_map_tour_m"):
+            print(f"{key}  {value:.3g}")
+    write_json(options.json, figures)
+
+
+def ratios(figures: Figures, options: Any) -> Figures:
+    """Travel by frontiers over that by random goals, and over the tour of the known map, where both were measured."""
+    found: Figures = {}
+    tours = {s: known_map_tour(s, preset(options.preset)) for s in options.scenes} if options.tour else {}
+    for scene, length in tours.items():
+        found[f"{scene}.known_map_tour_m"] = length
+    for key, travel in list(figures.items()):
+        if not key.endswith(".path_length_m") or ".frontier." not in key:
+            continue
+        name = key.removesuffix(".path_length_m")
+        random = figures.get(key.replace(".frontier.", ".random."))
+        if random:
+            found[f"{name}.over_random"] = travel / random
+        if tours.get(key.split(".")[0]):
+            found[f"{name}.over_known_map_tour"] = travel / tours[key.split(".")[0]]
+    return found
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,453 @@
+"""Exploration: see all that can be seen of a region, then drive home (report section 4.5)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sixthsense import frontier
+from sixthsense.clearance import margin_m
+from sixthsense.config import Config
+from sixthsense.estimators import Estimate
+from sixthsense.follow import Follower
+from sixthsense.freespace import TOUCH, Bools, FreeSpace
+from sixthsense.frontier import Cells, Costs
+from sixthsense.geometry import Array, Pose, wrap_angle
+from sixthsense.grid import Grid
+from sixthsense.laser import beam_bearings
+from sixthsense.navigate import Driver, Place, Reason
+from sixthsense.planners import Planner
+from sixthsense.planners.shortcut import path_is_free
+
+Region = tuple[float, float, float, float]
+
+_TILE_M = 1.0  # frontiers longer than this are several
+_DEEP_M = 3.0  # how far into the unknown a view is expected to reach
+_MOSTLY = 0.2  # a target of which no more than this is left unseen has been seen; the rest is a target of its own
+_BEYOND_M = 0.5  # how far outside the region something unseen counts that what is unseen within leads to
+_VIEWS = 24  # so many views are compared, those of the nearest frontiers
+_WALL_HITS, _WALL_PASSES = 3, 15  # a cell hit so often, and passed no more often per hit, is of a wall
+_SMALL = 0.003  # of the area seen: small places that are more than that together count
+_HALF = 0.5  # of the sigma now: what a place must have had to be worth going back to
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """The part of the map that lies within bounds; masks (H, W)."""
+
+    first: tuple[int, int]
+    """row, col of the masks' corner, counted from the world's origin"""
+    cell_m: float
+    """side of a cell"""
+    seen: Bools
+    """crossed by a beam"""
+    obstacles: Bools
+    """not inflated"""
+    blocked: Bools
+    """inflated"""
+    unseen: Bools
+    """within the region, and neither seen nor an obstacle"""
+
+    @property
+    def free(self) -> Bools:
+        """Seen, and no obstacle."""
+        return self.seen & ~self.obstacles
+
+    @property
+    def dark(self) -> Bools:
+        """Neither seen nor an obstacle, in the region or about it."""
+        return ~(self.seen | self.obstacles)
+
+    def cell(self, point: Array) -> tuple[int, int]:
+        """Row and col of a (2,) point, world frame, clipped to the masks."""
+        row = math.floor(point[1] / self.cell_m) - self.first[0]
+        col = math.floor(point[0] / self.cell_m) - self.first[1]
+        height, width = self.seen.shape
+        return min(max(row, 0), height - 1), min(max(col, 0), width - 1)
+
+    def point(self, row: float, col: float) -> Array:
+        """(2,) centre of a cell, world frame."""
+        return np.array([(self.first[1] + col + 0.5) * self.cell_m, (self.first[0] + row + 0.5) * self.cell_m])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """What the robot is on its way to see."""
+
+    cells: Cells
+    """(N, 2) unseen cells, row and col counted from the world's origin"""
+    viewpoint: tuple[int, int]
+    """the cell to see them from, the same"""
+    hidden: bool
+    """they are in view from no cell that can be reached"""
+
+
+class Explorer(Driver):
+    """Drives to where most is seen for least time until nothing is left to see, then home.
+
+    What is wanted is every unseen cell of the region beside a free one that was seen. It is looked at from a cell that
+    can be reached over cells that were seen, at first from where that is soonest, near enough for the beams to leave no
+    gap; if a turn around there does not show it, from as near as possible; then it is given up, with a reason.
+    """
+
+    def __init__(
+        self, start: Pose, region: Region, radius_m: float, planner: Planner, follower: Follower, config: Config,
+        rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        """Explore `region` (x0, y0, x1, y1) from `start` with a disc of `radius_m`; `rng` is for the random method.
+
+        A start outside the region makes the region wider, so that the way there is explored, too.
+        """
+        super().__init__(start.position[None], False, planner, follower, config)
+        self._home = start.position
+        x0, y0, x1, y1 = region
+        self._region = min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)
+        self._radius_m = radius_m
+        self._rng = rng
+        laser = config.laser
+        cell_m = config.grid.cell_m
+        bearings = beam_bearings(laser)
+        spacing = abs(float(bearings[1] - bearings[0]))
+        self._rays = max(8, round(math.pi / spacing))  # every second beam will do
+        # One that sees all around needs to turn only a little, for the gaps between its beams.
+        self._turn = 2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * config.keyscans.turn_rad + 0.1
+        self._reach = 0.95 * laser.max_range / cell_m
+        self._near = max(2.0, frontier.dense_reach(spacing, laser.max_range / cell_m))
+        self._view: View | None = None
+        self._grid: Grid | None = None
+        self._all_tried: NDArray[np.uint8] = np.zeros((0, 0), dtype=np.uint8)  # how often a cell was looked for in vain
+        self._tried = self._all_tried  # the view's part of them
+        self._tried_first = (0, 0)
+        self._phase: Literal["explore", "revisit", "home"] = "explore"
+        self._target: Target | None = None
+        self._at_viewpoint = False
+        self._sigma = 0.0
+        self._known: list[tuple[float, float, float]] = []  # x, y and the pose's sigma there, per key scan
+        self._bearable = config.explore.revisit_sigma_m
+        self._stuck_before = False
+
+    def look(self, grid: Grid, estimate: Estimate) -> None:
+        """Take in what was seen: choose anew when the target has been seen, replan when the path is crossed."""
+        pose = estimate.pose
+        self._margin_m = margin_m(estimate.pose_cov, self._config)
+        self._take_in(grid, pose)
+        self._sigma = math.sqrt(max(float(np.linalg.eigvalsh(estimate.pose_cov[:2, :2])[-1]), 0.0))
+        self._known.append((pose.x, pose.y, self._sigma))
+        self._judge_uncertainty(pose)
+        if self._phase == "explore" and (self._target is None or self._is_seen(self._target)):
+            self._choose(pose)
+        elif not self._at_viewpoint and not (self._planned and self._path_is_free(pose)):
+            self._plan(pose)
+            if not self._planned and self._phase == "explore":
+                self._choose(pose)  # what was seen on the way has made another viewpoint the better one
+
+    def _free_space(self, start: Array, goal: Array, margin_m: float = 0.0) -> FreeSpace:
+        """Where the robot may drive: outside the bounds nowhere."""
+        space = super()._free_space(start, goal, margin_m)
+        inside = self._inside(space)
+        blocked = np.ones(space.blocked.shape, dtype=np.bool_)
+        blocked[inside] = space.blocked[inside]
+        return replace(space, blocked=blocked)
+
+    def _inside(self, space: FreeSpace) -> tuple[slice, slice]:
+        """Rows and columns of a space that lie within the bounds of the drive."""
+        margin, (x0, y0, x1, y1) = self._config.explore.margin_m, self._region
+        slices = []
+        for low, high, origin, count in (
+            (y0, y1, space.origin[1], space.blocked.shape[0]),
+            (x0, x1, space.origin[0], space.blocked.shape[1]),
+        ):
+            first = math.floor((low - margin - origin) / space.cell_m + TOUCH)
+            past = math.ceil((high + margin - origin) / space.cell_m - TOUCH)
+            slices.append(slice(min(max(first, 0), count), min(max(past, 0), count)))
+        return slices[0], slices[1]
+
+    def _take_in(self, grid: Grid, pose: Pose) -> None:
+        self._grid = grid
+        space = self._free_space(pose.position, self._goal)
+        self._space = space
+        cell_m = space.cell_m
+        first = round(space.origin[1] / cell_m), round(space.origin[0] / cell_m)
+        obstacles = np.zeros(space.blocked.shape, dtype=np.bool_)
+        own = grid.obstacles
+        row, col = round(grid.origin[1] / cell_m) - first[0], round(grid.origin[0] / cell_m) - first[1]
+        obstacles[row : row + own.shape[0], col : col + own.shape[1]] = own
+        inside = self._inside(space)
+        x0, y0, x1, y1 = self._region
+        corner = first[0] + inside[0].start, first[1] + inside[1].start
+        y = (np.arange(inside[0].start, inside[0].stop) + first[0] + 0.5) * cell_m
+        x = (np.arange(inside[1].start, inside[1].stop) + first[1] + 0.5) * cell_m
+        seen, obstacles = space.seen[inside], obstacles[inside]
+        unseen = ~(seen | obstacles)
+        unseen[(y <= y0) | (y >= y1)] = False
+        unseen[:, (x <= x0) | (x >= x1)] = False
+        self._view = View(corner, cell_m, seen, obstacles, space.blocked[inside], unseen)
+        self._tried = self._tries_within(corner, seen.shape)
+
+    def _tries_within(self, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+        """The part of all tries that a view has; they are kept beyond it, for a grid drawn anew may cover less."""
+        old, first = self._all_tried, self._tried_first
+        low, high = np.array(corner), np.add(corner, shape)
+        if old.size:
+            low, high = np.minimum(low, first), np.maximum(high, np.add(first, old.shape))
+        if not old.size or (high - low != old.shape).any():
+            rows, cols = (high - low).tolist()
+            self._all_tried = np.zeros((rows, cols), dtype=np.uint8)
+            row, col = first[0] - int(low[0]), first[1] - int(low[1])
+            if old.size:
+                self._all_tried[row : row + old.shape[0], col : col + old.shape[1]] = old
+            self._tried_first = int(low[0]), int(low[1])
+        row, col = corner[0] - self._tried_first[0], corner[1] - self._tried_first[1]
+        return self._all_tried[row : row + shape[0], col : col + shape[1]]
+
+    def _close_walls(self) -> None:
+        """Take for obstacles, too, what grazing beams have erased of walls and the gaps of a cell or two in them."""
+        assert self._view is not None and self._grid is not None
+        view, grid = self._view, self._grid
+        hits, passes = grid.hits, grid.passes
+        height, width = view.seen.shape
+        row, col = round(grid.origin[1] / view.cell_m), round(grid.origin[0] / view.cell_m)
+        wall = np.zeros((height, width), dtype=np.bool_)
+        r0, c0 = row - view.first[0], col - view.first[1]  # where the grid's corner is in the view
+        rows = slice(max(r0, 0), max(min(r0 + hits.shape[0], height), 0))
+        cols = slice(max(c0, 0), max(min(c0 + hits.shape[1], width), 0))
+        part = slice(rows.start - r0, rows.stop - r0), slice(cols.start - c0, cols.stop - c0)
+        wall[rows, cols] = (hits[part] >= _WALL_HITS) & (passes[part] <= _WALL_PASSES * hits[part])
+        obstacles = frontier.without_gaps(view.obstacles | wall)
+        self._view = replace(view, obstacles=obstacles, unseen=view.unseen & ~obstacles)
+
+    def _judge_uncertainty(self, pose: Pose) -> None:
+        """Drive back to where the pose was known well when it no longer is, and on when it is again."""
+        explore = self._config.explore
+        if self._sigma <= explore.revisit_sigma_m:
+            self._bearable = explore.revisit_sigma_m
+        if self._phase == "revisit" and self._sigma <= _HALF * explore.revisit_sigma_m:
+            self._go_on()
+        if not explore.revisit or self._phase != "explore" or self._sigma <= self._bearable:
+            return
+        # Wherever that leads, it is not worth trying again at once.
+        self._bearable = 1.5 * self._sigma
+        known = np.array([(x, y) for x, y, sigma in self._known if sigma <= _HALF * self._sigma])
+        if len(known) == 0:
+            return
+        assert self._view is not None
+        cost = self._ways(pose)
+        costs = np.array([cost[self._view.cell(place)] for place in known])
+        if np.isfinite(costs).any():
+            self._phase, self._target, self._at_viewpoint = "revisit", None, False
+            self._head_for(known[int(np.argmin(costs))], pose)
+
+    def _go_on(self) -> None:
+        """Explore again; the next look chooses where."""
+        self._phase, self._target, self._at_viewpoint = "explore", None, False
+
+    def _arrived(self, pose: Pose) -> None:
+        self._stuck_before = False
+        if self._phase == "home":
+            self.outcome = "explored in part" if self.left else "explored"
+        elif self._phase == "revisit":
+            self._go_on()
+            self._choose(pose)
+        elif self._target is not None and not self._at_viewpoint:
+            # It is not seen yet, or the look that saw it would have chosen another.
+            self._at_viewpoint, self._planned = True, False
+            self._heading, self._turn_left = pose.theta, self._turn
+
+    def _looked_around(self, pose: Pose) -> None:
+        if self._phase == "home":
+            self.outcome = "goal unreachable"
+            return
+        if self._phase == "revisit":
+            self._go_on()
+        elif self._target is not None:
+            self._note_failure(pose)
+        self._choose(pose)
+
+    def _got_stuck(self, pose: Pose) -> None:
+        if self._stuck_before or self._phase == "home":
+            self.outcome = "stuck"
+            return
+        self._stuck_before = True
+        self._looked_around(pose)
+
+    def _note_failure(self, pose: Pose) -> None:
+        """Count what was not seen, though it was looked at."""
+        assert self._view is not None and self._target is not None
+        view = self._view
+        failed = np.zeros(view.unseen.shape, dtype=np.bool_)
+        cells = self._target.cells - view.first
+        failed[cells[:, 0], cells[:, 1]] = True
+        if self._at_viewpoint:
+            failed |= frontier.cells_in_view(view.obstacles, view.dark, *view.cell(pose.position), self._near)
+            self._tried[failed & view.dark] += 1
+        else:  # no way leads there
+            self._tried[failed & view.dark] = self._config.explore.tries
+        self._at_viewpoint = False
+
+    def _is_seen(self, target: Target) -> bool:
+        assert self._view is not None
+        cells = target.cells - self._view.first
+        left = np.count_nonzero(self._view.dark[cells[:, 0], cells[:, 1]])
+        return bool(left <= _MOSTLY * len(cells))
+
+    def _ways(self, pose: Pose) -> Costs:
+        """Lengths of the ways from the robot over what was seen and is not blocked."""
+        assert self._view is not None and self._space is not None
+        view = self._view
+        free = self._space.nearest_free(pose.position, 0.5)
+        here = view.cell(pose.position if free is None else free)
+        return frontier.ways(view.seen & ~view.blocked, view.blocked, *here)
+
+    def _choose(self, pose: Pose) -> None:
+        """Head for the view that is worth most, or home when none is left."""
+        self._close_walls()
+        assert self._view is not None
+        view, tries = self._view, self._config.explore.tries
+        self._at_viewpoint, self._planned, self._heading = False, False, None
+        # A part of the region may be in view only across its edge.
+        beyond = max(1, round(_BEYOND_M / view.cell_m))
+        wanted = ndimage.binary_dilation(view.unseen, iterations=beyond, mask=view.dark) & (self._tried < tries)
+        edge = frontier.frontier_cells(frontier.connected(view.free, *view.cell(pose.position)), wanted)
+        wanted, edge = frontier.without_dust(wanted, edge, self._config.explore.dust * np.count_nonzero(view.seen))
+        pieces = frontier.clusters(edge, max(1, round(_TILE_M / view.cell_m)))
+        self._target = None
+        if pieces:
+            cost = self._ways(pose)
+            best = self._best(pose, cost, wanted, pieces)
+            self._target = best if best is not None else self._nearest_hidden(cost, wanted, pieces)
+        if self._target is not None:
+            row, col = self._target.viewpoint
+            self._head_for(view.point(row - view.first[0], col - view.first[1]), pose)
+            return
+        self.left = self._places(pose)
+        if self._config.explore.return_home:
+            self._phase = "home"
+            self._head_for(self._home, pose)
+        else:
+            self.outcome = "explored in part" if self.left else "explored"
+
+    def _best(self, pose: Pose, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target | None:
+        """The target that shows most for the time it takes, of those that are in view from somewhere."""
+        assert self._view is not None
+        view, explore, robot = self._view, self._config.explore, self._config.robot
+        if explore.method == "random":
+            return self._drawn(cost, wanted, pieces)
+        stamp = np.zeros(wanted.shape, dtype=np.int64)
+        deep = round(_DEEP_M / view.cell_m)
+        # The surer the robot is of where it is, the farther it dares.
+        caution = (1.0 + self._sigma / explore.revisit_sigma_m) * view.cell_m / robot.speed
+        here = view.cell(pose.position)
+        centres = [frontier.centre_cell(cells) for cells in pieces]
+        best: tuple[float, Target] | None = None
+        compared = 0
+        away = [math.dist(here, centre) for centre in centres]
+        for mark in np.argsort(away, kind="stable").tolist():
+            if compared == _VIEWS:
+                break  # what is farther is hardly worth more
+            target = self._target_at(cost, wanted, pieces[mark])
+            if target is None:
+                continue
+            compared += 1
+            row, col = target.viewpoint[0] - view.first[0], target.viewpoint[1] - view.first[1]
+            shown = frontier.gain(view.obstacles, wanted, row, col, self._rays, self._reach, deep, stamp, mark + 1)
+            area = max(shown, len(target.cells)) * view.cell_m**2
+            ahead = view.point(row, col) - pose.position
+            turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - pose.theta)) if ahead.any() else 0.0
+            seconds = caution * float(cost[row, col]) + turn / robot.turn_rate
+            worth = area**explore.gain_exponent / (seconds + explore.overhead_s)
+            if best is None or worth > best[0]:
+                best = worth, target
+        return best[1] if best is not None else None
+
+    def _drawn(self, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target | None:
+        """A place drawn evenly from the largest unseen area that has one in view (the report's idea)."""
+        labels, _ = ndimage.label(wanted)
+        sizes = np.bincount(labels.ravel())
+        found: dict[int, list[tuple[Cells, Target]]] = {}
+        for cells in pieces:
+            target = self._target_at(cost, wanted, cells)
+            if target is not None:
+                row, col = target.cells[0] - self._view.first  # type: ignore[union-attr]
+                found.setdefault(int(labels[row, col]), []).append((cells, target))
+        if not found:
+            return None
+        label = max(found, key=lambda k: int(sizes[k]))
+        area = np.argwhere(labels == label)
+        place = area[self._rng.integers(len(area))]
+        return min(found[label], key=lambda pair: float(((pair[0] - place) ** 2).sum(axis=1).min()))[1]
+
+    def _target_at(self, cost: Costs, wanted: Bools, cells: Cells) -> Target | None:
+        """The target beside a piece of frontier, with its viewpoint; None if it is in view from nowhere."""
+        assert self._view is not None
+        view = self._view
+        beside = frontier.beside(wanted, cells)
+        row, col = frontier.centre_cell(cells)
+        index = frontier.viewpoint(cost, view.obstacles, row, col, self._reach)
+        if index < 0:
+            return None
+        at = divmod(index, wanted.shape[1])
+        return Target(beside + view.first, (at[0] + view.first[0], at[1] + view.first[1]), False)
+
+    def _nearest_hidden(self, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target:
+        """Of what is in view from nowhere the nearest, and the reachable cell nearest to it."""
+        assert self._view is not None
+        view = self._view
+        reachable = np.argwhere(np.isfinite(cost))
+        best: tuple[float, Target] | None = None
+        for cells in pieces:
+            away = ((reachable - frontier.centre_cell(cells)) ** 2).sum(axis=1)
+            at = reachable[int(np.argmin(away))]
+            length = float(cost[at[0], at[1]])
+            if best is None or length < best[0]:
+                viewpoint = int(at[0]) + view.first[0], int(at[1]) + view.first[1]
+                best = length, Target(frontier.beside(wanted, cells) + view.first, viewpoint, True)
+        assert best is not None
+        return best[1]
+
+    def _places(self, pose: Pose) -> list[Place]:
+        """What is left unseen beside what was seen, in pieces, with the reason."""
+        assert self._view is not None
+        view, explore = self._view, self._config.explore
+        given_up = view.unseen & (self._tried >= explore.tries)
+        edge = frontier.frontier_cells(view.free, given_up)
+        if not edge.any():
+            return []
+        labels, _ = ndimage.label(view.unseen)
+        reached, fitting = self._ways(pose), self._ways_without_clearance(pose)
+        places = []
+        for label in np.unique(labels[given_up & frontier.frontier_cells(view.unseen, edge)]):
+            beside = np.argwhere(edge & frontier.frontier_cells(edge, labels == label))
+            row, col = frontier.centre_cell(beside)
+            reason: Reason = "unreachable"
+            area = np.count_nonzero(labels == label)
+            if frontier.viewpoint(reached, view.obstacles, row, col, self._reach) >= 0:
+                reason = "gave up"
+                area = np.count_nonzero(given_up & (labels == label))
+            elif frontier.viewpoint(fitting, view.obstacles, row, col, self._reach) >= 0:
+                reason = "cut off by inflation only"
+            x, y = view.point(row, col)
+            places.append(Place(float(x), float(y), float(area) * view.cell_m**2, reason))
+        places.sort(key=lambda place: -place.area_m2)
+        small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
+        if small > _SMALL * np.count_nonzero(view.seen) * view.cell_m**2:
+            return places  # small each, but not together
+        return [place for place in places if place.area_m2 >= explore.least_area_m2]
+
+    def _ways_without_clearance(self, pose: Pose) -> Costs:
+        """Ways of a robot that comes as near to an obstacle cell's centre as its radius."""
+        assert self._view is not None
+        view = self._view
+        touching: NDArray[np.float64] = ndimage.distance_transform_edt(~view.obstacles)
+        blocked = touching * view.cell_m < self._radius_m
+        here = view.cell(pose.position)
+        blocked[here] = False
+        return frontier.ways(view.seen & ~blocked, blocked, *here)
+
+    def _path_is_free(self, pose: Pose) -> bool:
+        assert self._space is not None
+        return path_is_free(self._space, self._follower.remaining(pose))
