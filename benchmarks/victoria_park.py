@@ -25,7 +25,8 @@ from harness import Figures, arguments, machine, print_table, single_threaded, w
 
 from sixthsense.config import ISAM2Config, preset
 from sixthsense.estimators import ESTIMATORS, Estimator, make_estimator
-from sixthsense.estimators.isam2 import ISAM2, solver_parameters
+from sixthsense.estimators.isam2 import ISAM2
+from sixthsense.estimators.solver import solver_parameters
 from sixthsense.geometry import Array, Pose
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.logs.graph import read_graph

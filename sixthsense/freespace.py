@@ -79,7 +79,7 @@ class FreeSpace:
         """
         x0, y0 = self._in_cells("a", a_world)
         x1, y1 = self._in_cells("b", b_world)
-        return not bool(_line_touches(self.blocked, x0, y0, x1, y1))
+        return not bool(line_touches(self.blocked, x0, y0, x1, y1))
 
     def window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Bools:
         """(R, C) whether the cells of these rows and columns are blocked; those outside the grid are not."""
@@ -166,7 +166,7 @@ def _block_beyond(blocked: Bools, ax: float, ay: float, bx: float, by: float, le
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> bool:
+def line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> bool:
     """Supercover walk: column by column, all rows that the part of the segment within the column reaches."""
     height, width = grid.shape
     if x1 < x0:

@@ -6,11 +6,11 @@ import pytest
 from sixthsense.config import LaserNoise, PartitionConfig, merge, preset
 from sixthsense.features import extract
 from sixthsense.features.landmarks import intersect, loose_end
-from sixthsense.features.lines import fit_line, fit_lines, ransac
+from sixthsense.features.lines import fit_line, fit_lines, parallel_line, ransac
 from sixthsense.features.partition import partition
 from sixthsense.features.split import split
 from sixthsense.geometry import Pose, wrap_angle
-from sixthsense.landmarks import Kind
+from sixthsense.landmarks import Kind, predict_walls
 from sixthsense.laser import Scan, beam_bearings, cast_rays
 
 
@@ -325,3 +325,37 @@ def test_uniform_noise_counts_by_its_variance():
     covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).sightings]
             for c in (gaussian, uniform)]  # fmt: skip
     assert np.allclose(covs[0], covs[1])
+
+
+def test_a_walls_distance_is_as_well_known_about_its_middle_as_is_said_however_short_and_far_it_is():
+    """An error of its angle turns a wall about its middle: to second order that is a bias of its distance."""
+    rng, config = np.random.default_rng(0), preset(features={"landmarks": "walls"})
+    wall = np.array([[[3.0, 0.2], [3.0, -0.5]]])
+    bias, nees = [], []
+    for _ in range(1500):
+        pose = Pose(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0))
+        for sighting in extract(
+            scan_from(pose, config, rng, walls=wall), config.assumed, config.features, rng
+        ).sightings:
+            expected, _, _ = predict_walls(pose, np.array([[math.pi, -3.0]]))
+            error = sighting.z - expected[0]
+            error[0] = wrap_angle(float(error[0]))
+            across = np.array([-sighting.cov[0, 1] / sighting.cov[0, 0], 1.0])  # what its angle does not tell
+            bias.append(across @ error / math.sqrt(across @ sighting.cov @ across))
+            nees.append(error @ np.linalg.solve(sighting.cov, error))
+    assert len(bias) > 1000
+    assert abs(np.mean(bias)) < 4.0 / math.sqrt(len(bias))
+    assert np.mean(nees) == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_parallel_line_is_the_weighted_mean_of_its_returns():
+    rng = np.random.default_rng(1)
+    bearings = np.linspace(0.2, 0.3, 6)
+    alpha, off, sure = 0.1, [], np.array([0.1, 2.0, 0.0, 0.0, 0.0])
+    for _ in range(2000):
+        ranges = 2.0 / np.cos(bearings - alpha) + rng.normal(0.0, 0.01, 6)
+        points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+        line = parallel_line(points, np.arange(6), sure, 0.01, 0.0)
+        off.append((line[1] - 2.0) / math.sqrt(line[4]))
+        assert line[0] == alpha and line[2] == line[3] == 0.0
+    assert abs(np.mean(off)) < 0.1 and np.std(off) == pytest.approx(1.0, abs=0.06)

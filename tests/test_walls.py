@@ -122,6 +122,22 @@ def test_moving_the_world_moves_walls_with_it(name, transform):
     assert np.allclose(T @ cov @ T.T, cov_moved, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.parametrize("start_cov", [0.0, 1e-3])
+def test_the_smoother_is_as_sure_of_its_pose_as_the_filter(start_cov):
+    """GTSAM's residual of a wall's frame mixes along and across: what is not known along must not come in across."""
+    rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
+    filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
+    for k in range(12):
+        sightings = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
+        sigmas = []
+        for estimator in (filtered, smoothed):
+            estimator.update(sightings)
+            sigmas.append(np.sqrt(np.diag(estimator.estimate().pose_cov)))
+            estimator.predict(STEP)
+        assert np.allclose(*sigmas, rtol=0.05, atol=1e-5)
+        true = true @ Pose.from_array(STEP.motion.array() + rng.multivariate_normal(np.zeros(3), STEP.cov))
+
+
 def test_forgetting_a_wall_leaves_the_others(name):
     estimator, _ = driven(name)
     before = estimator.estimate()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Literal, TypeVar
+from collections.abc import Collection, Mapping, Sequence
 
 import gtsam
 import numpy as np
@@ -14,12 +13,11 @@ from scipy.stats import chi2
 from sixthsense.config import ISAM2Config
 from sixthsense.estimators.base import Estimate, check_covariance, check_sightings
 from sixthsense.estimators.evidence import Evidence
+from sixthsense.estimators.solver import Solver
 from sixthsense.estimators.wallframe import birth, line, measurement
 from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
-
-T = TypeVar("T")
 
 # Sigma (m, rad) that every pose's factor has at least: a certain motion or start must not make the system singular.
 _FLOOR = 1e-6
@@ -40,8 +38,8 @@ class ISAM2:
         self._start_cov = check_covariance("start_cov", start_cov)
         self._iterations, self._threshold = config.iterations, config.relinearize_threshold
         self._robust = _loss(config)
-        self._config = config
-        self._isam, self._by_qr = gtsam.ISAM2(solver_parameters(config)), False
+        self._evidence = Evidence()
+        self._solver = Solver(config, self._evidence.renumber)
         self._graph, self._values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         """what the solver has not seen yet"""
         self._waiting: list[Pose] = []
@@ -51,7 +49,6 @@ class ISAM2:
         self._keys: dict[LandmarkId, int] = {}
         self._is_wall: dict[LandmarkId, bool] = {}
         self._born = 0
-        self._evidence = Evidence()
         self._undo_gate = float(chi2.ppf(config.undo_probability, 2))  # infinite for 1
         self.undone = 0
         """matches taken back so far"""
@@ -87,7 +84,7 @@ class ISAM2:
                 self._bear(i, guess, sighting)
             add = self._wall_factor if sighting.is_wall else self._point_factor
             self._graph.add(add(self._keys[i], guess, sighting, is_new))
-        places = self._solve(self._graph, self._values)
+        places = self._solver.update(self._graph, self._values)
         for (i, sighting), place, is_new in zip(sightings.items(), places[first:], births, strict=True):
             self._evidence.add(self._poses - 1, i, place, sighting, is_new)
         # Fresh ones each time: a factor that is sent twice counts twice.
@@ -124,12 +121,12 @@ class ISAM2:
         if not keys:
             return self._moved(self._pose_cov)
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        joint = self._asked(lambda: self._isam.jointMarginalCovariance([self._last_solved, *keys]).fullMatrix())
+        joint = self._solver.joint_covariance([self._last_solved, *keys])
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
         walls = [self._is_wall[i] for i in ids]
         blocks = [
-            line(_pose(self._isam.calculateEstimatePose2(k)))[1] if w else np.eye(2)
+            line(_pose(self._solver.isam.calculateEstimatePose2(k)))[1] if w else np.eye(2)
             for k, w in zip(keys, walls, strict=True)
         ]
         to_world = block_diag(turn, *blocks)
@@ -139,13 +136,13 @@ class ISAM2:
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, as all evidence up to now has it."""
-        frames = np.asarray(gtsam.utilities.extractPose2(self._isam.calculateEstimate())).reshape(-1, 3)
+        frames = np.asarray(gtsam.utilities.extractPose2(self._solver.isam.calculateEstimate())).reshape(-1, 3)
         solved = frames[sum(self._is_wall.values()) :]  # the letter of walls comes before that of poses
         return np.vstack([solved, *(pose.array() for pose in self._waiting)])
 
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
-        return float(self._isam.getFactorsUnsafe().error(self._isam.calculateEstimate()))
+        return float(self._solver.isam.getFactorsUnsafe().error(self._solver.isam.calculateEstimate()))
 
     @property
     def _last_solved(self) -> int:
@@ -177,7 +174,7 @@ class ISAM2:
         return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, self._noise(cov))
 
     def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
-        frame = birth(guess, sighting) if is_new else _pose(self._isam.calculateEstimatePose2(key))
+        frame = birth(guess, sighting) if is_new else _pose(self._solver.isam.calculateEstimatePose2(key))
         motion, cov = measurement(guess, frame, sighting, is_new)
         return gtsam.BetweenFactorPose2(X(self._poses - 1), key, _pose2(motion), self._noise(cov))
 
@@ -189,59 +186,19 @@ class ISAM2:
         """Solve again while the newest pose lies farther than the threshold from where it was linearised."""
         linearised = _pose2(guess)
         for _ in range(self._iterations - 1):
-            solved = self._isam.calculateEstimatePose2(self._last_solved)
+            solved = self._solver.isam.calculateEstimatePose2(self._last_solved)
             if np.abs(linearised.localCoordinates(solved)).max() <= self._threshold:
                 return
-            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values())
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
             linearised = solved
 
     def _remove(self, places: list[int]) -> None:
         """Take factors out of the graph and solve."""
         self._evidence.drop(places)
-        self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+        self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
         for _ in range(self._iterations - 1):
-            self._solve(gtsam.NonlinearFactorGraph(), gtsam.Values())
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
         self._read()
-
-    def _solve(
-        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = ()
-    ) -> Sequence[int]:
-        """Update the solver; the places of the new factors."""
-        try:
-            return list(self._isam.update(graph, values, list(gone)).getNewFactorsIndices())
-        except RuntimeError:
-            # The solver has put the new factors into its graph, and taken the old ones out, before it fails.
-            places = self._turn_to_qr()
-            return places[len(places) - graph.size() :]
-
-    def _turn_to_qr(self) -> list[int]:
-        """Give all factors to a solver that uses QR, from now on; their new places.
-
-        Cholesky's method runs out of digits beside exactly known starts and among sigmas that are very unlike.
-        Raises RuntimeError when the solver uses QR already.
-        """
-        if self._by_qr:
-            raise RuntimeError("the factor graph has no solution")
-        self._by_qr = True
-        factors, values = self._isam.getFactorsUnsafe(), gtsam.Values(self._isam.getLinearizationPoint())
-        kept = [k for k in range(factors.size()) if factors.at(k) is not None]
-        graph = gtsam.NonlinearFactorGraph()
-        for k in kept:
-            graph.add(factors.at(k))
-        self._isam = gtsam.ISAM2(solver_parameters(self._config, "QR"))
-        places = list(self._isam.update(graph, values).getNewFactorsIndices())
-        self._evidence.renumber(kept, places)
-        for _ in range(self._iterations):
-            self._isam.update()
-        return places
-
-    def _asked(self, query: Callable[[], T]) -> T:
-        """The answer of the solver, of one that uses QR if need be."""
-        try:
-            return query()
-        except RuntimeError:
-            self._turn_to_qr()
-            return query()
 
     def _undo(self) -> None:
         """Take back matches that all the other evidence contradicts, the worst first.
@@ -260,10 +217,10 @@ class ISAM2:
     def _read(self) -> None:
         """Take pose, covariance and landmarks over from the solver."""
         last = self._last_solved
-        self._pose = _pose(self._isam.calculateEstimatePose2(last))
+        self._pose = _pose(self._solver.isam.calculateEstimatePose2(last))
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
-        cov = turn @ self._asked(lambda: self._isam.marginalCovariance(last)) @ turn.T
+        cov = turn @ self._solver.covariance(last) @ turn.T
         self._pose_cov = 0.5 * (cov + cov.T)
         # One by one: there are fewer landmarks than poses.
         rows = [
@@ -273,8 +230,8 @@ class ISAM2:
 
     def _landmark(self, key: int, is_wall: bool) -> Array:
         if is_wall:
-            return line(_pose(self._isam.calculateEstimatePose2(key)))[0]
-        return np.asarray(self._isam.calculateEstimatePoint2(key))
+            return line(_pose(self._solver.isam.calculateEstimatePose2(key)))[0]
+        return np.asarray(self._solver.isam.calculateEstimatePoint2(key))
 
     def _moved(self, joint: Array) -> Array:
         """A joint covariance (n, n) of the last update's pose and landmarks, with the motion since taken in; a copy."""
@@ -286,20 +243,6 @@ class ISAM2:
         moved[:, :3] = moved[:, :3] @ phi.T
         moved[:3, :3] += g @ self._pending.cov @ g.T
         return 0.5 * (moved + moved.T)
-
-
-def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "QR"] = "CHOLESKY") -> gtsam.ISAM2Params:
-    """GTSAM's parameters for a configuration.
-
-    Cholesky's method takes a third of the time of QR, which stacks what walls that are seen from everywhere gather.
-    """
-    parameters = gtsam.ISAM2Params()
-    parameters.setRelinearizeThreshold(config.relinearize_threshold)
-    parameters.relinearizeSkip = config.relinearize_skip
-    parameters.setFactorization(factorization)
-    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
-    parameters.enableAdaptiveReorder = True  # an order that has grown bad costs the 99th percentile half as much again
-    return parameters
 
 
 def _pose(pose: gtsam.Pose2) -> Pose:

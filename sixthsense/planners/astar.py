@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.freespace import FreeSpace, as_point
-from sixthsense.planners.base import Plan
+from sixthsense.planners.base import Plan, blocked_end
 from sixthsense.planners.costtree import CostTree
 
 _REPAIRED = 0.1  # of all cells; when more have changed, a search from scratch is quicker
@@ -31,10 +31,9 @@ class AStar:
         began = time.perf_counter()
         start_world, goal_world = as_point("start", start), as_point("goal", goal)
         space = space.covering(start_world, goal_world)
-        if space.is_blocked(start_world):
-            return Plan.without_path("start blocked", 0, time.perf_counter() - began)
-        if space.is_blocked(goal_world):
-            return Plan.without_path("goal blocked", 0, time.perf_counter() - began)
+        none = blocked_end(space, start_world, goal_world, began)
+        if none is not None:
+            return none
         tree = self._tree_to(space, space.cell_of(goal_world))
         cost, expanded = tree.reach(space.cell_of(start_world))
         if cost == np.inf:

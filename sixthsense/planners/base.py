@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -48,6 +49,15 @@ class Plan:
         path = np.empty((0, 2))
         path.flags.writeable = False
         return cls(status, path, math.inf, expanded, seconds)
+
+
+def blocked_end(space: FreeSpace, start: Array, goal: Array, began: float) -> Plan | None:
+    """The plan that there is not, if start or goal (2,) is blocked; `began` as `time.perf_counter` had it."""
+    for name, point in (("start", start), ("goal", goal)):
+        if space.is_blocked(point):
+            status: Status = "start blocked" if name == "start" else "goal blocked"
+            return Plan.without_path(status, 0, time.perf_counter() - began)
+    return None
 
 
 class Planner(Protocol):

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base, geometric, util
 
 from sixthsense.config import RRTStarConfig
-from sixthsense.freespace import TOUCH, Bools, FreeSpace, _line_touches, as_point
+from sixthsense.freespace import TOUCH, Bools, FreeSpace, as_point, line_touches
 from sixthsense.geometry import Array
-from sixthsense.planners.base import Plan
+from sixthsense.planners.base import Plan, blocked_end
 
 
 class RRTStar:
@@ -34,10 +34,9 @@ class RRTStar:
         began = time.perf_counter()
         start_world, goal_world = as_point("start", start), as_point("goal", goal)
         space = space.covering(start_world, goal_world)
-        if space.is_blocked(start_world):
-            return Plan.without_path("start blocked", 0, time.perf_counter() - began)
-        if space.is_blocked(goal_world):
-            return Plan.without_path("goal blocked", 0, time.perf_counter() - began)
+        none = blocked_end(space, start_world, goal_world, began)
+        if none is not None:
+            return none
         first, last = _inside(space, start_world), _inside(space, goal_world)
         drawn = 0
         # No path is shorter than a straight one.
@@ -108,7 +107,7 @@ class _FreeMotions(base.MotionValidator):  # type: ignore[misc]
 
     def checkMotion(self, a: base.State, b: base.State) -> bool:  # noqa: N802
         x, y, cell_m = self._x, self._y, self._cell_m
-        return not _line_touches(
+        return not line_touches(
             self._blocked, (a[0] - x) / cell_m, (a[1] - y) / cell_m, (b[0] - x) / cell_m, (b[1] - y) / cell_m
         )
 
