@@ -13,6 +13,7 @@ from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense import metrics
 from sixthsense.config import Config, preset
+from sixthsense.estimators import ESTIMATORS
 from sixthsense.logs import open_log
 from sixthsense.logs.log import Log
 from sixthsense.logs.relations import Relations, read_relations
@@ -59,6 +60,7 @@ def rows(figures: Figures, seeds: int) -> list[list[str]]:
 def main() -> int:
     parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 0 to N - 1 (5)")
+    parser.add_argument("--estimator", choices=ESTIMATORS, default="isam2", help="(isam2)")
     options = parser.parse_args()
     if options.seeds < 1:
         parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
@@ -68,7 +70,7 @@ def main() -> int:
         print("intel.py: SIXTHSENSE_DATA must be a folder with intel/intel.clf.bz2 and .relations", file=sys.stderr)
         return 2
     warm_up()
-    config = preset("intel")
+    config = preset("intel", estimator=options.estimator)
     began = time.perf_counter()
     log, relations = open_log(files[0], config.laser), read_relations(files[1])
     reading_s = time.perf_counter() - began
