@@ -13,6 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from sixthsense.align import Alignment, align
+from sixthsense.candidates import Candidates
 from sixthsense.config import AssociationConfig
 from sixthsense.estimators.base import Estimate, Estimator
 from sixthsense.geometry import Array, Pose
@@ -34,13 +35,6 @@ class Association:
     """normalised innovation squared of all matches together, before the update"""
     dof: int
     """its degrees of freedom, 2 per match"""
-
-
-@dataclass(slots=True, eq=False)
-class _Candidate:
-    position: Array  # (2,), world frame, where it was last seen
-    sightings: int
-    last_scan: int
 
 
 @dataclass(slots=True)
@@ -66,7 +60,7 @@ class Associator:
 
     def __init__(self, config: AssociationConfig) -> None:
         self._config = config
-        self._candidates: list[_Candidate] = []
+        self._candidates = Candidates(config)
         self._next_id = 0
         self._scan = 0
         self.records: dict[LandmarkId, Record] = {}
@@ -86,7 +80,7 @@ class Associator:
     def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what fits none is a candidate or a landmark."""
         self._scan += 1
-        self._candidates = [c for c in self._candidates if self._scan - c.last_scan <= self._config.candidate_scans]
+        self._candidates.next_scan()
         estimate = estimator.estimate()
         if not sightings:
             return Association({}, 0, 0.0, 0)
@@ -232,7 +226,7 @@ class Associator:
                     pieces += 1
                     self.records[twin].extent = ends(estimate.pose, new[twin])
                 continue
-            if not sighting.is_wall and not self._proves_itself(estimate.pose @ sighting.z):
+            if not self._candidates.proves_itself(estimate.pose, sighting):
                 continue
             extent = ends(estimate.pose, sighting) if sighting.is_wall else np.zeros((2, 2))
             new[self._next_id] = sighting
@@ -250,25 +244,6 @@ class Associator:
         extent = ends(Pose(), other)[None]
         here = Alignment(Pose(), 1.0)
         return not pairs([one], seen, here, np.zeros(1), extent, self._sigmas, self._config).apart[0, 0]
-
-    def _proves_itself(self, position: Array) -> bool:
-        """Count a sighting that fits no landmark; True when its candidate has been seen often enough."""
-        needed = self._config.candidate_sightings
-        if needed == 1:
-            return True
-        for candidate in self._candidates:
-            if math.dist(candidate.position, position) < self._config.candidate_gate_m:
-                if candidate.last_scan == self._scan:
-                    return False  # two sightings of one scan are not two of one landmark
-                candidate.position = position
-                candidate.sightings += 1
-                candidate.last_scan = self._scan
-                if candidate.sightings >= needed:
-                    self._candidates.remove(candidate)
-                    return True
-                return False
-        self._candidates.append(_Candidate(position, 1, self._scan))
-        return False
 
 
 def _matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:

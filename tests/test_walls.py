@@ -278,6 +278,15 @@ def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_pro
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
 
+def test_a_wall_too_may_have_to_be_seen_more_than_once():
+    estimator = make_estimator("ekf", Pose(), np.zeros((3, 3)))
+    associator = Associator(AssociationConfig(candidate_sightings=3))
+    wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
+    beside = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (4.0, 5.0))
+    for first, accepted in ((wall, 0), (beside, 0), (wall, 0), (wall, 1)):
+        assert len(associator.associate([first], estimator).sightings) == accepted
+
+
 def test_two_walls_that_turn_out_to_be_one_are_merged():
     config = AssociationConfig(cull_period=2, cull_below=1)
     for offset, gone in ((0.005, [1]), (0.15, [])):

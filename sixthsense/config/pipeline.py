@@ -160,7 +160,7 @@ class AssociationConfig(Section):
     candidate_sightings: PositiveCount = 1
     """A landmark joins the state at its n-th sighting; 1: at once."""
     candidate_gate_m: Positive = 0.2
-    """A sighting this near a candidate is of that candidate."""
+    """A sighting this near a candidate, a wall in line with it, is of that candidate."""
     candidate_scans: PositiveCount = 30
     """A candidate unseen for this many key scans is dropped."""
     culling: bool = True
