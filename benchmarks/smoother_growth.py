@@ -23,14 +23,16 @@ TENTHS = 10
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--estimator", default="isam2", choices=ESTIMATORS)
+    parser.add_argument("--landmarks", default="both", choices=("corners", "walls", "both"))
     parser.add_argument("--seconds", type=float, default=600.0, help="simulated; ten scans each")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, metavar="FILE.png")
     options = parser.parse_args()
     warm_up()
     config = preset(
-        scene="apartment", task="tour", estimator=options.estimator, seed=options.seed, max_time=options.seconds
-    )
+        scene="apartment", task="tour", estimator=options.estimator, seed=options.seed, max_time=options.seconds,
+        features={"landmarks": options.landmarks},
+    )  # fmt: skip
     trace = run(config)
     ms = trace.stopwatch.key_scan_ms()
     print(machine())
