@@ -84,10 +84,11 @@ PRESETS: dict[str, dict[str, Any]] = {
             "laser": {"range_m": 0.1, "bearing_rad": 0.01},
         },
         "association": {"culling": False, "known_probability": 0.999999},
+        "isam2": {"undo_probability": 1.0},
         "max_time": 1e6,
     },
-    # A graph states its noise itself, and a pose a second is no clock to stop by.
-    "victoria": {"association": {"culling": False}, "max_time": 1e6},
+    # A graph states its noise itself, its matches are no guesses, and a pose a second is no clock to stop by.
+    "victoria": {"association": {"culling": False}, "isam2": {"undo_probability": 1.0}, "max_time": 1e6},
 }  # fmt: skip
 
 
