@@ -125,7 +125,8 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
 
 def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
     """Feed the evidence to the estimator of that name."""
-    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), isam2)
+    known = isam2 or ISAM2Config(undo_probability=1.0)  # no match is a guess
+    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), known)
     poses, covs, spent_s = [], [], 0.0
     for odometry, sightings in zip(evidence.odometry, evidence.sightings, strict=True):
         began = perf_counter()
