@@ -19,7 +19,7 @@ CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, SIGHTING, TRUTH)
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 
-_WIDTH_IN, _LOW_IN, _HIGH_IN = 11.0, 3.0, 11.0
+_WIDTH_IN, _LOW_IN, _HIGH_IN = 11.0, 1.5, 11.0
 _FRAME_IN = 1.0  # title, axis label and legend
 
 

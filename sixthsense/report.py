@@ -117,7 +117,10 @@ def report(runs: Sequence[FinishedRun], out: Path | str) -> list[Path]:
     for kind, make in makers.items():
         figure = make(runs, names)
         if figure is not None:
-            figure.suptitle(runs[0].title if len(runs) == 1 else _TITLES[kind])
+            if len(runs) > 1:
+                figure.suptitle(_TITLES[kind])
+            elif kind != "exploration":
+                figure.suptitle(runs[0].title)
             files.append(out / f"{kind}.png")
             save(figure, files[-1])
     if len(runs) > 1:
@@ -186,10 +189,12 @@ def _planes(runs: Sequence[FinishedRun], names: Sequence[str], draw: Callable[[A
         draw(ax, run.trace)
         if len(runs) > 1:
             ax.set_title(f"{name}: {run.metrics.get('outcome', run.trace.outcome)}", fontsize=10)
+        else:
+            ax.set_title(run.title)  # of the plane, not of the figure: equal axes leave room between the two
     for ax in panels[len(runs) :]:
         ax.set_axis_off()
     heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]
-    figure.set_size_inches(width, rows * max(heights) + 0.6)
+    figure.set_size_inches(width, rows * max(heights) + (0.6 if len(runs) > 1 else 0.0))
     entries = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     figure.legend(entries.values(), entries, loc="outside lower center", ncols=5, frameon=False)
     return figure
@@ -205,9 +210,11 @@ def _errors(runs: Sequence[FinishedRun], names: Sequence[str]) -> Any:
         for component, ax in enumerate(panels[:, column]):
             draw_error(ax, runs[k].trace, component, _color(k))
             ax.label_outer()
-        panels[0, column].legend(loc="upper left", ncols=2, frameon=False)
         if len(runs) > 1:
+            panels[0, column].legend(loc="upper left", ncols=2, frameon=False)
             panels[0, column].set_title(names[k], fontsize=10)
+        else:
+            _legend_above(panels[0, column])
     return figure
 
 

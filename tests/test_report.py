@@ -3,6 +3,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -39,6 +40,14 @@ def test_one_run_gets_a_figure_of_each_kind(finished, tmp_path):
         with Image.open(file) as image:
             image.load()
             assert image.size[0] > 800
+
+
+def test_an_exploration_has_its_title_right_above_its_plane(finished, tmp_path):
+    report([finished], tmp_path)
+    with Image.open(tmp_path / "exploration.png") as image:
+        rows = (np.asarray(image.convert("L")) < 128).any(axis=1)
+    marked = np.flatnonzero(rows)
+    assert np.diff(marked[: np.count_nonzero(marked < len(rows) // 2)]).max() < 40
 
 
 def test_several_runs_stand_side_by_side_with_a_table(finished, tmp_path):

@@ -90,7 +90,8 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
     edge = np.argwhere(frontier_cells(seen & ~obstacles, unseen))
     points = (edge[:, ::-1] + 0.5) * cell_m + np.array(grid.origin)
-    ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label="frontiers left", zorder=6)
+    if len(points):
+        ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label="frontiers left", zorder=6)
     if trace.left:
         left = np.array([(place.x, place.y) for place in trace.left])
         ax.scatter(left[:, 0], left[:, 1], s=60.0, marker="x", color=LANDMARK, label="places left unseen", zorder=8)

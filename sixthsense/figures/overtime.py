@@ -159,10 +159,15 @@ def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str
         places = np.arange(len(stages)) + (k - 0.5 * (len(runs) - 1)) * height
         words = [] if labels is None else [labels[k]]
         if "scan_ms_p50" in run:
-            words.append(f"a key scan: median {run['scan_ms_p50']:.2g} ms, 99 % below {run['scan_ms_p99']:.2g} ms")
+            words.append(f"a key scan: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
         bars = ax.barh(places, values, height, color=CYCLE[k % len(CYCLE)], label=": ".join(words) or None)
-        ax.bar_label(bars, fmt="%.2g", padding=3, fontsize=min(8.0, 30.0 * height))
+        ax.bar_label(bars, fmt=_ms, padding=3, fontsize=min(8.0, 30.0 * height))
     ax.set_yticks(np.arange(len(stages)), stages)
     ax.invert_yaxis()
     ax.set_xlabel("mean time per key scan [ms]")
     ax.margins(x=0.1)
+
+
+def _ms(value: float) -> str:
+    """Two digits, and never an exponent."""
+    return "" if np.isnan(value) else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"
