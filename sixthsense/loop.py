@@ -105,7 +105,9 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     if config.task == "goal" and goal is None:
         raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
     if config.task == "tour" and not scene.tour:
-        raise SceneError(f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: goal")
+        raise SceneError(
+            f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: explore, goal"
+        )
     if config.task == "explore" and config.goal is not None:
         raise SceneError(
             f"goal: found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore, allowed: with task goal"

@@ -169,6 +169,14 @@ def test_a_bad_scene_file_ends_in_one_line(here: Path, capsys: pytest.CaptureFix
     assert said.endswith("room.toml: radius: found nan, allowed: a number above 0, metres")
 
 
+def test_a_scene_without_goals_names_the_tasks_that_are_left(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "room.toml").write_text(CLOSET.replace("goal = [1.4, 1.4]\n", ""))
+    said = complaint(["run", "room.toml", "--task", "tour"], capsys, here)
+    assert said == "task: found 'tour', but the scene room lists no goals for one, allowed: explore, goal"
+    said = complaint(["run", "room.toml", "--task", "goal"], capsys, here)
+    assert said == "goal: missing, the scene room has none of its own, allowed: x y"
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
