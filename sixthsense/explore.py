@@ -123,7 +123,8 @@ class Explorer(Driver):
         self._all_tried: NDArray[np.uint8] = np.zeros((0, 0), dtype=np.uint8)  # how often a cell was looked for in vain
         self._tried = self._all_tried  # the view's part of them
         self._tried_first = (0, 0)
-        self._phase: Literal["explore", "revisit", "home"] = "explore"
+        self._phase: Literal["explore", "revisit", "nearer", "home"] = "explore"
+        self._approaches = 0  # how often what cuts the robot off from home was looked at from nearer
         self._target: Target | None = None
         self._at_viewpoint = False
         self._sigma = 0.0
@@ -250,7 +251,7 @@ class Explorer(Driver):
         self._stuck_before = False
         if self._phase == "home":
             self.outcome = "explored in part" if self.left else "explored"
-        elif self._phase == "revisit":
+        elif self._phase != "explore":
             self._go_on()
             self._choose(pose)
         elif self._target is not None and not self._at_viewpoint:
@@ -260,13 +261,26 @@ class Explorer(Driver):
 
     def _looked_around(self, pose: Pose) -> None:
         if self._phase == "home":
-            self.outcome = "goal unreachable"
+            if not self._go_nearer(pose):
+                self.outcome = "goal unreachable"
             return
-        if self._phase == "revisit":
+        if self._phase != "explore":
             self._go_on()
         elif self._target is not None:
             self._note_failure(pose)
         self._choose(pose)
+
+    def _go_nearer(self, pose: Pose) -> bool:
+        """Head for what only the inflation closes on the way home, to look again; whether that is worth another try."""
+        assert self._view is not None
+        cost = self._ways(pose)
+        before = frontier.before_gap(cost, self._ways_without_clearance(pose), *self._view.cell(self._home))
+        if before is None or self._approaches == self._config.explore.tries:
+            return False
+        self._approaches += 1
+        self._phase = "nearer"
+        self._head_for(self._view.point(*before), pose)
+        return True
 
     def _got_stuck(self, pose: Pose) -> None:
         if self._stuck_before or self._phase == "home":
@@ -319,7 +333,7 @@ class Explorer(Driver):
         if pieces:
             cost = self._ways(pose)
             best = self._best(pose, cost, wanted, pieces)
-            self._target = best if best is not None else self._nearest_hidden(cost, wanted, pieces)
+            self._target = best if best is not None else self._nearest_hidden(pose, cost, wanted, pieces)
         if self._target is not None:
             row, col = self._target.viewpoint
             self._head_for(view.point(row - view.first[0], col - view.first[1]), pose)
@@ -393,15 +407,22 @@ class Explorer(Driver):
         at = divmod(index, wanted.shape[1])
         return Target(beside + view.first, (at[0] + view.first[0], at[1] + view.first[1]), False)
 
-    def _nearest_hidden(self, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target:
-        """Of what is in view from nowhere the nearest, and the reachable cell nearest to it."""
+    def _nearest_hidden(self, pose: Pose, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target:
+        """Of what is in view from nowhere the nearest, and the reachable cell to look from.
+
+        That is the last one before the gap that only the inflation closes, a door perhaps; where there is no such gap,
+        the nearest one.
+        """
         assert self._view is not None
         view = self._view
-        reachable = np.argwhere(np.isfinite(cost))
+        reachable, fitting = np.argwhere(np.isfinite(cost)), self._ways_without_clearance(pose)
         best: tuple[float, Target] | None = None
         for cells in pieces:
-            away = ((reachable - frontier.centre_cell(cells)) ** 2).sum(axis=1)
-            at = reachable[int(np.argmin(away))]
+            centre = frontier.centre_cell(cells)
+            beyond = frontier.viewpoint(fitting, view.obstacles, *centre, self._reach)
+            before = frontier.before_gap(cost, fitting, *divmod(beyond, wanted.shape[1])) if beyond >= 0 else None
+            away = ((reachable - centre) ** 2).sum(axis=1)
+            at = before if before is not None else reachable[int(np.argmin(away))]
             length = float(cost[at[0], at[1]])
             if best is None or length < best[0]:
                 viewpoint = int(at[0]) + view.first[0], int(at[1]) + view.first[1]

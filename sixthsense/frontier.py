@@ -249,6 +249,24 @@ def cells_in_view(obstacles: Bools, wanted: Bools, row: int, col: int, reach: fl
     return seen
 
 
+def before_gap(cost: Costs, fitting: Costs, row: int, col: int) -> tuple[int, int] | None:
+    """The last cell with finite `cost` on the way to a cell that only `fitting` reaches.
+
+    `fitting` (H, W) are the ways through gaps that are closed to `cost`. None if the cell is reached by both or by
+    neither, or if the way has no cell with finite `cost`.
+    """
+    if not np.isfinite(fitting[row, col]) or np.isfinite(cost[row, col]):
+        return None
+    while not np.isfinite(cost[row, col]):
+        top, left = max(row - 1, 0), max(col - 1, 0)
+        around = fitting[top : row + 2, left : col + 2]
+        down, right = divmod(int(np.argmin(around)), around.shape[1])
+        if around[down, right] >= fitting[row, col]:
+            return None
+        row, col = top + down, left + right
+    return row, col
+
+
 def dense_reach(spacing_rad: float, max_range_cells: float) -> float:
     """How far, in cells, beams so far apart leave no gap as wide as a cell; with slack, within the laser's range."""
     return min(0.8 / max(spacing_rad, 1e-9), 0.95 * max_range_cells)

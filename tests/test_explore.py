@@ -45,6 +45,15 @@ walls = [[-3.0, 2.0, 2.0, 2.5], [2.5, -2.0, 3.0, 1.0], [-3.0, -2.0, -2.0, 0.0]]
 """
 EMPTY = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-3.0, -3.0, 3.0, 3.0]\nwalls = [[50.0, 50.0, 51.0, 50.0]]\n"
 LONG = "start = [1.0, 1.0, 0.0]\nradius = 0.2\n" + box(0.0, 0.0, 9.0, 2.5)
+# The door of 0.6 m in the first wall is all but closed to a robot that keeps its clearance.
+SIX_ROOMS = """
+start = [1.0, 1.0, 0.5]
+radius = 0.18
+walls = [
+    [3.0, 0.0, 3.0, 0.8], [3.0, 1.4, 3.0, 6.0], [6.0, 0.0, 6.0, 1.2], [6.0, 2.0, 6.0, 4.0], [6.0, 4.65, 6.0, 6.0],
+    [0.0, 3.0, 1.0, 3.0], [1.9, 3.0, 5.0, 3.0], [5.7, 3.0, 7.0, 3.0], [8.0, 3.0, 9.0, 3.0],
+]
+""" + box(0.0, 0.0, 9.0, 6.0)
 
 SEEN_WHOLE = {
     "an L": (L_SHAPE, {}),
@@ -88,6 +97,18 @@ def test_a_door_that_only_the_clearance_closes_is_named_as_such(tmp_path: Path) 
     assert trace.outcome == "explored in part"
     assert trace.left[0].reason == "cut off by inflation only"
     assert trace.left[0].x > 4.0 - 0.3
+
+
+def test_a_door_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
+    assert trace.outcome == "explored"
+    assert trace.metrics()["coverage"] >= 0.995
+
+
+def test_a_way_home_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
+    assert trace.outcome == "explored"
+    assert trace.metrics()["home_error_m"] <= 0.2
 
 
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:

@@ -141,3 +141,17 @@ def test_what_no_free_way_leads_to_is_not_connected() -> None:
     free[:, 4] = False
     assert frontier.connected(free, 0, 0).sum() == 20
     assert frontier.connected(free, 2, 4).sum() == 0
+
+
+def test_the_cell_before_a_gap_is_the_last_that_can_be_reached_on_the_way_through_it():
+    wall = np.zeros((9, 12), dtype=np.bool_)
+    wall[:, 6] = True
+    wall[2, 6] = False  # a door
+    closed = wall.copy()
+    closed[1:4, 5:8] = True  # to a robot that keeps clear of its posts
+    fitting = frontier.ways(~wall, wall, 7, 1)
+    cost = frontier.ways(~closed, closed, 7, 1)
+    row, col = frontier.before_gap(cost, fitting, 7, 10)
+    assert np.isfinite(cost[row, col]) and math.hypot(row - 2, col - 6) < 3.0
+    assert frontier.before_gap(cost, fitting, 5, 2) is None  # reached by both
+    assert frontier.before_gap(cost, cost, 7, 10) is None  # reached by neither
