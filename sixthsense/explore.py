@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -23,6 +23,7 @@ from sixthsense.laser import beam_bearings
 from sixthsense.navigate import Driver, Place, Reason
 from sixthsense.planners import Planner
 from sixthsense.planners.shortcut import path_is_free
+from sixthsense.unseen import Target, Tries, View
 
 Region = tuple[float, float, float, float]
 
@@ -34,57 +35,6 @@ _VIEWS = 24  # so many views are compared, those of the nearest frontiers
 _WALL_HITS, _WALL_PASSES = 3, 15  # a cell hit so often, and passed no more often per hit, is of a wall
 _SMALL = 0.003  # of the area seen: small places that are more than that together count
 _HALF = 0.5  # of the sigma now: what a place must have had to be worth going back to
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """The part of the map that lies within bounds; masks (H, W)."""
-
-    first: tuple[int, int]
-    """row, col of the masks' corner, counted from the world's origin"""
-    cell_m: float
-    """side of a cell"""
-    seen: Bools
-    """crossed by a beam"""
-    obstacles: Bools
-    """not inflated"""
-    blocked: Bools
-    """inflated"""
-    unseen: Bools
-    """within the region, and neither seen nor an obstacle"""
-
-    @property
-    def free(self) -> Bools:
-        """Seen, and no obstacle."""
-        return self.seen & ~self.obstacles
-
-    @property
-    def dark(self) -> Bools:
-        """Neither seen nor an obstacle, in the region or about it."""
-        return ~(self.seen | self.obstacles)
-
-    def cell(self, point: Array) -> tuple[int, int]:
-        """Row and col of a (2,) point, world frame, clipped to the masks."""
-        row = math.floor(point[1] / self.cell_m) - self.first[0]
-        col = math.floor(point[0] / self.cell_m) - self.first[1]
-        height, width = self.seen.shape
-        return min(max(row, 0), height - 1), min(max(col, 0), width - 1)
-
-    def point(self, row: float, col: float) -> Array:
-        """(2,) centre of a cell, world frame."""
-        return np.array([(self.first[1] + col + 0.5) * self.cell_m, (self.first[0] + row + 0.5) * self.cell_m])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Target:
-    """What the robot is on its way to see."""
-
-    cells: Cells
-    """(N, 2) unseen cells, row and col counted from the world's origin"""
-    viewpoint: tuple[int, int]
-    """the cell to see them from, the same"""
-    hidden: bool
-    """they are in view from no cell that can be reached"""
 
 
 class Explorer(Driver):
@@ -120,9 +70,8 @@ class Explorer(Driver):
         self._near = max(2.0, frontier.dense_reach(spacing, laser.max_range / cell_m))
         self._view: View | None = None
         self._grid: Grid | None = None
-        self._all_tried: NDArray[np.uint8] = np.zeros((0, 0), dtype=np.uint8)  # how often a cell was looked for in vain
-        self._tried = self._all_tried  # the view's part of them
-        self._tried_first = (0, 0)
+        self._tries = Tries()
+        self._tried = self._tries.within((0, 0), (0, 0))  # the view's part of them
         self._phase: Literal["explore", "revisit", "nearer", "home"] = "explore"
         self._approaches = 0  # how often what cuts the robot off from home was looked at from nearer
         self._target: Target | None = None
@@ -188,23 +137,7 @@ class Explorer(Driver):
         unseen[(y <= y0) | (y >= y1)] = False
         unseen[:, (x <= x0) | (x >= x1)] = False
         self._view = View(corner, cell_m, seen, obstacles, space.blocked[inside], unseen)
-        self._tried = self._tries_within(corner, seen.shape)
-
-    def _tries_within(self, corner: tuple[int, int], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-        """The part of all tries that a view has; they are kept beyond it, for a grid drawn anew may cover less."""
-        old, first = self._all_tried, self._tried_first
-        low, high = np.array(corner), np.add(corner, shape)
-        if old.size:
-            low, high = np.minimum(low, first), np.maximum(high, np.add(first, old.shape))
-        if not old.size or (high - low != old.shape).any():
-            rows, cols = (high - low).tolist()
-            self._all_tried = np.zeros((rows, cols), dtype=np.uint8)
-            row, col = first[0] - int(low[0]), first[1] - int(low[1])
-            if old.size:
-                self._all_tried[row : row + old.shape[0], col : col + old.shape[1]] = old
-            self._tried_first = int(low[0]), int(low[1])
-        row, col = corner[0] - self._tried_first[0], corner[1] - self._tried_first[1]
-        return self._all_tried[row : row + shape[0], col : col + shape[1]]
+        self._tried = self._tries.within(corner, seen.shape)
 
     def _close_walls(self) -> None:
         """Take for obstacles, too, what grazing beams have erased of walls and the gaps of a cell or two in them."""
