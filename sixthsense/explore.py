@@ -69,7 +69,6 @@ class Explorer(Driver):
         self._reach = 0.95 * laser.max_range / cell_m
         self._near = max(2.0, frontier.dense_reach(spacing, laser.max_range / cell_m))
         self._view: View | None = None
-        self._grid: Grid | None = None
         self._tries = Tries()
         self._tried = self._tries.within((0, 0), (0, 0))  # the view's part of them
         self._phase: Literal["explore", "revisit", "nearer", "home"] = "explore"

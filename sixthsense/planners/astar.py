@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.freespace import FreeSpace, as_point
-from sixthsense.planners.base import Plan, blocked_end
+from sixthsense.planners.base import Plan, blocked_end, joined_path
 from sixthsense.planners.costtree import CostTree
 
 _REPAIRED = 0.1  # of all cells; when more have changed, a search from scratch is quicker
@@ -42,10 +42,7 @@ class AStar:
         centres = np.array(space.origin) + (cells[:, ::-1] + 0.5) * space.cell_m
         # Within one cell the straight line is free.
         between = centres if len(cells) > 1 else np.empty((0, 2))
-        path_world = np.concatenate([start_world[None], between, goal_world[None]])
-        repeated = (np.diff(path_world, axis=0) == 0.0).all(axis=1)
-        if len(path_world) > 2:  # an end that is a centre itself
-            path_world = path_world[np.concatenate([[True], ~repeated])]
+        path_world = joined_path(start_world, between, goal_world)  # an end may be a centre itself
         return Plan.along(path_world, expanded, time.perf_counter() - began)
 
     def _tree_to(self, space: FreeSpace, goal: tuple[int, int]) -> CostTree:

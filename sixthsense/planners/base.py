@@ -51,6 +51,15 @@ class Plan:
         return cls(status, path, math.inf, expanded, seconds)
 
 
+def joined_path(start: Array, between: Array, goal: Array) -> Array:
+    """(N, 2) start, the way points (K, 2) between, goal; of points that repeat the one before the first is kept."""
+    path = np.concatenate([start[None], between, goal[None]])
+    if len(path) == 2:
+        return path
+    repeated = (np.diff(path, axis=0) == 0.0).all(axis=1)
+    return np.asarray(path[np.concatenate([[True], ~repeated])])
+
+
 def blocked_end(space: FreeSpace, start: Array, goal: Array, began: float) -> Plan | None:
     """The plan that there is not, if start or goal (2,) is blocked; `began` as `time.perf_counter` had it."""
     for name, point in (("start", start), ("goal", goal)):

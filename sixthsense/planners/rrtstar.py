@@ -15,7 +15,7 @@ from ompl import base, geometric, util
 from sixthsense.config import RRTStarConfig
 from sixthsense.freespace import TOUCH, Bools, FreeSpace, as_point, line_touches
 from sixthsense.geometry import Array
-from sixthsense.planners.base import Plan, blocked_end
+from sixthsense.planners.base import Plan, blocked_end, joined_path
 
 
 class RRTStar:
@@ -52,10 +52,7 @@ class RRTStar:
             between, drawn = self._solve(space, cells, first, last)
         if between is None:
             return Plan.without_path("gave up", drawn, time.perf_counter() - began)
-        path_world = np.concatenate([start_world[None], between, goal_world[None]])
-        if len(path_world) > 2:
-            repeated = (np.diff(path_world, axis=0) == 0.0).all(axis=1)
-            path_world = path_world[np.concatenate([[True], ~repeated])]
+        path_world = joined_path(start_world, between, goal_world)
         return Plan.along(path_world, drawn, time.perf_counter() - began)
 
     def _solve(self, space: FreeSpace, cells: NDArray[np.int32], first: Array, last: Array) -> tuple[Array | None, int]:
