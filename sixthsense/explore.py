@@ -34,6 +34,7 @@ _BEYOND_M = 0.5  # how far outside the region something unseen counts that what 
 _VIEWS = 24  # so many views are compared, those of the nearest frontiers
 _WALL_HITS, _WALL_PASSES = 3, 15  # a cell hit so often, and passed no more often per hit, is of a wall
 _SMALL = 0.003  # of the area seen: small places that are more than that together count
+_NO_WAY = 255  # tries of what no way led to: more than any number of looks
 _HALF = 0.5  # of the sigma now: what a place must have had to be worth going back to
 
 
@@ -73,6 +74,7 @@ class Explorer(Driver):
         self._tried = self._tries.within((0, 0), (0, 0))  # the view's part of them
         self._phase: Literal["explore", "revisit", "nearer", "home"] = "explore"
         self._approaches = 0  # how often what cuts the robot off from home was looked at from nearer
+        self._taken_up = 0  # how often what no way led to was wanted again
         self._target: Target | None = None
         self._at_viewpoint = False
         self._sigma = 0.0
@@ -231,8 +233,10 @@ class Explorer(Driver):
         if self._at_viewpoint:
             failed |= frontier.cells_in_view(view.obstacles, view.dark, *view.cell(pose.position), self._near)
             self._tried[failed & view.dark] += 1
-        else:  # no way leads there
-            self._tried[failed & view.dark] = self._config.explore.tries
+        if not self._at_viewpoint or self._target.hidden:
+            # Looks from before the gap have not opened it, or no way led even there.
+            looked = self._config.explore.tries if self._at_viewpoint else 0
+            self._tried[failed & view.dark & (self._tried >= looked)] = _NO_WAY
         self._at_viewpoint = False
 
     def _is_seen(self, target: Target) -> bool:
@@ -270,12 +274,35 @@ class Explorer(Driver):
             row, col = self._target.viewpoint
             self._head_for(view.point(row - view.first[0], col - view.first[1]), pose)
             return
+        if self._take_up_again(pose):
+            self._choose(pose)
+            return
         self.left = self._places(pose)
         if self._config.explore.return_home:
             self._phase = "home"
             self._head_for(self._home, pose)
         else:
             self.outcome = "explored in part" if self.left else "explored"
+
+    def _take_up_again(self, pose: Pose) -> bool:
+        """Want what no way led to once more where it can be seen from by now: noise may have closed the way for a time.
+
+        Whether there is any such place.
+        """
+        assert self._view is not None
+        view, explore = self._view, self._config.explore
+        if self._taken_up == explore.tries:
+            return False
+        self._taken_up += 1
+        lost = view.unseen & (self._tried == _NO_WAY)
+        labels, _ = ndimage.label(lost)
+        cost = self._ways(pose)
+        again: set[int] = set()
+        for cells in frontier.clusters(frontier.frontier_cells(view.free, lost), max(1, round(_TILE_M / view.cell_m))):
+            if frontier.viewpoint(cost, view.obstacles, *frontier.centre_cell(cells), self._reach) >= 0:
+                again.update(labels[tuple(frontier.beside(lost, cells).T)].tolist())
+        self._tried[np.isin(labels, list(again))] = explore.tries - 1
+        return bool(again)
 
     def _best(self, pose: Pose, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target | None:
         """The target that shows most for the time it takes, of those that are in view from somewhere."""

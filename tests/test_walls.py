@@ -2,18 +2,21 @@
 
 import math
 
+import gtsam
 import numpy as np
 import pytest
 
 from sixthsense.association import Associator
 from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
 from sixthsense.estimators import ESTIMATORS, make_estimator
+from sixthsense.estimators.wallframe import lines, measurement
 from sixthsense.features import extract
 from sixthsense.geometry import Pose, rotation, wrap_angle
 from sixthsense.landmarks import Kind, Sighting, born, predict_walls, translated
-from sixthsense.laser import Scan, cast_rays
+from sixthsense.laser import Scan, beam_bearings, cast_rays
 from sixthsense.loop import run
 from sixthsense.motion import Odometry
+from sixthsense.scene import load_scene
 from sixthsense.walls import ends, fused, joined, nearness
 
 WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
@@ -216,6 +219,45 @@ def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
             segment = ends(pose, s)
             assert np.abs(segment).max(axis=0)[0] < 3.1 and np.abs(segment).max(axis=0)[1] < 2.1
     assert abs(np.mean(values) - 2.0) < 4 * math.sqrt(4 / len(values))
+
+
+def test_the_smoother_takes_a_walls_sighting_at_its_word_however_wrong_the_expectation():
+    pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
+    sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
+    place, root = measurement(pose, frame, sighting, at_birth=False)
+    assert lines(place.inverse().array()[None])[0][0] == pytest.approx(sighting.z, abs=1e-12)
+    # A robot elsewhere along the wall fits as well; one that is off it, or turned, as badly as the sighting says.
+    turn, d = 0.01, 0.02
+    for along in (0.0, 0.05):
+        off = Pose(place.x + along, place.y - d, place.theta - turn)
+        residual = root @ gtsam.Pose2.Logmap(gtsam.Pose2(*(place.inverse() @ off).array()))
+        error = np.array([turn, d])
+        assert residual @ residual == pytest.approx(error @ np.linalg.solve(COV, error), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("pose", "wall"),
+    [
+        (Pose(7.70, 5.92, -2.66), (0.0, 6.2)),
+        (Pose(11.60, 2.96, 1.01), (math.pi, -14.0)),
+        (Pose(3.57, 4.12, 1.16), (math.pi / 2, 2.4)),
+        (Pose(10.67, 5.02, 0.45), (-math.pi / 2, -6.6)),
+        (Pose(7.70, 5.93, 0.86), (0.0, 6.2)),
+    ],
+)
+def test_a_neighbour_that_shows_a_single_return_does_not_turn_a_wall(pose, wall):
+    # From these places in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
+    walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
+    exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
+    z = predict_walls(pose, np.array([wall]))[0][0]
+    for _ in range(60):
+        scan = Scan.from_config(exact + rng.normal(0.0, 0.01, len(exact)), config.laser)
+        for s in extract(scan, config.assumed, config.features, rng).sightings:
+            turn = wrap_angle(float(s.z[0] - z[0]))
+            if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
+                turns.append(turn / math.sqrt(s.cov[0, 0]))
+    assert len(turns) >= 50
+    assert abs(np.mean(turns)) < 4.0 / math.sqrt(len(turns))
 
 
 def test_a_mount_off_the_robots_centre_changes_no_wall():

@@ -14,7 +14,7 @@ from sixthsense.config import ISAM2Config
 from sixthsense.estimators.base import Estimate, check_covariance, check_sightings
 from sixthsense.estimators.evidence import Evidence
 from sixthsense.estimators.solver import Solver
-from sixthsense.estimators.wallframe import birth, line, measurement
+from sixthsense.estimators.wallframe import birth, lines, measurement
 from sixthsense.geometry import Array, Pose, rotation
 from sixthsense.landmarks import LandmarkId, Sighting
 from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
@@ -23,6 +23,7 @@ from sixthsense.motion import STANDSTILL, Odometry, compose_jacobians
 _FLOOR = 1e-6
 _UNDO_PERIOD = 10  # updates between two looks for matches to take back
 _MOST_UNDONE = 5  # at one look
+_POINT = np.eye(2)  # a point's errors are those of GTSAM's tangent
 
 
 class ISAM2:
@@ -59,6 +60,10 @@ class ISAM2:
         self._pose, self._pose_cov = start, self._start_cov
         """of the last pose that was solved"""
         self._landmarks = np.zeros((0, 2))
+        self._by_tangent: dict[LandmarkId, Array] = {}
+        """(2, 3) or (2, 2) errors of a landmark by those in GTSAM's tangent"""
+        self._solved = np.zeros((0, 3))
+        """all poses that were solved"""
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -124,21 +129,14 @@ class ISAM2:
         joint = self._solver.joint_covariance([self._last_solved, *keys])
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
-        walls = [self._is_wall[i] for i in ids]
-        blocks = [
-            line(_pose(self._solver.isam.calculateEstimatePose2(k)))[1] if w else np.eye(2)
-            for k, w in zip(keys, walls, strict=True)
-        ]
-        to_world = block_diag(turn, *blocks)
+        to_world = block_diag(turn, *(self._by_tangent[i] for i in ids))
         joint = to_world @ joint @ to_world.T
         joint[:3, :3] = self._pose_cov
         return self._moved(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, as all evidence up to now has it."""
-        frames = np.asarray(gtsam.utilities.extractPose2(self._solver.isam.calculateEstimate())).reshape(-1, 3)
-        solved = frames[sum(self._is_wall.values()) :]  # the letter of walls comes before that of poses
-        return np.vstack([solved, *(pose.array() for pose in self._waiting)])
+        return np.vstack([self._solved, *(pose.array() for pose in self._waiting)])
 
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
@@ -171,15 +169,16 @@ class ISAM2:
 
     def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         bearing, distance, cov = sighting.bearing_range()
-        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, self._noise(cov))
+        noise = self._robustly(gtsam.noiseModel.Gaussian.Covariance(cov))
+        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
 
     def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         frame = birth(guess, sighting) if is_new else _pose(self._solver.isam.calculateEstimatePose2(key))
-        motion, cov = measurement(guess, frame, sighting, is_new)
-        return gtsam.BetweenFactorPose2(X(self._poses - 1), key, _pose2(motion), self._noise(cov))
+        place, root = measurement(guess, frame, sighting, is_new)
+        noise = self._robustly(gtsam.noiseModel.Gaussian.SqrtInformation(root))
+        return gtsam.BetweenFactorPose2(key, X(self._poses - 1), _pose2(place), noise)
 
-    def _noise(self, cov: Array) -> gtsam.noiseModel.Base:
-        noise = gtsam.noiseModel.Gaussian.Covariance(cov)
+    def _robustly(self, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Base:
         return noise if self._robust is None else gtsam.noiseModel.Robust.Create(self._robust, noise)
 
     def _settle(self, guess: Pose) -> None:
@@ -215,23 +214,23 @@ class ISAM2:
             self.undone += 1
 
     def _read(self) -> None:
-        """Take pose, covariance and landmarks over from the solver."""
-        last = self._last_solved
-        self._pose = _pose(self._solver.isam.calculateEstimatePose2(last))
+        """Take poses, the last one's covariance and landmarks over from the solver."""
+        values = self._solver.isam.calculateEstimate()
+        frames = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
+        is_wall = np.array(list(self._is_wall.values()), dtype=np.bool_)
+        # In the order of their keys: the letter of walls comes before that of poses, and both are numbered by birth.
+        walls, self._solved = np.split(frames, [np.count_nonzero(is_wall)])
+        means, axes = lines(walls)
+        self._landmarks = np.empty((len(is_wall), 2))
+        self._landmarks[is_wall], self._landmarks[~is_wall] = means, points
+        of_walls = iter(axes)
+        self._by_tangent = {i: next(of_walls) if wall else _POINT for i, wall in self._is_wall.items()}
+        self._pose = Pose.from_array(self._solved[-1])
         turn = np.eye(3)
         turn[:2, :2] = rotation(self._pose.theta)
-        cov = turn @ self._solver.covariance(last) @ turn.T
+        cov = turn @ self._solver.covariance(self._last_solved) @ turn.T
         self._pose_cov = 0.5 * (cov + cov.T)
-        # One by one: there are fewer landmarks than poses.
-        rows = [
-            self._landmark(key, wall) for key, wall in zip(self._keys.values(), self._is_wall.values(), strict=True)
-        ]
-        self._landmarks = np.array(rows).reshape(-1, 2)
-
-    def _landmark(self, key: int, is_wall: bool) -> Array:
-        if is_wall:
-            return line(_pose(self._solver.isam.calculateEstimatePose2(key)))[0]
-        return np.asarray(self._solver.isam.calculateEstimatePoint2(key))
 
     def _moved(self, joint: Array) -> Array:
         """A joint covariance (n, n) of the last update's pose and landmarks, with the motion since taken in; a copy."""

@@ -1,7 +1,7 @@
 """Walls in a factor graph: a frame whose origin lies on the wall, x along it and y its normal.
 
-Where along the wall the origin lies means nothing: it is held where the wall was born, and a sighting is stated
-at that very place, so that a factor between two frames of GTSAM's will do.
+Where along the wall the origin lies means nothing: it is held where the wall was born. A sighting says how far from the
+wall the robot is and how it is turned to it: a factor between two frames of GTSAM's, loose along the wall.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ def birth(pose: Pose, sighting: Sighting) -> Pose:
 
 
 def measurement(pose: Pose, frame: Pose, sighting: Sighting, at_birth: bool) -> tuple[Pose, Array]:
-    """A sighting from `pose` as the motion from there to the wall's `frame`, and its covariance (3, 3), frame's axes.
+    """A sighting as where the robot is in the wall's frame, and the root of its information (3, 3), robot's axes.
 
-    The measured line is taken where the frame's origin is expected: there its offset is known by d and, with the lever
-    from the robot's foot, by alpha. It is stated as the frame expected and the innovation from there: with the
-    measured line's own axes the residual would be off by d times the square of the angle's error.
+    There its y is the distance to the wall, and its heading is the angle, whatever the expectation: no linearisation
+    enters. Seen from the robot instead, a turn of the wall would shift it by d/2 times the square of the turn. What
+    comes in of `pose` and `frame`, as they are expected, is where along the wall the robot is.
     """
-    expected = pose.inverse() @ frame
-    (alpha, d), axes = line(expected)
-    lever = float(axes[1, 2])
-    turn = wrap_angle(float(sighting.z[0]) - float(alpha))
-    offset = float(sighting.z[1]) - float(d) - lever * turn
-    # Errors of (x, y, theta) in the frame's axes, of which x is the wall's own business: y = dd - lever * dalpha.
-    by_z = np.array([[0.0, 0.0], [-lever, 1.0], [1.0, 0.0]])
-    cov = by_z @ sighting.cov @ by_z.T
-    cov[0, 0] = (_AT_BIRTH_M if at_birth else _LATER_M) ** 2
-    return expected @ Pose(0.0, offset, turn), cov
+    along = (frame.inverse() @ pose).x
+    measured = Pose(along, -float(sighting.z[1]), 0.5 * math.pi - float(sighting.z[0]))
+    # In the wall's axes the errors of (y, theta) are those of (d, alpha), both with the other sign.
+    root = np.zeros((3, 3))
+    root[0, 0] = 1.0 / (_AT_BIRTH_M if at_birth else _LATER_M)
+    root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(sighting.cov[::-1, ::-1])).T
+    root[:, :2] = root[:, :2] @ rotation(measured.theta)  # GTSAM's residual is in the measured pose's own axes
+    return measured, root
 
 
-def line(frame: Pose) -> tuple[Array, Array]:
-    """The wall (alpha, d) of a frame, and (2, 3) its errors by those of the frame (x, y, theta), its own axes."""
-    alpha = Pose(theta=frame.theta + 0.5 * math.pi).theta
-    normal, along = np.array([math.cos(alpha), math.sin(alpha)]), np.array([-math.sin(alpha), math.cos(alpha)])
-    mean = np.array([alpha, float(normal @ frame.position)])
-    return mean, np.array([[0.0, 0.0, 1.0], [0.0, 1.0, float(along @ frame.position)]])
+def lines(frames: Array) -> tuple[Array, Array]:
+    """(n, 2) walls (alpha, d) of frames (n, 3), and (n, 2, 3) their errors by those of the frames, in its own axes."""
+    alpha = wrap_angle(frames[:, 2] + 0.5 * math.pi)
+    c, s = np.cos(alpha), np.sin(alpha)
+    axes = np.zeros((len(frames), 2, 3))
+    axes[:, 0, 2] = axes[:, 1, 1] = 1.0
+    axes[:, 1, 2] = c * frames[:, 1] - s * frames[:, 0]  # the lever along the wall, from the origin's foot
+    return np.column_stack([alpha, c * frames[:, 0] + s * frames[:, 1]]), axes

@@ -24,6 +24,31 @@ from sixthsense.features.lines import fit_line, parallel_line
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array
 
+# A wall's return lies within the threshold of its neighbour's line as often as the threshold goes into their spacing:
+# returns this many thresholds apart are trusted.
+_DENSE = 4.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _gap(points: Array, i: int, k: int) -> float:
+    """From one return to another, metres."""
+    return math.hypot(points[i, 0] - points[k, 0], points[i, 1] - points[k, 1])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _surely_own(points: Array, mine: Indices, first: bool, last: bool, within: float) -> Indices:
+    """The returns at `mine` but the first and the last, where asked for and nearer than `within` to the next.
+
+    A neighbour that shows too little of itself to be found as a line leaves a return near this one now and then, two or
+    three sigmas off and at the end, where it turns the line most.
+    """
+    begin, end = 0, len(mine)
+    if first and end > 1 and _gap(points, mine[0], mine[1]) < within:
+        begin = 1
+    if last and end - begin > 1 and _gap(points, mine[end - 1], mine[end - 2]) < within:
+        end -= 1
+    return mine[begin:end]
+
 
 @numba.njit(cache=True, error_model="numpy")
 def find_walls(
@@ -51,9 +76,9 @@ def find_walls(
 ) -> tuple[Array, Array]:
     """Walls and loose ends of one scan, all in the laser's frame, metres and radians; arguments as `find_landmarks`.
 
-    A loose end takes the last `reserved` returns on its side, its wall all others but those near a corner; so few
-    returns say nothing of a direction, which is the wall's. Returns
-    (W, 7) alpha, d, aa, ad, dd and from where to where along the wall it was seen; and (E, 5) x, y, xx, xy, yy.
+    A loose end takes the last `reserved` returns on its side, its wall all others but those near a corner and, on a
+    side with neither, an outermost one in doubt; so few returns say nothing of a direction, which is the wall's.
+    Returns (W, 7) alpha, d, aa, ad, dd and from where to where along the wall it was seen; and (E, 5) x, y, xx, xy, yy.
     """
     count, spacing = len(lines), mean_spacing(bearings)
     corners = np.full((count, 2), NOTHING, np.int64)
@@ -84,6 +109,9 @@ def find_walls(
         at_last = ends[j, 1] == LOOSE and len(mine) >= 2 * reserved
         last_own = mine[len(mine) - (reserved if at_last else 0) :]
         mine = mine[: len(mine) - len(last_own)]
+        unknown_first = corners[j, 0] == NOTHING and not at_first
+        unknown_last = corners[j, 1] == NOTHING and not at_last
+        mine = _surely_own(points, mine, unknown_first, unknown_last, _DENSE * threshold)
         if len(mine) < 3:
             continue
         fit = fit_line(points, mine, sigma_range, sigma_bearing)
