@@ -19,11 +19,17 @@ class Picture(Figure):
         FigureCanvasAgg(self)
 
     def png(self, dpi: float = _NOTEBOOK_DPI) -> bytes:
-        """The picture as the content of a PNG file."""
-        content = io.BytesIO()
+        """The content of a PNG file, with a palette: drawings have few colours, and a notebook keeps every byte."""
+        from PIL import Image
+
+        content, small = io.BytesIO(), io.BytesIO()
         # Equal axes leave room that the layout has not foreseen; cut it off, and cut no title.
         self.savefig(content, format="png", dpi=dpi, bbox_inches="tight", pad_inches=0.12)
-        return content.getvalue()
+        with Image.open(content) as image:
+            # Not the default: a median cut loses the colours of a legend's thin lines.
+            palette = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+            palette.save(small, "PNG", optimize=True)
+        return small.getvalue()
 
     def _repr_png_(self) -> bytes:
         return self.png()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import warnings
@@ -56,11 +57,15 @@ class Progress:
     """
 
     def __init__(self, label: str, total_s: float, realtime: bool = False, shown: bool | None = None) -> None:
-        """Make a bar of `total_s` seconds of the source; `shown` by default where somebody looks on."""
+        """Make a bar of `total_s` seconds of the source; `shown` by default where somebody looks on.
+
+        TQDM_DISABLE=1 in the environment hides all.
+        """
         self._label = label
         self._total_s = total_s
         self._realtime = realtime
-        self._is_shown = is_interactive() if shown is None else shown
+        hidden = os.environ.get("TQDM_DISABLE", "") not in ("", "0")  # which tqdm's notebook bars do not heed
+        self._is_shown = (is_interactive() if shown is None else shown) and not hidden
         self._first_ns: int | None = None
         self._shown_s = 0.0
         self._began = 0.0
@@ -95,7 +100,7 @@ class Progress:
 
 
 def _bar(shown: bool, **options: Any) -> Any:
-    """A bar for where this runs; what is not shown writes nothing, and `TQDM_DISABLE=1` hides what would be."""
+    """A bar for where this runs; what is not shown writes nothing."""
     if not shown:
         from tqdm import tqdm
 

@@ -7,6 +7,7 @@ import pickle
 import sys
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -193,3 +194,12 @@ def test_folders_are_compared_by_their_names(run, tmp_path):
 def test_what_cannot_be_compared_is_told_in_one_line(runs, complaint):
     with pytest.raises(ss.InputError, match=complaint):
         ss.compare(runs)
+
+
+def test_a_picture_keeps_the_colours_of_a_legends_thin_lines(run, other):
+    figure = ss.compare([run, other]).plot("nees")
+    plain = io.BytesIO()
+    figure.savefig(plain, format="png", dpi=75, bbox_inches="tight", pad_inches=0.12)
+    with Image.open(plain) as drawn, Image.open(io.BytesIO(figure.png())) as shown:
+        off = np.abs(np.asarray(drawn.convert("RGB"), dtype=int) - np.asarray(shown.convert("RGB"), dtype=int))
+    assert off.max() < 25
