@@ -27,8 +27,8 @@ class Picture(Figure):
         self.savefig(content, format="png", dpi=dpi, bbox_inches="tight", pad_inches=0.12)
         with Image.open(content) as image:
             # Not the default: a median cut loses the colours of a legend's thin lines.
-            palette = image.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-            palette.save(small, "PNG", optimize=True)
+            method, dither = Image.Quantize.MAXCOVERAGE, Image.Dither.NONE
+            image.convert("RGB").quantize(256, method, kmeans=1, dither=dither).save(small, "PNG", optimize=True)
         return small.getvalue()
 
     def _repr_png_(self) -> bytes:
