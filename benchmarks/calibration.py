@@ -62,7 +62,7 @@ def world_figures(name: str, seeds: int, max_time: float = TOUR_S, samples: int 
         before = dataclasses.replace(world_config(name, max_time), seed=seed)
         after = dataclasses.replace(before, assumed=calibrate(before, samples).assumed)
         for step, config in zip(STEPS, (before, after), strict=True):
-            rows[step].append(run(config).metrics())
+            rows[step].append(run(config).metrics)
     figures: Figures = {}
     for step, metrics in rows.items():
         figures[f"{name}.{step}.ended_early"] = sum(one["outcome"] != "tour ended" for one in metrics)

@@ -52,7 +52,7 @@ def setting_figures(name: str, base: Config, changes: Mapping[str, Any], seeds: 
     rows = []
     for seed in range(seeds):
         trace = run(dataclasses.replace(config, seed=seed))
-        rows.append(trace.metrics() | {"map_rmse_m": map_rmse_m(trace)})
+        rows.append(trace.metrics | {"map_rmse_m": map_rmse_m(trace)})
 
     def values(key: str) -> list[float]:
         return [row[key] for row in rows if key in row]

@@ -50,7 +50,7 @@ def settings(options: Any) -> list[tuple[str, Config]]:
 
 def measure(config: Config) -> dict[str, Any]:
     """The metrics of one run, in a process of its own."""
-    return run(config).metrics()
+    return run(config).metrics
 
 
 def known_map_tour(scene_name: str, config: Config) -> float:

@@ -28,7 +28,7 @@ def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -
     speeds: list[float] = []
     for seed in range(seeds):
         trace = replay(Log(log.ticks), dataclasses.replace(config, seed=seed), relations)
-        result = trace.metrics()
+        result = trace.metrics
         figures |= {f"seed{seed}.{key}": result[key] for key in ERRORS}
         speeds.append(result["realtime_factor"])
         if seed == 0:

@@ -89,7 +89,7 @@ def main() -> None:
             print(
                 f"{number + 1:3d}  killed after {after_s:.2f} s at {1e-9 * kill.recorded_ns:6.1f} s simulated, "
                 f"lost {wall[-1]:.3f} s of wall time, {simulated[-1]:5.1f} s simulated; "
-                f"ATE {trace.metrics()['ate_rmse_m']:.4f} m",
+                f"ATE {trace.metrics['ate_rmse_m']:.4f} m",
                 flush=True,
             )
             assert last_ns >= kill.flushed_ns, "more than the last chunk is lost"

@@ -48,7 +48,7 @@ def per_axis_rmse(estimate: Array, truth: Array) -> float:
 
 def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
     """How one estimator fared."""
-    metrics, truth, key_truth = trace.metrics(), np.array(trace.truths), np.array(trace.key_truths)
+    metrics, truth, key_truth = trace.metrics, np.array(trace.truths), np.array(trace.key_truths)
     causal = np.array([estimate.pose.array() for estimate in trace.key_estimates])
     figures = {
         "position_rmse_per_axis_m": per_axis_rmse(np.array(trace.estimates), truth),

@@ -72,7 +72,7 @@ def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
     """Means over the runs of each column; keys `ekf_invariant.ate_rmse_m`."""
     figures: Figures = {}
     for name, runs in traces.items():
-        metrics = [trace.metrics() for trace in runs]
+        metrics = [trace.metrics for trace in runs]
         for _, key, _ in COLUMNS:
             values = [m[key] for m in metrics if key in m]
             if values:

@@ -14,7 +14,7 @@ from sixthsense.config import preset
 from sixthsense.estimators import ESTIMATORS
 from sixthsense.loop import run, warm_up
 from sixthsense.plot import ESTIMATE, LANDMARK, new_figure, save
-from sixthsense.trace import STAGES
+from sixthsense.stopwatch import STAGES
 
 BUDGET_MS = 16.7
 TENTHS = 10
@@ -51,7 +51,7 @@ def main() -> None:
         "scan_ms_p99": float(np.percentile(ms, 99)),
         "scan_ms_max": float(ms.max()),
         "last_over_first_tenth": float(np.median(ms[parts[-1]]) / np.median(ms[parts[0]])),
-        "realtime_factor": trace.metrics()["realtime_factor"],
+        "realtime_factor": trace.metrics["realtime_factor"],
     }
     print_table([["figure", "measured"], *([key, f"{value:.4g}"] for key, value in figures.items())])
     write_json(options.json, figures)

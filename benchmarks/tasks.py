@@ -62,7 +62,7 @@ def setting_figures(setting: Setting) -> Figures:
     """Run a setting's seeds: how often each outcome, and the columns of the table; what no run measured is left out."""
     config = preset(setting.preset)
     config = dataclasses.replace(config, scene=setting.scene, task=setting.task, max_time=setting.max_time)
-    results = [run(dataclasses.replace(config, seed=seed)).metrics() for seed in range(setting.seeds)]
+    results = [run(dataclasses.replace(config, seed=seed)).metrics for seed in range(setting.seeds)]
     outcomes = Counter(result["outcome"].replace(" ", "_") for result in results)
     figures: Figures = {f"{setting.name}.outcome.{outcome}": count for outcome, count in outcomes.most_common()}
     for _, key, suffix, reduce in COLUMNS:

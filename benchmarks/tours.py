@@ -52,7 +52,7 @@ def judge(trace: Trace) -> Row:
 
     Of NEES there is none (null) before the covariance has full rank.
     """
-    metrics = trace.metrics()
+    metrics = trace.metrics
     assert trace.scene is not None
     truths = np.array(trace.key_truths)
     matches = judge_matches([a.sightings for a in trace.associations], truths, true_identities(trace.scene.walls))

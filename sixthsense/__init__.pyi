@@ -1,6 +1,10 @@
 __version__: str
 
+from .api import replay as replay
+from .api import run as run
 from .campaign import load_campaign as load_campaign
+from .comparison import Comparison as Comparison
+from .comparison import compare as compare
 from .config import Config as Config
 from .config import ConfigError as ConfigError
 from .config import load_config as load_config
@@ -11,6 +15,7 @@ from .errors import InputError as InputError
 from .estimators import Estimate as Estimate
 from .estimators import Estimator as Estimator
 from .estimators import make_estimator as make_estimator
+from .estimators import register_estimator as register_estimator
 from .features import Features as Features
 from .features import extract as extract
 from .geometry import Pose as Pose
@@ -21,12 +26,12 @@ from .laser import Scan as Scan
 from .laser import cast_rays as cast_rays
 from .logs import open_log as open_log
 from .logs.relations import read_relations as read_relations
-from .loop import replay as replay
-from .loop import run as run
 from .planners import Plan as Plan
 from .planners import Planner as Planner
 from .planners import make_planner as make_planner
+from .planners import register_planner as register_planner
 from .plot import save_map as save_map
+from .results import Metrics as Metrics
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import shipped_scenes as shipped_scenes

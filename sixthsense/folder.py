@@ -87,7 +87,7 @@ class RunFolder:
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
         if trace.outcome.startswith("explored"):
             write_places_left(self.partial / "places_left.csv", trace)
-        values = trace.metrics()
+        values = trace.metrics
         (self.partial / "metrics.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         return values
 

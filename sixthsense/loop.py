@@ -22,6 +22,7 @@ from sixthsense.interrupt import deferred_interrupt
 from sixthsense.logs.log import Log
 from sixthsense.logs.relations import Relations
 from sixthsense.mapper import Mapper
+from sixthsense.measure import measure
 from sixthsense.motion import STANDSTILL, Odometry, odometry
 from sixthsense.navigate import Driver, Navigator, Passenger
 from sixthsense.planners import make_planner
@@ -56,7 +57,7 @@ def run(config: Config, on_tick: OnTick | None = None) -> Trace:
         navigator = Explorer(start, region, radius_m, planner, follower, config, explore_rng)
     else:
         navigator = Driver(goals, config.task == "tour", planner, follower, config)
-    trace = Trace(config, scene, radius_m)
+    trace = Trace(config, scene, radius_m, name=scene.name)
     drive(source, start, navigator, trace, ransac_rng, on_tick)
     return trace
 
@@ -71,7 +72,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
     _, ransac_rng, *_ = _streams(config.seed)
-    trace = Trace(config, scene, radius_m, relations=relations)
+    trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
     drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
     return trace
 
@@ -132,7 +133,7 @@ def warm_up() -> None:
     driver = Explorer(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
     drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
-    trace.metrics()
+    measure(trace)
     assert trace.grid is not None
     space = trace.grid.free_space()
     for _ in range(2):  # the second is a replan
@@ -195,7 +196,7 @@ def drive(
     keyscans = KeyScans(config.keyscans)
     guard, deskew = Guard(config, trace.radius_m), Deskewer(config.features.deskew)
     command, pose = Command(), start
-    trace.plans = navigator.plans
+    trace.plans, trace.grid = navigator.plans, mapper.grid
     before: Pose | None = None
     deadline_ns, T_world_odom = 0, Pose()
     began = time.perf_counter()
@@ -276,7 +277,7 @@ def drive(
     trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
     trace.trajectory = estimator.trajectory()
     trace.records, trace.culled, trace.walls_merged = associator.records, associator.culled, associator.walls_merged
-    trace.grid, trace.rebuilds = mapper.grid, mapper.rebuilds
+    trace.rebuilds = mapper.rebuilds
 
 
 def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:

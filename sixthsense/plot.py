@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sixthsense.geometry import Array, Pose
 from sixthsense.trace import Trace
+
+if TYPE_CHECKING:
+    from sixthsense.picture import Picture
 
 # Okabe and Ito's palette: told apart by the colour-blind too.
 TRUTH, ESTIMATE, ODOMETRY, LANDMARK, PLAN = "#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73"
@@ -139,14 +142,11 @@ def _frame(ax: Any, points: list[Array]) -> None:
     ax.set_ylim(low[1] - margin, high[1] + margin)
 
 
-def new_figure(width_in: float, height_in: float) -> Any:
+def new_figure(width_in: float, height_in: float) -> Picture:
     """An empty figure that asks for no window system and touches no global state, as pyplot's would."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from sixthsense.picture import Picture
 
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Picture(width_in, height_in)
 
 
 def save(figure: Any, file: Path | str) -> None:
@@ -164,10 +164,16 @@ def map_height(ax: Any, width_in: float) -> float:
 
 def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
     """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
-    figure = new_figure(_WIDTH_IN, _WIDTH_IN)
+    save(map_figure(trace, title if title is not None else trace.outcome), file)
+
+
+def map_figure(trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True) -> Picture:
+    """The map as a figure, as high as the map's shape asks for."""
+    figure = new_figure(width_in, width_in)
     ax = figure.add_subplot()
     draw_map(ax, trace)
-    figure.set_size_inches(_WIDTH_IN, map_height(ax, _WIDTH_IN))
-    ax.set_title(title if title is not None else trace.outcome)
-    figure.legend(loc="outside lower center", ncols=5, frameon=False)
-    save(figure, file)
+    figure.set_size_inches(width_in, map_height(ax, width_in))
+    ax.set_title(title)
+    if legend:
+        figure.legend(loc="outside lower center", ncols=5, frameon=False)
+    return figure

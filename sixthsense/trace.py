@@ -1,72 +1,43 @@
-"""The record of a run: what the loop saw, believed and did, tick by tick, and the metrics that follow from it."""
+"""The record of a run: what the loop saw, believed and did, tick by tick, and how it shows itself."""
 
 from __future__ import annotations
 
 import csv
 import json
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sixthsense import metrics
 from sixthsense.association import Association, Record
 from sixthsense.config import Config
-from sixthsense.coverage import coverage, visible_area
 from sixthsense.estimators import Estimate
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.landmarks import LandmarkId
-from sixthsense.laser import beam_bearings
 from sixthsense.logs.relations import Relations
+from sixthsense.measure import measure
 from sixthsense.motion import Odometry
 from sixthsense.navigate import Place, as_reason
+from sixthsense.results import Metrics
 from sixthsense.scene import Scene
 from sixthsense.source import Tick
+from sixthsense.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from sixthsense.picture import Picture
 
 NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
 
-STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan")
 
-
-class Stopwatch:
-    """Times the stages of the loop; a key scan's whole processing is the sum of its stages after sensing."""
-
-    def __init__(self) -> None:
-        self.rows: list[dict[str, float]] = []
-        """per key scan, milliseconds per stage"""
-        self.totals = dict.fromkeys(STAGES, 0.0)
-        """per stage, milliseconds in the whole run"""
-        self._row: dict[str, float] = {}
-        self._last = time.perf_counter()
-
-    def start(self) -> None:
-        """Begin a turn of the loop."""
-        self._row = {}
-        self._last = time.perf_counter()
-
-    def lap(self, stage: str) -> None:
-        """Book the time since the last lap on `stage`."""
-        now = time.perf_counter()
-        elapsed = 1e3 * (now - self._last)
-        self._row[stage] = self._row.get(stage, 0.0) + elapsed
-        self.totals[stage] += elapsed
-        self._last = now
-
-    def key_scan(self) -> None:
-        """Keep this turn's laps as a key scan's."""
-        self.rows.append(self._row)
-
-    def key_scan_ms(self) -> Array:
-        """(K,) the whole processing of each key scan, sensing left out; milliseconds."""
-        return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])
-
-
-@dataclass(slots=True)
+@dataclass(slots=True, repr=False)
 class Trace:
-    """Everything a run leaves behind; rows are appended by the loop."""
+    """Everything a run leaves behind; rows are appended by the loop. `ss.run`, `ss.replay` and `load` make one.
+
+    Poses are (x, y, theta), world frame, metres and radians; stamps are nanoseconds. In a notebook it shows its map and
+    the metrics that matter most.
+    """
 
     config: Config
     scene: Scene | None
@@ -133,7 +104,11 @@ class Trace:
     """the map"""
     rebuilds: int = 0
     """times it was drawn anew, because key poses had moved"""
-    _last_position: Array | None = None
+    name: str = ""
+    """of what was driven in or replayed: the scene's, the log's or the folder's"""
+    last_position: Array | None = None
+    """(2,) of the robot at the last tick, world frame: true, or by odometry in a log"""
+    _measured: Metrics | None = field(default=None, init=False, repr=False, compare=False)
 
     @classmethod
     def load(cls, folder: str | Path) -> Trace:
@@ -141,8 +116,8 @@ class Trace:
 
         The estimates are made anew from the recorded evidence with the folder's configuration, which repeats the run
         exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one), what was left
-        unseen from `places_left.csv`. The times
-        are those of the repetition. Raises InputError for a folder that is no run's, or has recorded nothing.
+        unseen from `places_left.csv`. The times are those of the repetition. Raises InputError for a folder that is no
+        run's, or has recorded nothing.
         """
         from sixthsense.config import load_config
         from sixthsense.logs.runfolder import read_run
@@ -152,6 +127,7 @@ class Trace:
         config = load_config(path / "config.toml")
         log = read_run(path, config.laser)
         trace = replay(log, config)
+        trace.name = path.resolve().name.removesuffix(".partial")
         trace.plans = list(log.plans)
         trace.outcome = _outcome(path / "metrics.json")
         trace.left = _places_left(path / "places_left.csv")
@@ -160,9 +136,9 @@ class Trace:
     def add_tick(self, tick: Tick, odometry: Pose) -> None:
         """Record the way made; `odometry` is the dead-reckoned pose in the world frame."""
         position = (tick.truth or odometry).position
-        if self._last_position is not None:
-            self.path_length_m += float(np.hypot(*(position - self._last_position)))
-        self._last_position = position
+        if self.last_position is not None:
+            self.path_length_m += float(np.hypot(*(position - self.last_position)))
+        self.last_position = position
 
     def add_scan(self, tick: Tick, pose: Pose, odometry: Pose, since_key: Pose) -> None:
         """Record one scan, after whatever the loop made of it."""
@@ -195,115 +171,39 @@ class Trace:
         ]
         return np.array(rows).reshape(-1, 3)
 
-    def metrics(self) -> dict[str, Any]:
-        """Flat keys and numbers; what cannot be measured is left out."""
-        out: dict[str, Any] = {"outcome": self.outcome}
-        if self.truths:
-            out["collisions"] = int(self.outcome == "collided")
-            out |= self._goal_error() | self._home_error()
-            out |= self._errors()
-            if self.scene is not None:
-                out |= self._coverage(self.scene)
-        out |= self._consistency()
-        out |= self._relations()
-        out["landmarks"] = len(self.records)
-        out["landmarks_culled"] = self.culled
-        out["walls_merged"] = self.walls_merged
-        if self.outcome.startswith("explored"):
-            out["places_left"] = len(self.left)
-            out["area_left_m2"] = sum(place.area_m2 for place in self.left)
-        out["path_length_m"] = self.path_length_m
-        out["plans"] = len(self.plans)
-        if self.plans_below_margin is not None and self.guard_stops is not None:
-            out["plans_below_margin"], out["guard_stops"] = self.plans_below_margin, self.guard_stops
-        sim_time_s = 1e-9 * (self.stamps_ns[-1] - self.stamps_ns[0]) if self.stamps_ns else 0.0
-        out["sim_time_s"] = sim_time_s
-        out |= self._timing(sim_time_s)
-        return out
+    @property
+    def metrics(self) -> Metrics:
+        """Errors, consistency, coverage and timing by flat keys, with units; what cannot be measured is left out.
 
-    def _goal_error(self) -> dict[str, float]:
-        """How far from the goal the robot truly is: the outcome is judged by the estimate."""
-        goal = self.config.goal or (self.scene.goal if self.scene is not None else None)
-        if goal is None or self.config.task != "goal" or self._last_position is None:
-            return {}
-        return {"goal_error_m": float(np.hypot(*(self._last_position - np.array(goal))))}
+        A dictionary that shows itself as a table; `metrics.frame()` is one of pandas. Of a run that has ended they are
+        computed once.
+        """
+        measured = self._measured or measure(self)
+        if self.outcome:
+            self._measured = measured
+        return Metrics(measured)
 
-    def _home_error(self) -> dict[str, float]:
-        """How far from where it began the robot truly is after an exploration that was to end there."""
-        ended = self.config.explore.return_home and self.outcome.startswith("explored")
-        if not ended or self.config.task != "explore" or self._last_position is None:
-            return {}
-        return {"home_error_m": float(np.hypot(*(self._last_position - self.truths[0][:2])))}
+    def plot(self, what: str = "map") -> Picture:
+        """A figure of the run: "map", "error", "nees", "nis", "stages", "coverage" or "exploration".
 
-    def _coverage(self, scene: Scene) -> dict[str, float]:
-        laser = self.config.laser
-        region = self.config.region or scene.region
-        start = (float(self.truths[0][0]), float(self.truths[0][1]))
-        area = visible_area(scene.walls, region, start, self.radius_m, laser.max_range)
-        poses = np.array(self.truths)
-        share = coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, scene.walls)
-        return {"coverage": share} if np.isfinite(share) else {}
+        It is one of matplotlib's, shows itself at the end of a notebook's cell, and is written by `.savefig(file)`.
+        Raises FigureError, listing what there is, for any other name, and for a figure that this run cannot fill, as
+        errors without truth.
+        """
+        from sixthsense.figures.panels import figure
+        from sixthsense.finished import as_finished
 
-    def _relations(self) -> dict[str, float]:
-        if self.relations is None:
-            return {}
-        given = self.relations
-        stamps = np.array(self.log_stamps_s)
-        # A replay that ends early is measured by the relations it has reached.
-        reached = np.isin(np.round(given.stamps, 6), np.round(stamps, 6)).all(axis=1)
-        if not reached.any():
-            return {}
-        poses = self.scan_poses()
-        translation, angle = metrics.relations_error(stamps, poses, given.stamps[reached], given.poses[reached])
-        return {
-            "relations_trans_m_mean": float(translation.mean()),
-            "relations_trans_m_std": float(translation.std()),
-            "relations_rot_deg_mean": float(np.degrees(angle).mean()),
-            "relations_rot_deg_std": float(np.degrees(angle).std()),
-        }
+        return figure(what, [as_finished(self)])
 
-    def _errors(self) -> dict[str, float]:
-        truth, estimate = np.array(self.truths), np.array(self.estimates)
-        rmse, worst = metrics.ate(estimate, truth)
-        dead_reckoning, _ = metrics.ate(np.array(self.odometry), truth)
-        out = {
-            "ate_rmse_m": rmse,
-            "ate_max_m": worst,
-            "dead_reckoning_ate_rmse_m": dead_reckoning,
-            "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
-        }
-        if self.scene is not None and not self.final.walls.all():
-            corners = metrics.true_landmarks(self.scene.walls)
-            rmse, matched = metrics.match_landmarks(self.final.landmarks[~self.final.walls], corners, 0.5)
-            if matched:
-                out["landmark_rmse_m"] = rmse
-        return out
+    def __repr__(self) -> str:
+        of = f"{self.name or 'a run'}, {self.config.estimator}, {self.config.preset}, seed {self.config.seed}"
+        return f"<Trace of {of}: {self.outcome or 'running'}, {len(self.stamps_ns)} scans>"
 
-    def _consistency(self) -> dict[str, float]:
-        out: dict[str, float] = {}
-        covs = np.array([e.pose_cov for e in self.key_estimates])
-        if self.key_truths:
-            first = metrics.full_rank_from(covs)
-            poses = np.array([e.pose.array() for e in self.key_estimates])[first:]
-            truth = np.array(self.key_truths)[first:]
-            if len(poses):
-                errors = poses - truth
-                out["pose_nees_world_mean"] = float(np.mean(metrics.nees_world(errors, covs[first:])))
-                out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs[first:])))
-        dof = sum(a.dof for a in self.associations)
-        if dof:
-            out["nis_mean_per_dof"] = sum(a.nis for a in self.associations) / dof
-        return out
+    def _repr_html_(self) -> str:
+        from sixthsense.figures.panels import card
+        from sixthsense.finished import as_finished
 
-    def _timing(self, sim_time_s: float) -> dict[str, float]:
-        out = {"wall_time_s": self.wall_time_s}
-        if self.wall_time_s > 0.0:
-            out["realtime_factor"] = sim_time_s / self.wall_time_s
-        rows = self.stopwatch.rows
-        if rows:
-            out |= metrics.scan_times(self.stopwatch.key_scan_ms())
-            out |= {f"stage_ms_mean.{stage}": self.stopwatch.totals[stage] / len(rows) for stage in STAGES}
-        return out
+        return card(as_finished(self))
 
 
 def _outcome(file: Path) -> str:

@@ -11,3 +11,8 @@ def data_dir() -> Path:
     if not folder or not Path(folder).is_dir():
         pytest.skip("needs real data: set SIXTHSENSE_DATA to a folder with intel/, maps/ and scenes_report/")
     return Path(folder)
+
+
+pytest.register_assert_rewrite(
+    "sixthsense.testing.contract", "sixthsense.testing.edges", "sixthsense.testing.estimation"
+)

@@ -123,7 +123,7 @@ def test_a_run_replays_to_the_same_estimates_covariances_and_errors(recorded):
     again = replay(read_run(folder, CONFIG.laser), CONFIG)
     assert np.array_equal(np.array(again.estimates), np.array(trace.estimates))
     assert np.array_equal(again.joint_cov, trace.joint_cov)
-    figures, before = again.metrics(), trace.metrics()
+    figures, before = again.metrics, trace.metrics
     driving = ("outcome", "plans", "plans_below_margin", "guard_stops")
     steady = [key for key in before if "_ms_" not in key and "time" not in key and key not in driving]
     assert {key: figures[key] for key in steady} == {key: before[key] for key in steady}
@@ -190,7 +190,7 @@ def test_a_trace_is_loaded_with_its_plans_its_outcome_and_its_errors(tmp_path):
         before = json.loads(json.dumps(folder.write(trace)))
         folder.finish()
     loaded = Trace.load(tmp_path / "run")
-    after = loaded.metrics()
+    after = loaded.metrics
     # The clock's figures differ, and what the live robot's guard did is not repeated by a replay.
     other = ("wall_time_s", "realtime_factor", "plans_below_margin", "guard_stops")
     steady = [k for k in before if "_ms_" not in k and k not in other]

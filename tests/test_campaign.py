@@ -261,7 +261,7 @@ def test_a_run_that_raises_is_a_row_that_says_so_in_one_line(monkeypatch):
 def test_a_row_has_every_metric_of_the_run_and_what_the_campaign_varies():
     config = ss.preset(scene="rectangle", seed=5, **FIELDS)
     found = worker.run_row(config, ss.__version__)
-    expected = ss.run(config).metrics()
+    expected = ss.run(config).metrics
     assert set(expected) <= set(found) and found["ate_rmse_m"] == expected["ate_rmse_m"]
     assert {*IDENTITY, "config_hash", "host", "version", "run_time_s", "task"} <= set(found)
 
@@ -358,7 +358,7 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     assert all(file.stat().st_mtime_ns == stamps[file] for file in kept)
     axes = tomllib.loads(Path("c/campaign.toml").read_text())["axes"]
     assert axes["seeds"] == ["0:5"] and axes["estimator"] == ["ekf", "ekf-invariant"]
-    alone = ss.run(ss.preset(scene="rectangle", seed=1, **FIELDS)).metrics()
+    alone = ss.run(ss.preset(scene="rectangle", seed=1, **FIELDS)).metrics
     assert frame.loc[1, "ate_rmse_m"] == alone["ate_rmse_m"]
 
 
@@ -556,5 +556,5 @@ def test_a_scheduler_and_workers_started_by_hand_make_the_same_rows():
     frame = ss.load_campaign("c")
     assert len(frame) == 6
     for seed in range(6):
-        alone = ss.run(ss.preset(scene="rectangle", seed=seed, **FIELDS)).metrics()
+        alone = ss.run(ss.preset(scene="rectangle", seed=seed, **FIELDS)).metrics
         assert frame.loc[seed, "ate_rmse_m"] == alone["ate_rmse_m"]

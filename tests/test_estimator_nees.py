@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from estimation import CONSISTENT, POINTS, everything, make, noisy, sight, step
 from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
@@ -13,6 +12,7 @@ from sixthsense.geometry import Pose, wrap_angle
 from sixthsense.landmarks import predict_points
 from sixthsense.metrics import nees_band, nees_invariant
 from sixthsense.motion import Odometry
+from sixthsense.testing.estimation import CONSISTENT, POINTS, everything, make, noisy, sight, step
 
 LAP, RADIUS = 40, 4.0
 ROUND = Pose(2.0 * math.pi * RADIUS / LAP, 0.0, 2.0 * math.pi / LAP)

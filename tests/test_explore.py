@@ -77,7 +77,7 @@ def explored(folder: Path, scene: str, **changes: Any) -> Trace:
 @pytest.mark.parametrize("name", SEEN_WHOLE)
 def test_all_that_can_be_seen_is_seen_and_the_robot_comes_home(name: str, tmp_path: Path) -> None:
     scene, changes = SEEN_WHOLE[name]
-    metrics = explored(tmp_path, scene, **changes).metrics()
+    metrics = explored(tmp_path, scene, **changes).metrics
     assert metrics["outcome"] == "explored"
     assert metrics["collisions"] == 0
     assert metrics["coverage"] >= 0.995
@@ -89,7 +89,7 @@ def test_a_robot_boxed_in_sees_its_box_and_is_done(tmp_path: Path) -> None:
     scene = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-5, -5, 5, 5]\n" + box(-0.3, -0.3, 0.3, 0.3)
     trace = explored(tmp_path, scene)
     assert trace.outcome == "explored"
-    assert trace.metrics()["sim_time_s"] < 60.0
+    assert trace.metrics["sim_time_s"] < 60.0
 
 
 def test_a_door_that_only_the_clearance_closes_is_named_as_such(tmp_path: Path) -> None:
@@ -102,13 +102,13 @@ def test_a_door_that_only_the_clearance_closes_is_named_as_such(tmp_path: Path) 
 def test_a_door_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
     trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
     assert trace.outcome == "explored"
-    assert trace.metrics()["coverage"] >= 0.995
+    assert trace.metrics["coverage"] >= 0.995
 
 
 def test_a_way_home_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
     trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
     assert trace.outcome == "explored"
-    assert trace.metrics()["home_error_m"] <= 0.2
+    assert trace.metrics["home_error_m"] <= 0.2
 
 
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
 def test_random_places_of_the_largest_unseen_area_end_explored_as_well(tmp_path: Path) -> None:
     trace = explored(tmp_path, L_SHAPE, explore={"method": "random"})
     assert trace.outcome == "explored"
-    assert trace.metrics()["coverage"] >= 0.995
+    assert trace.metrics["coverage"] >= 0.995
 
 
 def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
 def test_without_the_way_home_it_ends_where_the_last_was_seen(tmp_path: Path) -> None:
     trace = explored(tmp_path, L_SHAPE, explore={"return_home": False})
     assert trace.outcome == "explored"
-    assert "home_error_m" not in trace.metrics()
+    assert "home_error_m" not in trace.metrics
     assert math.dist(trace.truths[-1][:2], trace.truths[0][:2]) > 0.5
 
 

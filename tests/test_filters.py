@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from estimation import START, START_COV, everything, fed, make, random_log, sight, step
 from scipy.linalg import block_diag, expm
 
 from sixthsense.geometry import Pose, rotation
 from sixthsense.landmarks import born_point, predict_points
 from sixthsense.motion import compose_jacobians
+from sixthsense.testing.estimation import START, START_COV, everything, fed, make, random_log, sight, step
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 SEEDS = range(5)

@@ -227,7 +227,7 @@ def test_victoria_park_has_its_published_size():
 
 def test_victoria_parks_columns_are_covariances():
     """Innovations are as large as they say: taken as information they would be two hundred times as large, or small."""
-    figures = replay(victoria_park(), preset("victoria", estimator="ekf-invariant")).metrics()
+    figures = replay(victoria_park(), preset("victoria", estimator="ekf-invariant")).metrics
     assert 0.5 < figures["nis_mean_per_dof"] < 1.5
 
 

@@ -4,13 +4,24 @@ import math
 
 import numpy as np
 import pytest
-from estimation import CONVERGED, START, START_COV, everything, fed, make, noisy, random_log, sight, step
 from scipy.optimize import least_squares
 
 from sixthsense.config import ISAM2Config
 from sixthsense.geometry import Pose, rotation, wrap_angle
 from sixthsense.landmarks import Kind, Sighting, predict_walls
 from sixthsense.motion import STANDSTILL, Odometry
+from sixthsense.testing.estimation import (
+    CONVERGED,
+    START,
+    START_COV,
+    everything,
+    fed,
+    make,
+    noisy,
+    random_log,
+    sight,
+    step,
+)
 
 POINTS = np.random.default_rng(3).uniform(-5, 5, (12, 2))
 DEFAULT = ISAM2Config()

@@ -13,6 +13,7 @@ from sixthsense.estimators import ESTIMATORS
 from sixthsense.geometry import Pose, wrap_angle
 from sixthsense.metrics import nees_band
 from sixthsense.motion import arc, arc_jacobian, rk4
+from sixthsense.testing.circle import ODOMETRY_COV, RADIUS, Track, follow, landmarks, simulate
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
@@ -37,7 +38,7 @@ def test_the_jacobian_of_an_arc_agrees_with_finite_differences(distance, turn):
 
 
 def test_twenty_landmarks_stand_three_metres_outside_the_circle_that_is_driven(circle):
-    points = circle.landmarks()
+    points = landmarks()
     assert points.shape == (20, 2)
     radius = 0.25 / math.radians(1.5)
     np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1] - radius), radius + 3.0)
@@ -46,8 +47,8 @@ def test_twenty_landmarks_stand_three_metres_outside_the_circle_that_is_driven(c
 
 
 def test_the_true_way_is_the_circle_without_noise(circle):
-    truth = circle.simulate(0, 0, 480).truth
-    np.testing.assert_allclose(np.hypot(truth[:, 0], truth[:, 1] - circle.RADIUS), circle.RADIUS)
+    truth = simulate(0, 0, 480).truth
+    np.testing.assert_allclose(np.hypot(truth[:, 0], truth[:, 1] - RADIUS), RADIUS)
     np.testing.assert_allclose(truth[239], np.zeros(3), atol=1e-9)  # once round in 240 steps
     first = Pose.from_array(truth[0])
     assert arc(first) == pytest.approx((0.25, math.radians(1.5)))
@@ -56,17 +57,17 @@ def test_the_true_way_is_the_circle_without_noise(circle):
 
 
 def test_a_seed_and_a_run_name_the_evidence(circle):
-    one, again, other_run, other_seed = (circle.simulate(*key, 40) for key in ((3, 1), (3, 1), (3, 2), (4, 1)))
+    one, again, other_run, other_seed = (simulate(*key, 40) for key in ((3, 1), (3, 1), (3, 2), (4, 1)))
     assert [o.motion for o in one.odometry] == [o.motion for o in again.odometry]
     assert all(np.array_equal(a[i].z, b[i].z) for a, b in zip(one.sightings, again.sightings, strict=True) for i in a)
     for other in (other_run, other_seed):
         assert one.odometry[0].motion != other.odometry[0].motion
-    longer = circle.simulate(3, 1, 50)
+    longer = simulate(3, 1, 50)
     assert [o.motion for o in longer.odometry[:40]] == [o.motion for o in one.odometry]
 
 
 def test_the_noise_is_what_the_benchmark_says(circle):
-    evidence, points = circle.simulate(0, 0), circle.landmarks()
+    evidence, points = simulate(0, 0), landmarks()
     assert len(evidence.truth) == 2500
     driven = np.array([arc(o.motion) for o in evidence.odometry])
     assert driven.mean(axis=0) == pytest.approx((0.25, math.radians(1.5)), abs=4 * 0.0354 / 50)
@@ -82,25 +83,25 @@ def test_the_noise_is_what_the_benchmark_says(circle):
 
 
 def test_one_step_of_odometry_errs_in_two_directions_and_two_steps_in_three(circle):
-    evidence = circle.simulate(0, 0, 3)
+    evidence = simulate(0, 0, 3)
     for odometry in evidence.odometry:
         g = arc_jacobian(*arc(odometry.motion))
-        np.testing.assert_allclose(odometry.cov, g @ circle.ODOMETRY_COV @ g.T, atol=1e-15)
+        np.testing.assert_allclose(odometry.cov, g @ ODOMETRY_COV @ g.T, atol=1e-15)
         assert np.linalg.matrix_rank(odometry.cov) == 2
     assert evidence.full_rank_from == 1
     for name in ESTIMATORS:
-        nees = circle.follow(name, evidence).nees3
+        nees = follow(name, evidence).nees3
         assert np.isnan(nees).tolist() == [True, False, False]
 
 
-def test_with_hardly_any_noise_every_estimator_follows_the_circle(circle, monkeypatch):
+def test_with_hardly_any_noise_every_estimator_follows_the_circle(monkeypatch):
     for name in ("SIGMA_SPEED", "SIGMA_TURN_RATE", "SIGMA_POINT"):
-        monkeypatch.setattr(circle, name, 1e-6)
+        monkeypatch.setattr(f"sixthsense.testing.circle.{name}", 1e-6)
     for name in ("ODOMETRY_COV", "POINT_COV"):
-        monkeypatch.setattr(circle, name, 1e-12 * np.eye(2))
-    evidence = circle.simulate(0, 0, 300)
+        monkeypatch.setattr(f"sixthsense.testing.circle.{name}", 1e-12 * np.eye(2))
+    evidence = simulate(0, 0, 300)
     for name in ESTIMATORS:
-        track = circle.follow(name, evidence)
+        track = follow(name, evidence)
         assert track.position_m.max() < 1e-4
         assert np.abs(track.heading).max() < 1e-5
 
@@ -122,7 +123,7 @@ def test_every_estimator_has_its_figures_and_its_ratios(circle, tmp_path):
 
 def test_figures_are_what_they_are_called(circle):
     def track(position, heading, nees):
-        return circle.Track(*(np.array(row) for row in (position, heading, nees, nees, nees)), 1.0)
+        return Track(*(np.array(row) for row in (position, heading, nees, nees, nees)), 1.0)
 
     tracks = {
         "ekf": [track([3.0, 4.0], [0.1, -0.1], [math.nan, 2.0]), track([0.0, 5.0], [0.1, -0.1], [math.nan, 6.0])],
@@ -148,7 +149,7 @@ def test_two_processes_find_what_one_finds(circle):
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_before_the_first_round_is_over_every_estimator_is_honest(circle, name):
     """150 s, 20 runs. Runs are independent, the steps of one are not: the band is that of 20 runs, not of all steps."""
-    runs = [circle.follow(name, circle.simulate(11, run, 150)) for run in range(20)]
+    runs = [follow(name, simulate(11, run, 150)) for run in range(20)]
     for field, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_heading", 1)):
         low, high = nees_band(20, dof, confidence=0.999)
         assert low < np.mean([np.nanmean(getattr(track, field)) for track in runs]) < high
@@ -157,9 +158,9 @@ def test_before_the_first_round_is_over_every_estimator_is_honest(circle, name):
 @pytest.mark.parametrize("threshold", [0.1, 0.01])
 def test_the_smoother_ends_where_the_invariant_filter_does(circle, threshold):
     """Both see all evidence and lose none of it to an invented heading: they differ by less than they err."""
-    evidence = circle.simulate(2, 0, 300)
-    smoother = circle.follow("isam2", evidence, ISAM2Config(relinearize_threshold=threshold))
-    invariant = circle.follow("ekf-invariant", evidence)
+    evidence = simulate(2, 0, 300)
+    smoother = follow("isam2", evidence, ISAM2Config(relinearize_threshold=threshold))
+    invariant = follow("ekf-invariant", evidence)
     gap = np.abs(wrap_angle(smoother.heading - invariant.heading))
     assert np.sqrt(np.mean(gap**2)) < 0.2 * np.sqrt(np.mean(invariant.heading**2))
 

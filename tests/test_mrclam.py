@@ -158,7 +158,7 @@ def test_a_replay_finds_the_landmarks_twice_alike_whatever_the_order_of_the_file
 
 
 def test_what_a_log_without_scans_measures_has_no_scene(tmp_path):
-    figures = replay(read_mrclam(folder(tmp_path), ASSUMED), preset("mrclam")).metrics()
+    figures = replay(read_mrclam(folder(tmp_path), ASSUMED), preset("mrclam")).metrics
     assert "coverage" not in figures and "goal_error_m" not in figures and figures["outcome"] == "log ended"
 
 

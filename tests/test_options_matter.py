@@ -142,7 +142,7 @@ def test_the_clock_of_a_key_scan_counts_its_processing_not_the_source():
 
     ticks = [world.step(Command(0.0, 0.5)) for _ in range(60)]
     log = Slow([Tick(t.stamp_ns, t.odometry, t.scan, log_stamp_s=t.stamp_ns * 1e-9) for t in ticks])
-    metrics = replay(log, config).metrics()
+    metrics = replay(log, config).metrics
     assert metrics["stage_ms_mean.sense"] > 20.0 > metrics["scan_ms_p50"]
     again = replay(log, config)
     assert len(again.stamps_ns) == 12  # a log can be replayed as often as one likes

@@ -18,7 +18,7 @@ KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.
 @pytest.fixture(scope="module")
 def finished() -> FinishedRun:
     trace = run(preset(scene="rectangle", seed=1))
-    return FinishedRun("rectangle-1", trace, trace.metrics())
+    return FinishedRun("rectangle-1", trace, trace.metrics)
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +30,7 @@ def folder(tmp_path_factory) -> Path:
 
 def without_truth(run: FinishedRun) -> FinishedRun:
     trace = dataclasses.replace(run.trace, scene=None, truths=[], key_truths=[])
-    return FinishedRun("log", trace, trace.metrics())
+    return FinishedRun("log", trace, trace.metrics)
 
 
 def test_one_run_gets_a_figure_of_each_kind(finished, tmp_path):

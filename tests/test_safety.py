@@ -215,4 +215,4 @@ NOISY = [
 @pytest.mark.parametrize(("name", "changes"), NOISY)
 def test_a_robot_far_noisier_than_it_believes_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
     config = merge(dataclasses.replace(preset(name), seed=seed, max_time=60.0), changes)
-    assert driven(config, Sudden).metrics()["collisions"] == 0
+    assert driven(config, Sudden).metrics["collisions"] == 0

@@ -352,7 +352,7 @@ def test_two_walls_that_turn_out_to_be_one_are_merged():
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
 def test_walls_hold_the_block_where_corners_let_it_drift(kinds, estimator):
     given = {"scene": "block", "estimator": estimator, "task": "tour", "max_time": 100.0}
-    corners = run(preset(**given, features={"landmarks": "corners"})).metrics()["ate_rmse_m"]
+    corners = run(preset(**given, features={"landmarks": "corners"})).metrics["ate_rmse_m"]
     trace = run(preset(**given, features={"landmarks": kinds}))
     assert trace.outcome == "tour ended" and trace.final.walls.sum() == 8
-    assert trace.metrics()["ate_rmse_m"] < min(0.01, 0.5 * corners)
+    assert trace.metrics["ate_rmse_m"] < min(0.01, 0.5 * corners)

@@ -82,4 +82,4 @@ def _warm_up() -> None:
 def _metrics(config: Config) -> dict[str, Any]:
     from sixthsense.loop import run
 
-    return run(config).metrics()
+    return run(config).metrics

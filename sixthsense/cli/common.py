@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import sys
-import time
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -16,12 +15,11 @@ import tyro
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import Table, parse
 from sixthsense.config import Config, load_config, merge, preset
+from sixthsense.progress import COMPILING, is_compiled
 
 if TYPE_CHECKING:
     from sixthsense.folder import RunFolder
-    from sixthsense.loop import OnTick
     from sixthsense.navigate import Place
-    from sixthsense.source import Tick
     from sixthsense.trace import Trace
 
 C = TypeVar("C", bound="Common")
@@ -92,21 +90,15 @@ def numbered(stem: str) -> Path:
 
 def announce_compilation() -> None:
     """Say in one line why a first run does not start at once."""
-    import numba
-
-    cache: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    folder = Path(cache) if cache else Path(__file__).parents[1]
-    if not any(folder.rglob("*.nbi")):
-        print("compiling the hot loops, once; this takes about half a minute ...", file=sys.stderr)
+    if not is_compiled():
+        print(COMPILING, file=sys.stderr)
 
 
 def finish(folder: RunFolder, trace: Trace, title: str) -> int:
     """Write the folder, print the table, and say how it ended."""
-    from sixthsense.plot import save_map
+    from sixthsense.api import keep
 
-    metrics = folder.write(trace)
-    save_map(trace, folder.partial / "figures" / "map.png", title)
-    folder.finish()
+    metrics = keep(folder, trace, title)
     width = max(map(len, metrics))
     for key, value in metrics.items():
         print(f"{key:{width}}  {value:.4g}" if isinstance(value, float) else f"{key:{width}}  {value}")
@@ -118,46 +110,3 @@ def finish(folder: RunFolder, trace: Trace, title: str) -> int:
 
 def _described(place: Place) -> str:
     return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m^2, {place.reason}"
-
-
-def each(*hooks: OnTick) -> OnTick:
-    """One hook for the loop that calls several."""
-
-    def call(tick: Tick, trace: Trace) -> None:
-        for hook in hooks:
-            hook(tick, trace)
-
-    return call
-
-
-class Progress:
-    """A progress bar over the source's time, silent when not a terminal; with `realtime` it also holds the clock."""
-
-    def __init__(self, label: str, total_s: float, realtime: bool) -> None:
-        self._label = label
-        self._total_s = total_s
-        self._realtime = realtime
-        self._first_ns: int | None = None
-        self._shown_s = 0.0
-        self._began = 0.0
-
-    def __enter__(self) -> Progress:
-        from tqdm import tqdm
-
-        form = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s, {elapsed} so far"
-        self._bar = tqdm(total=self._total_s, desc=self._label, disable=None, leave=False, bar_format=form)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Move on to a tick's time."""
-        if self._first_ns is None:
-            self._first_ns, self._began = tick.stamp_ns, time.monotonic()
-        now_s = 1e-9 * (tick.stamp_ns - self._first_ns)
-        if now_s - self._shown_s >= 0.1:
-            self._bar.update(now_s - self._shown_s)
-            self._shown_s = now_s
-        if self._realtime:
-            time.sleep(max(0.0, self._began + now_s - time.monotonic()))

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from sixthsense.cli.common import (
     Common,
-    Progress,
     announce_compilation,
-    each,
     finish,
     parse_command,
     run_folder,
@@ -22,6 +19,7 @@ from sixthsense.cli.common import (
 )
 from sixthsense.cli.options import UsageError
 from sixthsense.config import is_of_replay
+from sixthsense.progress import Progress, each
 
 
 @dataclass(frozen=True)
@@ -44,19 +42,14 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--config: {options.config} is of a replay, allowed: sixthsense replay LOG --config FILE")
     if options.scene is not None and "scene" in flags:
         raise UsageError(f"--scene: found beside {options.scene!r}, allowed: one scene")
-    if flags.get("goal") is not None and flags.get("task", "goal") != "goal":
-        raise UsageError(f"--goal: found with --task {flags['task']}, allowed: with --task goal")
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
-    if flags.get("goal") is not None and "task" not in flags:
-        config = dataclasses.replace(config, task="goal")
-    if Path(config.scene).suffix:
-        # The run can then be repeated from its configuration wherever one stands.
-        config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
+    from sixthsense.api import with_task
     from sixthsense.bag import BagWriter
     from sixthsense.loop import mission, run, warm_up
     from sixthsense.scene import load_scene
 
+    config = with_task(config, flags, "--")
     scene = load_scene(config.scene)
     mission(scene, config)
     label = f"{scene.name}, {config.task}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 import numbers
 import reprlib
@@ -14,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
+from sixthsense.config.names import Names
 from sixthsense.errors import InputError
 
 C = TypeVar("C", bound="Section")
@@ -91,7 +93,7 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
     origin = typing.get_origin(hint)
     if origin is Annotated:
         base, bounds = typing.get_args(hint)
-        value = _checked(name, base, value)
+        value = value if isinstance(bounds, Names) else _checked(name, base, value)
         if value not in bounds:
             raise ConfigError(f"{name}: found {shown(value)}, allowed: {bounds}")
         return value
@@ -137,7 +139,9 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     for key, value in table.items():
         name = key.replace("-", "_")
         if name not in known:
-            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}")
+            near = difflib.get_close_matches(name, known, 1) if len(name) <= 80 else []
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}{hint}")
         current = getattr(base, name)
         if isinstance(current, Section):
             if not isinstance(value, Mapping):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from sixthsense.config.explore import ExploreConfig
+from sixthsense.config.names import ESTIMATORS, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
@@ -29,10 +30,11 @@ class Config(Section):
     """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
     preset: str = "default"
     """Values under those of a file and of options: default, worn, noiseless, report, intel, mrclam or victoria."""
-    estimator: Literal["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"] = "ekf"
-    """Back end: the report's filter, three that are consistent when the robot turns, and a smoother."""
-    planner: Literal["astar", "rrtstar"] = "astar"
-    """Path planner: shortest over the grid's cells, or sampled in the plane."""
+    estimator: Annotated[str, ESTIMATORS] = "ekf"
+    """Back end: ekf, the report's filter; ekf-fej, ekf-oc or ekf-invariant, consistent when the robot turns; isam2, a
+    smoother."""
+    planner: Annotated[str, PLANNERS] = "astar"
+    """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
     """explore: see all of the region, then drive home; goal: drive there; tour: repeat the scene's list of goals until
     max-time."""

@@ -14,7 +14,8 @@ from sixthsense.coverage import coverage_over_time, visible_area
 from sixthsense.geometry import Array, wrap_angle
 from sixthsense.laser import beam_bearings
 from sixthsense.plot import CYCLE, ESTIMATE, TRUTH
-from sixthsense.trace import STAGES, Trace
+from sixthsense.stopwatch import STAGES
+from sixthsense.trace import Trace
 
 _BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
 

@@ -1,13 +1,16 @@
-"""What the tests of the estimators share: a small world of points, drives through it, and what each family promises."""
+"""A small world of points, drives through it, and what each family of estimators promises."""
 
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.estimators import make_estimator
-from sixthsense.geometry import Pose, rotation, wrap_angle
-from sixthsense.landmarks import Kind, Sighting, born_point, predict_points
+from sixthsense.estimators import Estimate, Estimator, make_estimator
+from sixthsense.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.landmarks import Kind, LandmarkId, Sighting, born_point, predict_points
 from sixthsense.motion import Odometry
 
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
@@ -21,33 +24,44 @@ CONVERGED = ISAM2Config(relinearize_threshold=1e-9, iterations=5, undo_probabili
 class Family:
     """Where filters and smoother keep a law differently."""
 
-    polar: bool
+    polar: bool = False
     """Takes bearing and range, freed of their bias, for the relative position."""
-    rounding: float
+    rounding: float = 0.0
     """By how much two answers about the same covariance may differ, in terms of its largest entry."""
-    takes_back: bool
+    takes_back: bool = False
     """Forgetting a landmark takes back what it has told of the poses."""
 
+    step_rounding: float = 1e-9
+    """By how much a covariance may differ where one motion of a micrometre lies between; (m, rad) squared."""
 
-FILTER, SMOOTHER = Family(False, 0.0, False), Family(True, 1e-9, True)
+
+FILTER, SMOOTHER = Family(), Family(polar=True, rounding=1e-9, takes_back=True, step_rounding=1e-5)
 FAMILIES = {name: FILTER for name in ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")} | {"isam2": SMOOTHER}
 CONSISTENT = ("ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 
 
-def make(name, start=START, start_cov=START_COV, isam2=CONVERGED):
+def family(name: str) -> Family:
+    """Of the estimator of that name; one of a user's own is a filter."""
+    return FAMILIES.get(name, FILTER)
+
+
+def make(
+    name: str, start: Pose = START, start_cov: Array = START_COV, isam2: ISAM2Config | None = CONVERGED
+) -> Estimator:
+    """The estimator of that name, at a start known to `start_cov` (3, 3)."""
     return make_estimator(name, start, start_cov, isam2)
 
 
-def taken_in(name, sighting):
+def taken_in(name: str, sighting: Sighting) -> Sighting:
     """The sighting as the family takes it in, in Cartesian terms."""
-    if not FAMILIES[name].polar:
+    if not family(name).polar:
         return sighting
     bearing, distance, cov = sighting.bearing_range()
     outward = rotation(bearing) @ np.array([[0.0, 1.0], [distance, 0.0]])  # by bearing, by range
     return Sighting(sighting.kind, outward[:, 1] * distance, outward @ cov @ outward.T)
 
 
-def exact(name, z, cov):
+def exact(name: str, z: Array, cov: Array) -> Sighting:
     """The sighting of covariance (2, 2) whose mean is z (2,) as the family takes it in."""
     sighting = Sighting(Kind.CORNER, z, cov)
     for _ in range(50):
@@ -56,38 +70,51 @@ def exact(name, z, cov):
     return sighting
 
 
-def sight(pose, ids, rng, sigma=0.05, points=POINTS):
+def sight(
+    pose: Pose, ids: Iterable[int], rng: np.random.Generator, sigma: float = 0.05, points: Array = POINTS
+) -> dict[LandmarkId, Sighting]:
     """Noisy sightings of known points from a pose."""
-    z, _, _ = predict_points(pose, points[list(ids)])
+    ids = list(ids)
+    z, _, _ = predict_points(pose, points[ids])
     noise = rng.normal(0, sigma, z.shape)
     return {int(i): Sighting(Kind.CORNER, z[k] + noise[k], np.eye(2) * sigma**2) for k, i in enumerate(ids)}
 
 
-def sight_exactly(name, pose, ids, sigma=0.05, points=POINTS):
+def sight_exactly(
+    name: str, pose: Pose, ids: Iterable[int], sigma: float = 0.05, points: Array = POINTS
+) -> dict[LandmarkId, Sighting]:
     """Sightings without an error, whatever they claim."""
-    z, _, _ = predict_points(pose, points[list(ids)])
+    ids = list(ids)
+    z, _, _ = predict_points(pose, points[ids])
     return {int(i): exact(name, z[k], np.eye(2) * sigma**2) for k, i in enumerate(ids)}
 
 
-def step(x=0.2, theta=0.1, sigma=0.02):
+def step(x: float = 0.2, theta: float = 0.1, sigma: float = 0.02) -> Odometry:
+    """A motion (x, 0, theta) known to sigma in m, and half of it in rad."""
     return Odometry(Pose(x, 0.0, theta), np.diag([sigma**2, sigma**2, (0.5 * sigma) ** 2]))
 
 
-def noisy(odometry, rng):
+def noisy(odometry: Odometry, rng: np.random.Generator) -> Pose:
     """A true motion of which `odometry`, with its diagonal covariance, is the measurement."""
     error = np.sqrt(np.diag(odometry.cov)) * rng.standard_normal(3)
     return Pose.from_array(odometry.motion.array() + error)
 
 
-def turned_pose_cov(theta, cov):
+def turned_pose_cov(theta: float, cov: Array) -> Array:
     """A joint covariance (3 + 2k, 3 + 2k) in a world turned by `theta`."""
     turn = np.eye(len(cov))
     for k in (0, *range(3, len(cov), 2)):
         turn[k : k + 2, k : k + 2] = rotation(theta)
-    return turn @ cov @ turn.T
+    return np.asarray(turn @ cov @ turn.T)
 
 
-def driven(name, steps=8, transform=None, isam2=CONVERGED, unseen=()):
+def driven(
+    name: str,
+    steps: int = 8,
+    transform: Pose | None = None,
+    isam2: ISAM2Config | None = CONVERGED,
+    unseen: Collection[LandmarkId] = (),
+) -> Estimator:
     """An estimator after a short drive with sightings but of the `unseen`, the world moved by `transform`."""
     T = transform or Pose()
     estimator = make(name, T @ START, turned_pose_cov(T.theta, START_COV), isam2)
@@ -100,30 +127,35 @@ def driven(name, steps=8, transform=None, isam2=CONVERGED, unseen=()):
     return estimator
 
 
-def random_log(seed, points, steps=60, most=8, sigma=0.05):
+def random_log(
+    seed: int, points: Array, steps: int = 60, most: int = 8, sigma: float = 0.05
+) -> list[tuple[Odometry, dict[LandmarkId, Sighting]]]:
     """A drive as the estimator gets it, [(odometry, sightings)], with up to `most` - 1 sightings per step."""
-    rng, true, log = np.random.default_rng(seed), START, []
+    rng, true = np.random.default_rng(seed), START
+    log: list[tuple[Odometry, dict[LandmarkId, Sighting]]] = []
     for _ in range(steps):
         odometry = step(rng.uniform(-0.1, 0.4), rng.normal(0, 0.3))
         true = true @ noisy(odometry, rng)
-        ids = rng.choice(len(points), rng.integers(0, most), replace=False)
+        ids = rng.choice(len(points), rng.integers(0, most), replace=False).tolist()
         log.append((odometry, sight(true, ids, rng, sigma, points)))
     return log
 
 
-def fed(estimator, log):
+def fed(estimator: Estimator, log: Iterable[tuple[Odometry, Mapping[LandmarkId, Sighting]]]) -> Estimator:
+    """The estimator after a drive."""
     for odometry, sightings in log:
         estimator.predict(odometry)
         estimator.update(sightings)
     return estimator
 
 
-def everything(estimator):
+def everything(estimator: Estimator) -> tuple[Estimate, Array]:
+    """What it believes, and the joint covariance of all of it."""
     estimate = estimator.estimate()
     return estimate, estimator.joint_covariance(estimate.ids.tolist())
 
 
-def assert_same(one, two, atol=0.0):
+def assert_same(one: tuple[Estimate, Array], two: tuple[Estimate, Array], atol: float = 0.0) -> None:
     """Two answers of `everything` agree; `atol` in m, rad and their squares."""
     (a, cov_a), (b, cov_b) = one, two
     assert a.ids.tolist() == b.ids.tolist()
@@ -132,7 +164,7 @@ def assert_same(one, two, atol=0.0):
     assert np.abs(cov_a - cov_b).max() <= atol
 
 
-def expected_birth(name, before, sighting):
+def expected_birth(name: str, before: Estimate, sighting: Sighting) -> tuple[Array, Array, Array]:
     """Mean, covariance (2, 2) and covariance with the pose (2, 3) that a landmark is born with."""
     sighting = taken_in(name, sighting)
     mean, by_pose, by_z = born_point(before.pose, sighting.z)

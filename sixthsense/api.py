@@ -1,0 +1,275 @@
+"""The calls of a notebook or a script: a run or a replay by names, with a progress bar, kept in a folder if asked."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sixthsense.config import Config, ConfigError, merge, preset
+from sixthsense.config.section import shown
+from sixthsense.progress import COMPILING, Progress, each, is_compiled
+
+if TYPE_CHECKING:
+    from sixthsense.folder import RunFolder
+    from sixthsense.logs.log import Log
+    from sixthsense.logs.relations import Relations
+    from sixthsense.loop import OnTick
+    from sixthsense.trace import Trace
+
+
+def run(
+    scene: str | Path | Config = "apartment",
+    /,
+    on_tick: OnTick | None = None,
+    *,
+    progress: bool | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    **fields: Any,
+) -> Trace:
+    """Put a robot into a scene it has never seen, and let it see all of it or reach its goals.
+
+        run = ss.run("apartment", estimator="isam2", seed=3)
+        run.plot(); run.metrics
+
+    Parameters
+    ----------
+    scene
+        A shipped scene's name, a file (.toml, map_server .yaml, .scn), or a whole `Config`.
+    on_tick
+        Called after every tick with it and the trace so far.
+    progress
+        Whether a bar shows how far it is; by default in a notebook and at a terminal.
+    out
+        Folder to write, as `sixthsense run --out` does, from which `ss.Trace.load` reads the run; none by default.
+    overwrite
+        Replace that folder if it exists.
+    **fields
+        Of the configuration, by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
+        `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
+        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be a class or function of your own
+        (see `ss.register_estimator`), which is then known by its name.
+
+    Returns
+    -------
+    Trace
+        The record. Where the interpreter is interrupted, Ctrl-C or the notebook's stop button, that of the run so far,
+        with the outcome "interrupted": what follows in the cell then goes on with it. A second interrupt within two
+        seconds raises KeyboardInterrupt, and so ends a loop over many runs.
+
+    Raises
+    ------
+    ConfigError
+        For a field that does not exist or a value that is not allowed, in one line.
+    SceneError
+        For a scene that cannot be read, and a start or goal outside it or in a wall.
+    FolderError
+        For a folder that exists, or cannot be written.
+
+    """
+    from sixthsense import loop
+    from sixthsense.scene import load_scene
+
+    given = _named(fields)
+    if isinstance(scene, Config):
+        config = _over(scene, given)
+    else:
+        if "scene" in given:
+            raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
+        config = _over(given.pop("preset", "default"), {**given, "scene": str(scene)})
+    config = with_task(config, given)
+    there = load_scene(config.scene)
+    loop.mission(there, config)
+
+    def go(hook: OnTick | None) -> Trace:
+        return loop.run(config, hook)
+
+    bar = Progress(f"{there.name}, {config.task}", config.max_time, shown=progress)
+    return _recorded(go, config, bar, on_tick, out, overwrite, None)
+
+
+def replay(
+    log: str | Path | Log,
+    config: Config | None = None,
+    relations: str | Path | Relations | None = None,
+    on_tick: OnTick | None = None,
+    *,
+    topics: Sequence[str] = (),
+    robot: int | None = None,
+    progress: bool | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    **fields: Any,
+) -> Trace:
+    """Digest a recorded log with the code that drives the simulated robot; the robot goes where it went.
+
+        run = ss.replay("intel.clf.bz2", relations="intel.relations", estimator="isam2")
+
+    Parameters
+    ----------
+    log
+        A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or
+        ROS 2 bag; the folder of a run; a folder of MRCLAM; or a log that `ss.open_log` has opened.
+    config
+        The whole configuration; by default that of the run whose folder it is, else the preset of the log's kind
+        ("intel", "victoria", "mrclam"; of a bag "default"). An opened log needs one.
+    relations
+        Hand-checked relations between poses, or their file, to measure the trajectory against.
+    on_tick, progress, out, overwrite
+        As of `ss.run`.
+    topics
+        Topics of a bag to use, where it has several of scans or of odometry.
+    robot
+        Robot of a MRCLAM folder to follow, where it has several.
+    **fields
+        Of the configuration, over all that, as of `ss.run`, but none of the simulated robot's.
+
+    Returns
+    -------
+    Trace
+        The record; with the outcome "interrupted" where it was (see `ss.run`).
+
+    Raises
+    ------
+    ConfigError
+        For a field that does not exist, a value that is not allowed, or one that this kind of log has no use for.
+    LogError
+        For a log or relations that cannot be read, naming file and line.
+
+    """
+    from sixthsense import loop
+    from sixthsense.logs.relations import read_relations
+    from sixthsense.recorded import base_of, check_options, check_out, open_recorded
+
+    given = _named(fields)
+    files: Mapping[str, str] = {}
+    if isinstance(log, (str, Path)):
+        check_options(log, given, bool(topics), robot is not None)
+        if config is not None and "preset" in given:
+            raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
+        base = given.pop("preset", None) if config is None else config
+        out = None if out is None else Path(out)
+        check_out(log, out)
+        found = open_recorded(log, _over(base_of(log) if base is None else base, given), relations, topics, robot)
+        opened, name, settings, judged, files = found.log, found.name, found.config, found.relations, found.files
+    else:
+        if config is None:
+            raise ConfigError("config: found none beside a log that is open, allowed: a Config, such as ss.preset()")
+        opened, name, settings = log, "log", _over(config, given)
+        judged = read_relations(relations) if isinstance(relations, (str, Path)) else relations
+
+    def go(hook: OnTick | None) -> Trace:
+        trace = loop.replay(opened, settings, judged, hook)
+        trace.name = name
+        return trace
+
+    return _recorded(go, settings, Progress(name, opened.duration_s, shown=progress), on_tick, out, overwrite, files)
+
+
+def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Config:
+    """The configuration with what follows from the fields that were given: a goal is the task goal's.
+
+    A scene's file is named whole, so that the run can be repeated wherever one stands. Raises ConfigError for a goal
+    with another task; `prefix` stands before the fields' names.
+    """
+    if given.get("goal") is not None:
+        if given.get("task", "goal") != "goal":
+            allowed = f"allowed: with {prefix}task goal"
+            raise ConfigError(f"{prefix}goal: found with {prefix}task {shown_word(given['task'])}, {allowed}")
+        config = dataclasses.replace(config, task="goal")
+    if Path(config.scene).suffix:
+        config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
+    return config
+
+
+def keep(folder: RunFolder, trace: Trace, title: str) -> dict[str, Any]:
+    """Write a run that is over into its folder, its map included, and give it its name; returns the metrics."""
+    from sixthsense.plot import save_map
+
+    metrics = folder.write(trace)
+    save_map(trace, folder.partial / "figures" / "map.png", title)
+    folder.finish()
+    return metrics
+
+
+def shown_word(value: Any) -> str:
+    """A word as it is, anything else as a complaint shows it."""
+    return value if isinstance(value, str) else shown(value)
+
+
+def _recorded(
+    go: Callable[[OnTick | None], Trace],
+    config: Config,
+    bar: Progress,
+    on_tick: OnTick | None,
+    out: str | Path | None,
+    overwrite: bool,
+    files: Mapping[str, str] | None,
+) -> Trace:
+    """What `go` makes of a run, called after each tick with the hooks that show, record and watch it."""
+    from sixthsense.finished import as_finished
+
+    with ExitStack() as kept:
+        folder: RunFolder | None = None
+        if out is not None:
+            from sixthsense.folder import RunFolder
+
+            folder = kept.enter_context(RunFolder(Path(out), config, overwrite, files or None))
+        with ExitStack() as hooked:
+            hooks: list[OnTick] = [hooked.enter_context(bar)]
+            _warm_up(bar)
+            if folder is not None:
+                from sixthsense.bag import BagWriter
+
+                hooks.insert(0, hooked.enter_context(BagWriter(folder.partial)))
+            if on_tick is not None:
+                hooks.append(on_tick)
+            trace = go(each(*hooks))
+        if folder is not None:
+            keep(folder, trace, as_finished(trace).title)
+    return trace
+
+
+@functools.cache
+def _warm() -> None:
+    from sixthsense.loop import warm_up
+
+    warm_up()
+
+
+def _warm_up(bar: Progress) -> None:
+    """Compile the hot loops, or load them, once, and say so where that takes long."""
+    if not is_compiled():
+        bar.say(COMPILING)
+    _warm()
+    bar.say("")
+
+
+def _over(base: str | Config, given: Mapping[str, Any]) -> Config:
+    """The fields that were given over a preset or a whole configuration."""
+    if isinstance(base, Config) and "preset" in given:
+        raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
+    return merge(base if isinstance(base, Config) else preset(base), given)
+
+
+def _named(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields, with back ends and planners of one's own registered and named."""
+    from sixthsense.estimators import register_estimator
+    from sixthsense.planners import register_planner
+
+    given = dict(fields)
+    registers: dict[str, Callable[[str, Any], None]] = {"estimator": register_estimator, "planner": register_planner}
+    for field, register in registers.items():
+        value = given.get(field)
+        if callable(value):
+            name = getattr(value, "__name__", type(value).__name__)
+            try:
+                register(name, value)
+            except ValueError as error:
+                raise ConfigError(f"{field}: {error}") from None
+            given[field] = name
+    return given

@@ -1,0 +1,39 @@
+"""The names a field may hold where a user can add to them: back ends and planners."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,79}")
+
+
+class Names:
+    """The names that ship, in their order, and those that were registered in this process."""
+
+    def __init__(self, *shipped: str) -> None:
+        self.shipped = shipped
+        self._own: list[str] = []
+
+    def add(self, name: str) -> None:
+        """Allow one more name, again if it is there; ValueError for one that ships, or that is no name."""
+        if name in self.shipped or not _NAME.fullmatch(name):
+            raise ValueError(
+                f"name: found {name!r}, allowed: letters, digits, dot, - and _, a letter first, "
+                f"and none of {', '.join(self.shipped)}"
+            )
+        if name not in self._own:
+            self._own.append(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.shipped or name in self._own
+
+    def __iter__(self) -> Iterator[str]:
+        return iter((*self.shipped, *self._own))
+
+    def __str__(self) -> str:
+        return ", ".join(self)
+
+
+ESTIMATORS = Names("ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
+PLANNERS = Names("astar", "rrtstar")

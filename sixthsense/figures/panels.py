@@ -1,0 +1,219 @@
+"""Whole figures of a run, or of several side by side, as reports and notebooks show them."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from sixthsense.config.section import shown
+from sixthsense.errors import InputError
+from sixthsense.figures.navigation import draw_exploration
+from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
+from sixthsense.finished import MOST_RUNS, FinishedRun, ReportError, distinct
+from sixthsense.picture import Picture
+from sixthsense.plot import CYCLE, draw_map, map_figure, map_height, new_figure
+from sixthsense.results import Metrics, html_table
+from sixthsense.trace import Trace
+
+_WIDTH_IN = 11.0
+_TITLES = {
+    "error": "Pose error at key scans, within three sigma as the estimator promises",
+    "nees": "Consistency of the pose: normalised estimation error squared",
+    "nis": "Consistency of the matches: normalised innovation squared",
+    "stages": "Where the time goes",
+    "coverage": "Area seen",
+    "exploration": "Seen area, what is left of its frontiers, and the plans over time",
+}
+_NEEDS = {
+    "error": "the truth at key scans",
+    "nees": "the truth at key scans",
+    "nis": "landmarks seen again",
+    "stages": "the times of its stages",
+    "coverage": "the truth and its scene",
+    "exploration": "an exploration",
+}
+_CARD = (
+    "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",
+    "path_length_m", "sim_time_s", "wall_time_s",
+)  # fmt: skip
+
+
+class FigureError(InputError):
+    """One line that names the figure, what was found and what is allowed."""
+
+
+def figure(what: str, runs: Sequence[FinishedRun]) -> Picture:
+    """The figure of that name, of 1 to 12 runs.
+
+    Raises FigureError for a name that is none of `KINDS` and for a figure that none of the runs can fill, ReportError
+    for more runs, or none.
+    """
+    if what not in KINDS:
+        raise FigureError(f"what: found {shown(what)}, allowed: {', '.join(KINDS)}")
+    made = figure_if_any(what, runs)
+    if made is None:
+        raise FigureError(f"{what}: found a run without {_NEEDS[what]}, allowed: a run that has it")
+    return made
+
+
+def figure_if_any(what: str, runs: Sequence[FinishedRun]) -> Picture | None:
+    """The same of a name in `KINDS`, None where no run can fill it."""
+    if not 1 <= len(runs) <= MOST_RUNS:
+        raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MOST_RUNS}")
+    if what == "map" and len(runs) == 1:
+        return map_figure(runs[0].trace, runs[0].title)
+    made = _MAKERS[what](runs, distinct(runs))
+    if made is not None and what != "map":
+        if len(runs) > 1:
+            made.suptitle(_TITLES[what])
+        elif what != "exploration":
+            made.suptitle(runs[0].title)
+    return made
+
+
+def card(run: FinishedRun) -> str:
+    """A run in HTML: what it was, a small map, and the metrics that matter most."""
+    picture = base64.b64encode(map_figure(run.trace, "", 5.0, legend=False).png(dpi=70.0)).decode()
+    shown_keys = Metrics({key: run.metrics[key] for key in _CARD if key in run.metrics})
+    return (
+        f"<div><b>{html.escape(run.title)}</b><br>"
+        f'<img alt="map" src="data:image/png;base64,{picture}" style="display:inline-block;vertical-align:top">'
+        f'<div style="display:inline-block;vertical-align:top;padding-left:1em">'
+        f"{html_table(['metric', 'value'], [shown_keys])}</div></div>"
+    )
+
+
+def _with_truth(runs: Sequence[FinishedRun]) -> list[int]:
+    return [k for k, run in enumerate(runs) if run.trace.key_truths]
+
+
+def _color(k: int) -> str:
+    return CYCLE[k % len(CYCLE)]
+
+
+def _maps(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture:
+    return _planes(runs, names, draw_map)
+
+
+def _exploration(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = [k for k, run in enumerate(runs) if run.trace.config.task == "explore" and run.trace.plans]
+    if not shown:
+        return None
+    return _planes([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
+
+
+def _planes(runs: Sequence[FinishedRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
+    """One panel a run, drawn by `draw`, with one legend."""
+    columns = min(len(runs), 3)
+    rows = -(-len(runs) // columns)
+    width = max(_WIDTH_IN, 5.0 * columns)
+    figure = new_figure(width, width)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for ax, run, name in zip(panels, runs, names, strict=False):
+        draw(ax, run.trace)
+        if len(runs) > 1:
+            ax.set_title(f"{name}: {run.outcome}", fontsize=10)
+        else:
+            ax.set_title(run.title)  # of the plane, not of the figure: equal axes leave room between the two
+    for ax in panels[len(runs) :]:
+        ax.set_axis_off()
+    heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]
+    figure.set_size_inches(width, rows * max(heights) + (0.6 if len(runs) > 1 else 0.0))
+    entries = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=5, frameon=False)
+    return figure
+
+
+def _errors(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = _with_truth(runs)
+    if not shown:
+        return None
+    figure = new_figure(max(_WIDTH_IN, 4.0 * len(shown)), 8.0)
+    panels = figure.subplots(len(COMPONENTS), len(shown), sharex="col", sharey="row", squeeze=False)
+    for column, k in enumerate(shown):
+        for component, ax in enumerate(panels[:, column]):
+            draw_error(ax, runs[k].trace, component, _color(k))
+            ax.label_outer()
+        if len(runs) > 1:
+            panels[0, column].legend(loc="upper left", ncols=2, frameon=False)
+            panels[0, column].set_title(names[k], fontsize=10)
+        else:
+            _legend_above(panels[0, column])
+    return figure
+
+
+def _nees(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = _with_truth(runs)
+    if not shown:
+        return None
+    figure = new_figure(_WIDTH_IN, 8.0)
+    upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
+    for k in shown:
+        label = names[k] if len(runs) > 1 else None
+        draw_nees(upper, runs[k].trace, "world", _color(k), label, band=k == shown[0])
+        draw_nees(lower, runs[k].trace, "invariant", _color(k), label, band=k == shown[0])
+    for ax in (upper, lower):
+        _legend_above(ax)
+    upper.set_xlabel("")
+    return figure
+
+
+def _nis(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = [k for k, run in enumerate(runs) if any(association.dof for association in run.trace.associations)]
+    if not shown:
+        return None
+    figure = new_figure(_WIDTH_IN, 2.0 + 2.4 * len(shown))
+    panels = figure.subplots(len(shown), 1, sharex=True, sharey=True, squeeze=False).ravel()
+    # One panel a run: each has a band of its own, by the landmarks it matched.
+    for ax, k in zip(panels, shown, strict=True):
+        draw_nis(ax, runs[k].trace, _color(k), names[k] if len(runs) > 1 else None)
+        _legend_above(ax)
+        ax.label_outer()
+    return figure
+
+
+def _stages(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = [k for k, run in enumerate(runs) if any(key.startswith("stage_ms_mean.") for key in run.metrics)]
+    if not shown:
+        return None
+    figure = new_figure(_WIDTH_IN, 4.0 + 0.9 * len(shown))
+    ax = figure.add_subplot()
+    draw_stages(ax, [runs[k].metrics for k in shown], [names[k] for k in shown] if len(runs) > 1 else None)
+    if ax.get_legend_handles_labels()[1]:
+        _legend_above(ax)
+    return figure
+
+
+def _coverage(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+    shown = [k for k in _with_truth(runs) if runs[k].trace.scene is not None]
+    if not shown:
+        return None
+    figure = new_figure(_WIDTH_IN, 5.0)
+    ax = figure.add_subplot()
+    for k in shown:
+        draw_coverage(ax, runs[k].trace, _color(k), names[k] if len(runs) > 1 else None)
+    _legend_above(ax)
+    return figure
+
+
+def _legend_above(ax: Any) -> None:
+    """A legend that hides nothing, in as many columns as its words leave room for."""
+    longest = max(map(len, ax.get_legend_handles_labels()[1]), default=0)
+    columns = max(1, min(3, 120 // (longest + 8)))
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2)
+
+
+_MAKERS: dict[str, Callable[[Sequence[FinishedRun], Sequence[str]], Picture | None]] = {
+    "map": _maps,
+    "error": _errors,
+    "nees": _nees,
+    "nis": _nis,
+    "stages": _stages,
+    "coverage": _coverage,
+    "exploration": _exploration,
+}
+
+KINDS = tuple(_MAKERS)
+"""names of the figures"""

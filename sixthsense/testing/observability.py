@@ -1,0 +1,87 @@
+"""What each filter believes to have learnt: odometry and sightings say nothing of where the map lies, nor how it turns.
+
+The system has three unobservable directions, the world's motions. All is read from outside, from covariances before
+and after each step: Phi from the covariance of pose and landmarks, H^T R^-1 H as the information an update adds.
+Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sixthsense.config import ISAM2Config
+from sixthsense.estimators import Estimate, Estimator
+from sixthsense.geometry import Array
+from sixthsense.landmarks import turned
+from sixthsense.testing.estimation import (
+    START,
+    START_COV,
+    everything,
+    make,
+    noisy,
+    sight,
+    sight_exactly,
+    step,
+)
+
+
+def coordinates(name: str, estimate: Estimate) -> Array:
+    """A (n, n): world errors = A times the errors in which the filter is linear.
+
+    Those of the consistent ones are xi: the invariant's by design, the others' because what is kept about their points
+    of linearisation is handed out about the estimates.
+    """
+    size = 3 + 2 * len(estimate.ids)
+    A = np.eye(size)
+    if name != "ekf":
+        rest = [i for i in range(size) if i != 2]
+        A[rest, 2] = turned(np.vstack([estimate.pose.position, estimate.landmarks])).ravel()
+    return A
+
+
+def own_covariance(name: str, estimator: Estimator) -> Array:
+    """(n, n) of the joint state in the coordinates in which the filter is linear."""
+    estimate, joint = everything(estimator)
+    back = np.linalg.inv(coordinates(name, estimate))
+    return np.asarray(back @ joint @ back.T)
+
+
+def observability_gramian(name: str, seed: int, noise: bool) -> Array:
+    """Sum over a window of Phi(k, 0)^T H_k^T R_k^-1 H_k Phi(k, 0), in the filter's own coordinates."""
+    rng = np.random.default_rng(seed)
+    estimator, true = make(name), START
+    estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
+    updated = own_covariance(name, estimator)
+    transition, gramian = np.eye(len(updated)), np.zeros_like(updated)
+    for _ in range(12):
+        odometry = step(sigma=0.05)
+        true = true @ (noisy(odometry, rng) if noise else odometry.motion)
+        estimator.predict(odometry)
+        predicted = own_covariance(name, estimator)
+        phi = np.eye(len(updated))  # so it is for xi, whose landmarks only the odometry's noise reaches
+        if name == "ekf":  # Sigma_lp' = Sigma_lp Phi^T
+            phi[:3, :3] = np.linalg.lstsq(updated[3:, :3], predicted[3:, :3])[0].T
+        estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
+        updated = own_covariance(name, estimator)
+        transition = phi @ transition
+        gramian += transition.T @ (np.linalg.inv(updated) - np.linalg.inv(predicted)) @ transition
+    return np.asarray(gramian)
+
+
+def nullity(gramian: Array) -> int:
+    """How many directions are not observed; rounding leaves them 1e-15 of the largest, noise makes it 1e-5."""
+    eigenvalues = np.linalg.eigvalsh(gramian)
+    return int(np.sum(np.abs(eigenvalues) < 1e-9 * eigenvalues[-1]))
+
+
+def heading_variances(name: str, seed: int) -> Array:
+    """(150,) heading variance over a drive of several loops, by that of the start: no measurement can lower it."""
+    rng = np.random.default_rng(seed)
+    estimator, true, variances = make(name, isam2=ISAM2Config()), START, []
+    for _ in range(150):
+        odometry = step(sigma=0.04)
+        true = true @ noisy(odometry, rng)
+        estimator.predict(odometry)
+        estimator.update(sight(true, rng.choice(5, 3, replace=False).tolist(), rng, 0.1))
+        variances.append(estimator.estimate().pose_cov[2, 2])
+    return np.asarray(np.array(variances) / START_COV[2, 2])

@@ -1,0 +1,74 @@
+"""What Jupyter's own kernel makes of a run: pictures once each, without pyplot and with it, and the stop button."""
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat")
+nbclient = pytest.importorskip("nbclient")
+pytest.importorskip("ipykernel")
+
+CELLS = """\
+import sixthsense as ss
+run = ss.run("rectangle", task="tour", max_time=5.0, progress=False)
+run
+---
+run.plot()
+---
+run.plot(); run.metrics
+---
+figure = run.plot("error")
+---
+ss.compare([run, run])
+---
+import sys; "matplotlib.pyplot" in sys.modules
+---
+%matplotlib inline
+import matplotlib.pyplot as plt
+run.plot()
+---
+import os, signal
+def press(tick, trace):
+    if tick.stamp_ns == 1_000_000_000:
+        os.kill(os.getpid(), signal.SIGINT)
+[ss.run("rectangle", press, task="tour", max_time=60.0, progress=False).outcome]
+---
+run = ss.run("rectangle", task="tour", max_time=5.0)
+"""
+
+
+@pytest.fixture(scope="module")
+def outputs():
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in CELLS.split("---\n")])
+    nbclient.NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
+    return [cell.outputs for cell in notebook.cells]
+
+
+def kinds(outputs):
+    return [set(output.data) for output in outputs]
+
+
+def test_a_run_at_a_cells_end_is_a_card_and_its_text_is_short(outputs):
+    assert kinds(outputs[0]) == [{"text/html", "text/plain"}]
+    assert len(outputs[0][0].data["text/plain"]) < 200
+
+
+def test_a_figure_at_a_cells_end_is_shown_once_and_one_in_a_variable_not_at_all(outputs):
+    assert kinds(outputs[1]) == [{"image/png", "text/plain"}]
+    assert outputs[3] == []
+    assert outputs[5][0].data["text/plain"] == "False"
+
+
+def test_metrics_and_comparisons_at_a_cells_end_are_tables(outputs):
+    for shown in (outputs[2], outputs[4]):
+        assert kinds(shown) == [{"text/html", "text/plain"}]
+
+
+def test_with_pyplot_a_figure_is_still_shown_once(outputs):
+    assert kinds(outputs[6]) == [{"image/png", "text/plain"}]
+
+
+def test_the_stop_button_hands_the_run_over(outputs):
+    assert outputs[7][0].data["text/plain"] == "['interrupted']"
+
+
+def test_a_notebook_has_a_bar(outputs):
+    assert any("rectangle, tour" in str(output) for output in outputs[8])
