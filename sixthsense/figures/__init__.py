@@ -1,19 +1,33 @@
-"""Figures of a run beside its map: over time, of one scan, of the way planned; each draws on the axes it is given."""
+"""Figures of a run beside its map: over time, of one scan, of a filter's step, of the way planned.
+
+Each draws on the axes that it is given; `panels` makes a figure, `record` keeps what a moment's figure needs.
+"""
 
 from __future__ import annotations
 
+from sixthsense.figures.layout import draw_truth, legend, panels, window
 from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
-from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns
+from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
+from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns, draw_wall_bands
+from sixthsense.figures.settings import Change, compare_features, draw_change, strays_m
+from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
 
 __all__ = [
     "COMPONENTS",
+    "Change",
+    "Culled",
+    "Recording",
+    "compare_features",
     "draw_beams",
+    "draw_change",
+    "draw_correlation",
     "draw_coverage",
     "draw_detections",
     "draw_error",
     "draw_exploration",
     "draw_hits",
+    "draw_innovations",
     "draw_nees",
     "draw_nis",
     "draw_partitions",
@@ -22,4 +36,14 @@ __all__ = [
     "draw_robot",
     "draw_seen",
     "draw_stages",
+    "draw_state",
+    "draw_truth",
+    "draw_wall_bands",
+    "features_of",
+    "legend",
+    "panels",
+    "record",
+    "strays_m",
+    "window",
+    "worst_culled",
 ]
