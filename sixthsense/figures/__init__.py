@@ -6,7 +6,8 @@ Each draws on the axes that it is given; `panels` makes a figure, `record` keeps
 from __future__ import annotations
 
 from sixthsense.figures.layout import draw_truth, legend, panels, window
-from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_robot, draw_seen
+from sixthsense.figures.log import draw_walls_at, draw_way
+from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_region, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
 from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns, draw_wall_bands
@@ -32,6 +33,7 @@ __all__ = [
     "draw_nis",
     "draw_partitions",
     "draw_path",
+    "draw_region",
     "draw_returns",
     "draw_robot",
     "draw_seen",
@@ -39,6 +41,8 @@ __all__ = [
     "draw_state",
     "draw_truth",
     "draw_wall_bands",
+    "draw_walls_at",
+    "draw_way",
     "features_of",
     "legend",
     "panels",
