@@ -17,7 +17,7 @@ from sixthsense import plot
 from sixthsense.cli import main as sixthsense
 from sixthsense.config import preset
 from sixthsense.features import Features
-from sixthsense.figures import Recording, draw_truth, features_of, legend, panels, record, window
+from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, record, window
 from sixthsense.geometry import Array, Pose
 from sixthsense.loop import warm_up
 from sixthsense.metrics import true_landmarks
@@ -58,7 +58,7 @@ def pipeline() -> Any:
     """Figure 2: one scan on its way to landmarks."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
-    figure, axes = panels(2, 3, 12.0, 9.2)
+    figure, axes = new_axes(2, 3, 12.0, 9.2)
     titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "RANSAC, least squares", "landmarks"
     for ax, title in zip(axes, titles, strict=True):
         draw_truth(ax, run.scene, near=pose.position, reach_m=5.0)
@@ -80,7 +80,7 @@ def partitions() -> Any:
     """Figure 3: partitions by discontinuity, and by iterative end points."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
-    figure, axes = panels(1, 2, 12.0, 6.2)
+    figure, axes = new_axes(1, 2, 12.0, 6.2)
     least = run.trace.config.features.lines.min_points
     for ax, parts, by in zip(axes, (features.pieces, features.spans), ("discontinuity", "IEP"), strict=True):
         draw_truth(ax, run.scene, "#E4E4E4", pose.position, 5.0)
@@ -93,7 +93,7 @@ def partitions() -> Any:
 def detections() -> Any:
     """Figure 4: walls and landmarks that one scan shows."""
     run = apartment()
-    figure, (ax,) = panels(1, 1, 11.0, 8.2)
+    figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
     draw_truth(ax, run.scene)
     fig.draw_returns(ax, run.pose(SCAN), run.scans[SCAN], size=6.0)
     fig.draw_detections(ax, run.pose(SCAN), run.features(SCAN))
@@ -105,7 +105,7 @@ def detections() -> Any:
 def state() -> Any:
     """Figure 5: landmarks of the state, with their covariance."""
     run = apartment()
-    figure, (ax,) = panels(1, 1, 11.0, 8.2)
+    figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
     draw_truth(ax, run.scene)
     plot.draw_landmarks(ax, run.trace, enlarged=10.0)
     way = np.array(run.trace.estimates)[:, :2]
@@ -119,7 +119,7 @@ def hit_grid() -> Any:
     """Figure 6: layout, detections, beams, hit grid."""
     run = apartment()
     pose = run.pose(SCAN)
-    figure, axes = panels(2, 2, 12.0, 8.8)
+    figure, axes = new_axes(2, 2, 12.0, 8.8)
     for ax, title in zip(axes, ("layout", "detected walls and landmarks", "laser", "hit grid so far"), strict=True):
         draw_truth(ax, run.scene, WALL if title == "layout" else "#C8C8C8")
         fig.draw_robot(ax, pose, run.trace.radius_m)
@@ -148,7 +148,7 @@ def replanning() -> Any:
     # What a plan costs in all: the way driven until it was made, and the plan.
     costs = np.array([length(run.way(k)) + length(plan) for k, plan in zip(made, plans, strict=True)])
     i = int(np.argmax(np.diff(costs)))
-    figure, axes = panels(1, 2, 13.0, 5.2)
+    figure, axes = new_axes(1, 2, 13.0, 5.2)
     for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "planned anew")):
         k = made[n]
         draw_truth(ax, run.scene)
@@ -172,7 +172,7 @@ def trajectory() -> Any:
         optimised = shortcut(run.grid(k).free_space(plan[0], plan[-1]), plan)
         rows.append((length(plan) - length(optimised), k, plan, optimised))
     best = sorted(sorted(rows, key=lambda row: row[0])[-3:], key=lambda row: row[1])
-    figure, axes = panels(1, 3, 15.0, 5.4)
+    figure, axes = new_axes(1, 3, 15.0, 5.4)
     for ax, (gain, k, plan, optimised) in zip(axes, best, strict=True):
         draw_truth(ax, run.scene)
         fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
@@ -188,7 +188,7 @@ def trajectory() -> Any:
 def seen_region() -> Any:
     """Figure 9: the region seen."""
     run = apartment()
-    figure, axes = panels(1, 2, 13.0, 5.0)
+    figure, axes = new_axes(1, 2, 13.0, 5.0)
     for ax, k in zip(axes, (SCAN, len(run.scans) - 1), strict=True):
         draw_truth(ax, run.scene, WALL)
         space = run.grid(k).free_space()
@@ -202,7 +202,7 @@ def seen_region() -> Any:
 def moments() -> Any:
     """Figure 10: moments of a run."""
     run = apartment()
-    figure, axes = panels(3, 2, 12.0, 12.8)
+    figure, axes = new_axes(3, 2, 12.0, 12.8)
     for ax, k in zip(axes, np.linspace(0, len(run.scans) - 1, 6).astype(int), strict=True):
         grid, landmarks = run.grid(k), run.trace.key_estimates[k].landmarks
         draw_truth(ax, run.scene)
@@ -229,7 +229,7 @@ def iep() -> Any:
     fine = [run.features(k) for k in range(len(run.scans))]
     gain = [fig.strays_m(p, a, scene) - fig.strays_m(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
     k = int(np.argmax(gain))
-    figure, axes = panels(1, 2, 13.0, 6.4)
+    figure, axes = new_axes(1, 2, 13.0, 6.4)
     for ax, features, of in ((axes[0], rough[k], "first"), (axes[1], fine[k], "second")):
         draw_truth(ax, scene, near=poses[k].position, reach_m=3.6)
         fig.draw_returns(ax, poses[k], run.scans[k])
@@ -245,7 +245,7 @@ def culling() -> Any:
     """Figure 12: a bad landmark before and after it was culled."""
     run = record(preset("default", **ROUGH))
     bad = fig.worst_culled(run)
-    figure, axes = panels(1, 2, 13.0, 6.4)
+    figure, axes = new_axes(1, 2, 13.0, 6.4)
     for ax, k, said in (
         (axes[0], bad.gone - 1, f"born at {run.time_s(bad.born):.1f} s"),
         (axes[1], bad.gone, "culled"),

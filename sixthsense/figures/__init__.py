@@ -1,11 +1,11 @@
 """Figures of a run beside its map: over time, of one scan, of a filter's step, of the way planned.
 
-Each draws on the axes that it is given; `panels` makes a figure, `record` keeps what a moment's figure needs.
+Each draws on the axes that it is given; `new_axes` makes a figure, `record` keeps what a moment's figure needs.
 """
 
 from __future__ import annotations
 
-from sixthsense.figures.layout import draw_truth, legend, panels, window
+from sixthsense.figures.layout import draw_truth, legend, new_axes, window
 from sixthsense.figures.log import draw_walls_at, draw_way
 from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_region, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
@@ -45,7 +45,7 @@ __all__ = [
     "draw_way",
     "features_of",
     "legend",
-    "panels",
+    "new_axes",
     "record",
     "strays_m",
     "window",

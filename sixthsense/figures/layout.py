@@ -11,7 +11,7 @@ from sixthsense.plot import draw_segments, label_plane, new_figure
 from sixthsense.scene import Scene
 
 
-def panels(rows: int, columns: int, width_in: float, height_in: float, **shared: bool) -> tuple[Any, list[Any]]:
+def new_axes(rows: int, columns: int, width_in: float, height_in: float, **shared: bool) -> tuple[Any, list[Any]]:
     """A figure and its axes, row by row; `shared` may be sharex and sharey."""
     figure = new_figure(width_in, height_in)
     return figure, list(figure.subplots(rows, columns, squeeze=False, **shared).ravel())
