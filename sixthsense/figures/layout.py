@@ -11,10 +11,12 @@ from sixthsense.plot import draw_segments, label_plane, new_figure
 from sixthsense.scene import Scene
 
 
-def new_axes(rows: int, columns: int, width_in: float, height_in: float, **shared: bool) -> tuple[Any, list[Any]]:
-    """A figure and its axes, row by row; `shared` may be sharex and sharey."""
+def new_axes(
+    rows: int, columns: int, width_in: float, height_in: float, sharex: bool = False, sharey: bool = False
+) -> tuple[Any, list[Any]]:
+    """A figure and its axes, row by row."""
     figure = new_figure(width_in, height_in)
-    return figure, list(figure.subplots(rows, columns, squeeze=False, **shared).ravel())
+    return figure, list(figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel())
 
 
 def legend(figure: Any, columns: int = 6) -> Any:
