@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all check bench clean
+.PHONY: run test test-all notebooks check bench clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -19,6 +19,9 @@ test: $(VENV)/installed  ## what CI runs
 
 test-all: $(VENV)/installed  ## the slow statistics too
 	$(BIN)/python -m pytest -n 2
+
+notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritten
+	$(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
 
 check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/ruff check .

@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from recording import Recording, draw_truth, features_of, legend, panels, record, scene_of, window
 
 from sixthsense import figures as fig
 from sixthsense import plot
 from sixthsense.cli import main as sixthsense
 from sixthsense.config import preset
 from sixthsense.features import Features
-from sixthsense.geometry import Array, Pose, point_segment_distance
+from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, record, window
+from sixthsense.geometry import Array, Pose
 from sixthsense.loop import warm_up
 from sixthsense.metrics import true_landmarks
 from sixthsense.planners.shortcut import shortcut
 from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
-from sixthsense.scene import Scene
 
 SCAN = 48  # key scan of the apartment in which much is to be seen: corridor, living room, bath, kitchen
 CORNERS = {"landmarks": "corners"}
@@ -59,10 +58,10 @@ def pipeline() -> Any:
     """Figure 2: one scan on its way to landmarks."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
-    figure, axes = panels(2, 3, 12.0, 9.2)
+    figure, axes = new_axes(2, 3, 12.0, 9.2)
     titles = "scan", "returns", "discontinuity: first level", "IEP: second level", "RANSAC, least squares", "landmarks"
     for ax, title in zip(axes, titles, strict=True):
-        draw_truth(ax, scene_of(run), near=pose.position, reach_m=5.0)
+        draw_truth(ax, run.scene, near=pose.position, reach_m=5.0)
         fig.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(title)
         ax.label_outer()
@@ -81,10 +80,10 @@ def partitions() -> Any:
     """Figure 3: partitions by discontinuity, and by iterative end points."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
-    figure, axes = panels(1, 2, 12.0, 6.2)
+    figure, axes = new_axes(1, 2, 12.0, 6.2)
     least = run.trace.config.features.lines.min_points
     for ax, parts, by in zip(axes, (features.pieces, features.spans), ("discontinuity", "IEP"), strict=True):
-        draw_truth(ax, scene_of(run), "#E4E4E4", pose.position, 5.0)
+        draw_truth(ax, run.scene, "#E4E4E4", pose.position, 5.0)
         fig.draw_partitions(ax, pose, scan, parts, least)
         fig.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(f"{sum(len(part) >= least for part in parts)} partitions of {least} returns or more, by {by}")
@@ -94,8 +93,8 @@ def partitions() -> Any:
 def detections() -> Any:
     """Figure 4: walls and landmarks that one scan shows."""
     run = apartment()
-    figure, (ax,) = panels(1, 1, 11.0, 8.2)
-    draw_truth(ax, scene_of(run))
+    figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
+    draw_truth(ax, run.scene)
     fig.draw_returns(ax, run.pose(SCAN), run.scans[SCAN], size=6.0)
     fig.draw_detections(ax, run.pose(SCAN), run.features(SCAN))
     fig.draw_robot(ax, run.pose(SCAN), run.trace.radius_m)
@@ -106,8 +105,8 @@ def detections() -> Any:
 def state() -> Any:
     """Figure 5: landmarks of the state, with their covariance."""
     run = apartment()
-    figure, (ax,) = panels(1, 1, 11.0, 8.2)
-    draw_truth(ax, scene_of(run))
+    figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
+    draw_truth(ax, run.scene)
     plot.draw_landmarks(ax, run.trace, enlarged=10.0)
     way = np.array(run.trace.estimates)[:, :2]
     ax.plot(way[:, 0], way[:, 1], color=ESTIMATE, linewidth=1.0, label="driven, estimated")
@@ -120,9 +119,9 @@ def hit_grid() -> Any:
     """Figure 6: layout, detections, beams, hit grid."""
     run = apartment()
     pose = run.pose(SCAN)
-    figure, axes = panels(2, 2, 12.0, 8.8)
+    figure, axes = new_axes(2, 2, 12.0, 8.8)
     for ax, title in zip(axes, ("layout", "detected walls and landmarks", "laser", "hit grid so far"), strict=True):
-        draw_truth(ax, scene_of(run), WALL if title == "layout" else "#C8C8C8")
+        draw_truth(ax, run.scene, WALL if title == "layout" else "#C8C8C8")
         fig.draw_robot(ax, pose, run.trace.radius_m)
         ax.set_title(title)
         ax.label_outer()
@@ -149,10 +148,10 @@ def replanning() -> Any:
     # What a plan costs in all: the way driven until it was made, and the plan.
     costs = np.array([length(run.way(k)) + length(plan) for k, plan in zip(made, plans, strict=True)])
     i = int(np.argmax(np.diff(costs)))
-    figure, axes = panels(1, 2, 13.0, 5.2)
+    figure, axes = new_axes(1, 2, 13.0, 5.2)
     for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "planned anew")):
         k = made[n]
-        draw_truth(ax, scene_of(run))
+        draw_truth(ax, run.scene)
         fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
         if n > i:
             ax.plot(*plans[i].T, color=PLAN, linewidth=1.0, linestyle=":", zorder=4, label="plan given up")
@@ -173,9 +172,9 @@ def trajectory() -> Any:
         optimised = shortcut(run.grid(k).free_space(plan[0], plan[-1]), plan)
         rows.append((length(plan) - length(optimised), k, plan, optimised))
     best = sorted(sorted(rows, key=lambda row: row[0])[-3:], key=lambda row: row[1])
-    figure, axes = panels(1, 3, 15.0, 5.4)
+    figure, axes = new_axes(1, 3, 15.0, 5.4)
     for ax, (gain, k, plan, optimised) in zip(axes, best, strict=True):
-        draw_truth(ax, scene_of(run))
+        draw_truth(ax, run.scene)
         fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
         fig.draw_path(ax, plan, optimised)
         fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
@@ -189,9 +188,9 @@ def trajectory() -> Any:
 def seen_region() -> Any:
     """Figure 9: the region seen."""
     run = apartment()
-    figure, axes = panels(1, 2, 13.0, 5.0)
+    figure, axes = new_axes(1, 2, 13.0, 5.0)
     for ax, k in zip(axes, (SCAN, len(run.scans) - 1), strict=True):
-        draw_truth(ax, scene_of(run), WALL)
+        draw_truth(ax, run.scene, WALL)
         space = run.grid(k).free_space()
         fig.draw_seen(ax, space)
         ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.2)
@@ -203,10 +202,10 @@ def seen_region() -> Any:
 def moments() -> Any:
     """Figure 10: moments of a run."""
     run = apartment()
-    figure, axes = panels(3, 2, 12.0, 12.8)
+    figure, axes = new_axes(3, 2, 12.0, 12.8)
     for ax, k in zip(axes, np.linspace(0, len(run.scans) - 1, 6).astype(int), strict=True):
         grid, landmarks = run.grid(k), run.trace.key_estimates[k].landmarks
-        draw_truth(ax, scene_of(run))
+        draw_truth(ax, run.scene)
         fig.draw_seen(ax, grid.free_space())
         fig.draw_hits(ax, grid, run.trace.config.grid.cell_m)
         if run.plans[k]:
@@ -221,63 +220,45 @@ def moments() -> Any:
     return figure
 
 
-def bridge(pose: Pose, features: Features, scene: Scene) -> float:
-    """How far a wall detected from the true `pose` strays from all true walls at most, metres."""
-    along = np.linspace(0.0, 1.0, 21)[:, None]
-    points = [a + along * (b - a) for a, b in pose @ features.walls]
-    return max((point_segment_distance(p, scene.walls).min() for part in points for p in part), default=0.0)
-
-
 def iep() -> Any:
     """Figure 11: RANSAC on first-level partitions, and on second-level; the scan in which the former strays most."""
     run = apartment()
-    scene = scene_of(run)
+    scene = run.scene
     poses = [Pose.from_array(row) for row in run.trace.key_truths]
     rough = [features_of(scan, WITHOUT_IEP) for scan in run.scans]
     fine = [run.features(k) for k in range(len(run.scans))]
-    gain = [bridge(p, a, scene) - bridge(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
+    gain = [fig.strays_m(p, a, scene) - fig.strays_m(p, b, scene) for p, a, b in zip(poses, rough, fine, strict=True)]
     k = int(np.argmax(gain))
-    figure, axes = panels(1, 2, 13.0, 6.4)
+    figure, axes = new_axes(1, 2, 13.0, 6.4)
     for ax, features, of in ((axes[0], rough[k], "first"), (axes[1], fine[k], "second")):
         draw_truth(ax, scene, near=poses[k].position, reach_m=3.6)
         fig.draw_returns(ax, poses[k], run.scans[k])
         fig.draw_detections(ax, poses[k], features)
         fig.draw_robot(ax, poses[k], run.trace.radius_m)
-        off = bridge(poses[k], features, scene)
+        off = fig.strays_m(poses[k], features, scene)
         ax.set_title(f"RANSAC on {of}-level partitions: at most {off:.2f} m off")
     legend(figure)
     return figure
 
 
-def bad_landmark(run: Recording) -> tuple[int, int, float, Array]:
-    """Of the landmarks culled, the one farthest from any true one: key scans of birth and end, how far, and where."""
-    true = true_landmarks(scene_of(run).walls)
-    seen: dict[int, tuple[int, Array]] = {}
-    found: list[tuple[int, int, float, Array]] = []
-    for k, estimate in enumerate(run.trace.key_estimates):
-        now = dict(zip(estimate.ids.tolist(), estimate.landmarks, strict=True))
-        for i in set(seen) - set(now):
-            born, where = seen.pop(i)
-            found.append((born, k, float(np.linalg.norm(true - where, axis=1).min()), where))
-        for i, where in now.items():
-            seen[i] = seen.get(i, (k, where))[0], where
-    return max(found, key=lambda row: row[2])
-
-
 def culling() -> Any:
     """Figure 12: a bad landmark before and after it was culled."""
     run = record(preset("default", **ROUGH))
-    born, culled, off, where = bad_landmark(run)
-    figure, axes = panels(1, 2, 13.0, 6.4)
-    for ax, k, said in ((axes[0], culled - 1, f"born at {run.time_s(born):.1f} s"), (axes[1], culled, "culled")):
+    bad = fig.worst_culled(run)
+    figure, axes = new_axes(1, 2, 13.0, 6.4)
+    for ax, k, said in (
+        (axes[0], bad.gone - 1, f"born at {run.time_s(bad.born):.1f} s"),
+        (axes[1], bad.gone, "culled"),
+    ):
         landmarks = run.trace.key_estimates[k].landmarks
-        draw_truth(ax, scene_of(run), near=where, reach_m=2.5)
+        draw_truth(ax, run.scene, near=bad.position, reach_m=2.5)
         ax.scatter(landmarks[:, 0], landmarks[:, 1], s=60.0, facecolors="none", edgecolors=SIGHTING, linewidths=1.8,
                    label="landmarks in the state", zorder=6)  # fmt: skip
-        true = true_landmarks(scene_of(run).walls)
+        true = true_landmarks(run.scene.walls)
         ax.scatter(true[:, 0], true[:, 1], s=30.0, marker="+", color=WALL, label="true corners and ends", zorder=7)
-        ax.scatter(*where, s=260.0, facecolors="none", edgecolors=LANDMARK, linewidths=1.2, zorder=5)
-        ax.annotate(f"{off:.2f} m from any true one", where, (0, 16), textcoords="offset points", ha="center")
+        ax.scatter(*bad.position, s=260.0, facecolors="none", edgecolors=LANDMARK, linewidths=1.2, zorder=5)
+        said_off = f"{bad.off_m:.2f} m from any true one"
+        ax.annotate(said_off, bad.position, (0, 16), textcoords="offset points", ha="center")
         ax.set_title(f"{run.time_s(k):.1f} s: {said}")
     legend(figure)
     return figure

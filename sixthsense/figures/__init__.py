@@ -1,25 +1,53 @@
-"""Figures of a run beside its map: over time, of one scan, of the way planned; each draws on the axes it is given."""
+"""Figures of a run beside its map: over time, of one scan, of a filter's step, of the way planned.
+
+Each draws on the axes that it is given; `new_axes` makes a figure, `record` keeps what a moment's figure needs.
+"""
 
 from __future__ import annotations
 
-from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_robot, draw_seen
+from sixthsense.figures.layout import draw_truth, legend, new_axes, window
+from sixthsense.figures.log import draw_walls_at, draw_way
+from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_region, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
-from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns
+from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
+from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns, draw_wall_bands
+from sixthsense.figures.settings import Change, compare_features, draw_change, strays_m
+from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
 
 __all__ = [
     "COMPONENTS",
+    "Change",
+    "Culled",
+    "Recording",
+    "compare_features",
     "draw_beams",
+    "draw_change",
+    "draw_correlation",
     "draw_coverage",
     "draw_detections",
     "draw_error",
     "draw_exploration",
     "draw_hits",
+    "draw_innovations",
     "draw_nees",
     "draw_nis",
     "draw_partitions",
     "draw_path",
+    "draw_region",
     "draw_returns",
     "draw_robot",
     "draw_seen",
     "draw_stages",
+    "draw_state",
+    "draw_truth",
+    "draw_wall_bands",
+    "draw_walls_at",
+    "draw_way",
+    "features_of",
+    "legend",
+    "new_axes",
+    "record",
+    "strays_m",
+    "window",
+    "worst_culled",
 ]

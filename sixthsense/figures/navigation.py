@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.freespace import Bools, FreeSpace
 from sixthsense.frontier import frontier_cells, without_gaps
@@ -101,3 +102,11 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     shown = np.concatenate([driven[:, :2], *(() if trace.scene is None else trace.scene.walls)])
     low, high = shown.min(axis=0) - 0.5, shown.max(axis=0) + 0.5
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def draw_region(ax: Any, space: FreeSpace, cells: NDArray[np.int32]) -> None:
+    """Colour cells by their flat indices (K,), such as those that can be reached, and the blocked ones."""
+    mask = np.zeros(space.blocked.size, dtype=np.bool_)
+    mask[cells] = True
+    _shade(ax, mask.reshape(space.blocked.shape), space.origin, space.cell_m, SEEN, 0.1)
+    _shade(ax, space.blocked, space.origin, space.cell_m, _INFLATED, 0.2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,10 +11,12 @@ import numpy as np
 from sixthsense.features import Features
 from sixthsense.features.partition import Indices
 from sixthsense.geometry import Array, Pose
+from sixthsense.landmarks import Sighting
 from sixthsense.laser import Scan
 from sixthsense.plot import CYCLE, LANDMARK, SIGHTING, WALL_FOUND, draw_segments, ellipse, label_plane
 
 _RETURN = "#666666"
+_NORMAL_95 = 1.96  # sigmas
 
 
 def _points(pose: Pose, scan: Scan) -> Array:
@@ -55,11 +58,33 @@ def draw_detections(ax: Any, pose: Pose, features: Features, enlarged: float = 0
     `enlarged` draws the sightings' 95 % ellipses too, so many times as large as they are.
     """
     draw_segments(ax, pose @ features.walls, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="walls detected")
-    if features.sightings:
-        points = pose @ np.array([sighting.z for sighting in features.sightings])
+    sightings = [sighting for sighting in features.sightings if not sighting.is_wall]
+    if sightings:
+        points = pose @ np.array([sighting.z for sighting in sightings])
         style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.6, "zorder": 5}
         ax.scatter(points[:, 0], points[:, 1], s=50.0, label="landmarks detected", **style)
-        for sighting in features.sightings if enlarged else ():
+        for k, sighting in enumerate(sightings if enlarged else ()):
             outline = pose @ ellipse(sighting.z, enlarged**2 * sighting.cov)
-            ax.plot(outline[:, 0], outline[:, 1], color=LANDMARK, linewidth=0.8, zorder=6)
+            label = f"95 %, {enlarged:g} times enlarged" if k == 0 else None
+            ax.plot(outline[:, 0], outline[:, 1], color=LANDMARK, linewidth=0.8, zorder=6, label=label)
+    label_plane(ax)
+
+
+def draw_wall_bands(ax: Any, pose: Pose, sightings: Sequence[Sighting], enlarged: float = 1.0) -> None:
+    """Draw where walls may lie, those among the sightings from `pose`: 95 % bands, so many times as wide as they are.
+
+    A line known to (alpha, d) is known at s along it, counted from the foot of the robot's perpendicular, to a variance
+    of dd - 2 s ad + s^2 aa across: a band with a waist.
+    """
+    label: str | None = f"walls, 95 %, {enlarged:g} times enlarged" if enlarged != 1.0 else "walls, 95 %"
+    for wall in (sighting for sighting in sightings if sighting.is_wall):
+        normal = np.array([math.cos(wall.z[0]), math.sin(wall.z[0])])
+        along = np.array([-normal[1], normal[0]])
+        s = np.linspace(*wall.extent, 25)
+        (aa, ad), (_, dd) = wall.cov
+        half = enlarged * _NORMAL_95 * np.sqrt(np.maximum(dd - 2.0 * s * ad + s * s * aa, 0.0))
+        middle = wall.z[1] * normal + s[:, None] * along
+        outline = np.concatenate([middle + half[:, None] * normal, (middle - half[:, None] * normal)[::-1]])
+        ax.fill(*(pose @ outline).T, color=LANDMARK, alpha=0.3, linewidth=0.0, zorder=3, label=label)
+        label = None
     label_plane(ax)
