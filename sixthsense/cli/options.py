@@ -32,6 +32,8 @@ class OrAlone:
     """its value where it does"""
     is_value: Callable[[str], bool]
     """whether a word after it is its value"""
+    allowed: str
+    """what its value may be, in words"""
 
 
 class UsageError(InputError):
@@ -47,15 +49,20 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
     hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}
     table: Table = {}
+    alone: tuple[str, OrAlone] | None = None  # an option that the word before has left without a value
     words = list(reversed(args))  # the next one last
     while words:
         word = words.pop()
         if not word.startswith("-"):
             if place in given:
+                if alone is not None:
+                    raise UsageError(f"{alone[0]}: found {shown(word)}, allowed: {alone[1].allowed}")
                 raise UsageError(f"{place}: found {shown(given[place])} and {shown(word)}, allowed: one")
             given[place] = _name(place, word)
             continue
         flag, value = _option(word, words, hints)
+        hint = hints[flag]
+        alone = (flag, hint) if isinstance(hint, OrAlone) and word == flag else None
         *sections, name = flag.removeprefix("--").split(".")
         target = given if not sections and name in own else table
         for section in sections:

@@ -38,7 +38,7 @@ def command(args: list[str]) -> int:
         return DONE
     from sixthsense.cli.options import OrAlone, words
 
-    film = OrAlone(None, _is_film)
+    film = OrAlone(None, _is_film, "FILE.mp4 or FILE.gif")
     folders, given = words(args, {"out": Path, "overwrite": bool, "figures": str, "animate": film})
     if not folders:
         raise UsageError("run: found nothing, allowed: one or more folders of runs")
