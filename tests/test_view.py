@@ -21,7 +21,7 @@ from sixthsense.view.viewer import ViewError, check_place
 pytest.importorskip("rerun")
 
 SHOWN = {
-    "/map", "/map/true/walls", "/map/true/robot", "/map/true/driven", "/map/robot", "/map/robot/scan",
+    "/map", "/map/true/walls", "/map/true/robot", "/map/true/driven", "/map/robot", "/map/scan",
     "/map/robot/body",
     "/map/features/walls", "/map/features/points", "/map/landmarks/points", "/map/landmarks/ellipses",
     "/map/landmarks/walls", "/map/pose", "/map/grid", "/map/frontiers", "/map/plan", "/map/driven", "/plots/nees/pose",
@@ -58,7 +58,7 @@ def folder(tmp_path_factory) -> Path:
 def test_a_run_is_shown_in_a_file_with_all_there_is_to_see(folder):
     counts = rows(folder.parent / "deep" / "one.rrd")
     assert set(counts) >= SHOWN
-    assert counts["/map/robot/scan"] == 61  # every scan
+    assert counts["/map/scan"] == 61  # every scan
     assert 5 <= counts["/map/grid"] <= 10  # once a second, and what names its classes
     assert counts["/plots/nis/low"] == counts["/plots/nis/high"] == counts["/plots/nis/per_dof"]
 

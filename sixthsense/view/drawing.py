@@ -1,13 +1,14 @@
 """What the live view shows of a run, in Rerun's terms.
 
 Everything of the plane lies under `map`, which is the world mirrored in y, because Rerun's plane has y downwards; what
-is sent there is in metres, world frame, and under `map/robot` in the robot's.
+is sent there is in metres, world frame; the body under `map/robot` alone is in the robot's.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from sixthsense.trace import Trace
 _FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
 _THIN, _THICK = 1.0, 2.0  # of lines, pixels
 _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
+_FILE_TICK = timedelta(seconds=5.0)  # of wall time, between two writes to a file
 _BAND = "#999999"
 _STAGE_COLORS = ("#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN)
 
@@ -37,9 +39,13 @@ class Drawing:
         import rerun
 
         self._rr = rerun
-        self._stream = rerun.RecordingStream("sixthsense")
+        is_live = str(sink).startswith("rerun+http://")
+        batches = rerun.ChunkBatcherConfig.DEFAULT()
+        if not is_live:
+            batches.flush_tick = _FILE_TICK  # fewer and larger pieces are sooner read again
+        self._stream = rerun.RecordingStream("sixthsense", batcher_config=batches)
         self._stream.set_log_time_enabled(False)
-        if str(sink).startswith("rerun+http://"):
+        if is_live:
             self._stream.connect_grpc(str(sink))
         else:
             Path(sink).parent.mkdir(parents=True, exist_ok=True)
@@ -79,7 +85,7 @@ class Drawing:
         self._stream.log("map/robot", rr.Transform3D(translation=[pose.x, pose.y, 0.0], rotation=turn))
         if live is not None and live.scan is not None:
             returned = live.scan.ranges < live.scan.max_range
-            self._points("map/robot/scan", live.scan.points_robot[returned], ODOMETRY, 2.0)
+            self._points("map/scan", pose @ live.scan.points_robot[returned], ODOMETRY, 1.5)
         if tick.truth is not None:
             self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
 
