@@ -52,7 +52,7 @@ pre { background: #f6f6f6; padding: .6rem .8rem; overflow-x: auto; }
 summary { cursor: pointer; margin: .6rem 0; }
 @media (max-width: 30rem) {
   h1 { font-size: 1.25rem; }
-  th, td { padding-right: .6rem; font-size: .9rem; }
+  th, td { padding-right: .6rem; font-size: .9rem; white-space: nowrap; }
   figure img { max-width: none; width: 40rem; }
 }
 """
