@@ -36,4 +36,5 @@ from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import shipped_scenes as shipped_scenes
 from .trace import Trace as Trace
+from .view.recording import View as View
 from .world import World as World

@@ -29,6 +29,8 @@ class FinishedRun:
     """what the run saw, believed and did"""
     metrics: Metrics
     """as the run measured them; of a run that was killed, what can still be measured"""
+    folder: Path | None = None
+    """where it is; None of one that is not from a folder"""
 
     @property
     def title(self) -> str:
@@ -64,7 +66,7 @@ def load_run(folder: Path | str) -> FinishedRun:
         # The clock of a replay says nothing of the run: what is timed is left out.
         timed = ("wall_time_s", "realtime_factor", "scan_ms", "stage_ms")
         measured = {key: value for key, value in trace.metrics.items() if not key.startswith(timed)}
-        return FinishedRun(_name(folder), trace, Metrics(measured))
+        return FinishedRun(_name(folder), trace, Metrics(measured), folder)
     try:
         metrics = json.loads(file.read_text(encoding="utf-8"))
     except (ValueError, RecursionError):
@@ -77,7 +79,7 @@ def load_run(folder: Path | str) -> FinishedRun:
             raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: {kind}")
         if isinstance(value, int) and value.bit_length() > 1000:  # more than a float holds
             raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: a number")
-    return FinishedRun(_name(folder), trace, Metrics(metrics))
+    return FinishedRun(_name(folder), trace, Metrics(metrics), folder)
 
 
 def _name(folder: Path) -> str:

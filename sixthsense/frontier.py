@@ -35,6 +35,25 @@ def frontier_cells(free: Bools, unseen: Bools) -> Bools:
     return beside
 
 
+def frontier_points(
+    seen: Bools, obstacles: Bools, origin: tuple[float, float], cell_m: float, region: tuple[float, ...] | None
+) -> Array:
+    """(N, 2) centres of the frontiers, however small, world frame, metres.
+
+    `seen` and `obstacles` (H, W) have their lower left corner at `origin`; what is unseen outside `region`
+    (x0, y0, x1, y1) is no frontier. Gaps of a cell or two in obstacles are closed.
+    """
+    closed = without_gaps(obstacles)
+    unseen = ~(seen | closed)
+    if region is not None:
+        x0, y0, x1, y1 = region
+        y = origin[1] + (np.arange(seen.shape[0]) + 0.5) * cell_m
+        x = origin[0] + (np.arange(seen.shape[1]) + 0.5) * cell_m
+        unseen &= ((y > y0) & (y < y1))[:, None] & ((x > x0) & (x < x1))[None, :]
+    edge = np.argwhere(frontier_cells(seen & ~closed, unseen))
+    return np.asarray((edge[:, ::-1] + 0.5) * cell_m + np.array(origin))
+
+
 def without_gaps(obstacles: Bools) -> Bools:
     """`obstacles` closed by a square of 3 cells: a gap of one or two cells in a wall is noise, and shows nothing."""
     return _eroded(_dilated(np.pad(obstacles, 2)))[2:-2, 2:-2]

@@ -19,6 +19,7 @@ from sixthsense.features import extract
 from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose
 from sixthsense.interrupt import deferred_interrupt
+from sixthsense.live import Live
 from sixthsense.logs.log import Log
 from sixthsense.logs.relations import Relations
 from sixthsense.mapper import Mapper
@@ -197,6 +198,7 @@ def drive(
     guard, deskew = Guard(config, trace.radius_m), Deskewer(config.features.deskew)
     command, pose = Command(), start
     trace.plans, trace.grid = navigator.plans, mapper.grid
+    trace.live = live = Live(estimator, associator.records)
     before: Pose | None = None
     deadline_ns, T_world_odom = 0, Pose()
     began = time.perf_counter()
@@ -222,7 +224,7 @@ def drive(
             before = tick.odometry
             scan = None
             if tick.scan is not None:
-                scan = deskew(tick.scan)
+                live.scan = scan = deskew(tick.scan)
                 guard.see(scan)
             watch.lap("predict")
             if keyscans.due(tick):
@@ -230,7 +232,7 @@ def drive(
                 estimator.predict(motion)
                 watch.lap("predict")
                 if scan is not None:
-                    features = extract(scan, config.assumed, config.features, rng)
+                    live.features = features = extract(scan, config.assumed, config.features, rng)
                     walls = features.walls
                     watch.lap("extract")
                     association = associator.associate(features.sightings, estimator)
@@ -269,6 +271,7 @@ def drive(
                 trace.outcome = outcome
                 break
     trace.wall_time_s = time.perf_counter() - began
+    trace.live = None
     if navigator.plans_below_margin is not None:
         trace.guard_stops, trace.plans_below_margin = guard.stops, navigator.plans_below_margin
     trace.left = navigator.left

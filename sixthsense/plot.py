@@ -15,8 +15,15 @@ if TYPE_CHECKING:
     from sixthsense.picture import Picture
 
 # Okabe and Ito's palette: told apart by the colour-blind too.
-TRUTH, ESTIMATE, ODOMETRY, LANDMARK, PLAN = "#000000", "#0072B2", "#E69F00", "#D55E00", "#009E73"
-WALL, WALL_FOUND, SIGHTING, SEEN = "#4D4D4D", "#CC79A7", "#56B4E9", "#D3E9F7"
+TRUTH = "#000000"
+ESTIMATE = "#0072B2"
+ODOMETRY = "#E69F00"
+LANDMARK = "#D55E00"
+PLAN = "#009E73"
+WALL = "#4D4D4D"
+WALL_FOUND = "#CC79A7"
+SIGHTING = "#56B4E9"
+SEEN = "#D3E9F7"
 CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, SIGHTING, TRUTH)
 """For what differs in number alone: runs, partitions."""
 

@@ -120,6 +120,10 @@ def open_recorded(
     from sixthsense.logs.rosbag import BagLog
 
     files = {"log": str(Path(log).resolve())}
+    if topics:
+        files["topic"] = ",".join(topics)
+    if robot is not None:
+        files["robot"] = str(robot)
     from_file = isinstance(relations, (str, Path))
     if isinstance(relations, (str, Path)):
         files["relations"] = str(Path(relations).resolve())

@@ -5,32 +5,55 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal, get_args
 
+from sixthsense.config.section import shown
 from sixthsense.figures.panels import KINDS, figure_if_any
+from sixthsense.figures.vectors import save_vectors
 from sixthsense.finished import FinishedRun, ReportError, check_folders, distinct, load_run
 from sixthsense.plot import save
+from sixthsense.report_page import page
 
-__all__ = ["FinishedRun", "ReportError", "check_folders", "compact", "load_run", "report", "table"]
+__all__ = ["FinishedRun", "ReportError", "as_form", "check_folders", "compact", "load_run", "report", "table"]
 
 
-def report(runs: Sequence[FinishedRun], out: Path | str) -> list[Path]:
+Form = Literal["png", "svg", "pdf"]
+
+
+def as_form(text: str) -> Form:
+    """The form of figures that has this name; ReportError, listing what there is, for any other."""
+    forms: tuple[Form, ...] = get_args(Form)
+    for form in forms:
+        if text == form:
+            return form
+    raise ReportError(f"--figures: found {shown(text)}, allowed: {', '.join(forms)}")
+
+
+def report(runs: Sequence[FinishedRun], out: Path | str, form: Form = "png") -> list[Path]:
     """Write the figures of one run, or of several side by side with `metrics.csv`, into `out`, made if missing.
 
+    Beside them stands `report.html`, a page that holds them all. `form` "svg" or "pdf" adds each figure as vectors.
     Returns the files written. A figure that no run can fill (errors without truth) is left out. Raises ReportError for
     more than 12 runs, or none.
     """
     out = Path(out)
-    files = []
+    pictures: list[Path] = []
+    files: list[Path] = []
     for kind in KINDS:
         figure = figure_if_any(kind, runs)
         if figure is not None:
-            files.append(out / f"{kind}.png")
-            save(figure, files[-1])
+            pictures.append(out / f"{kind}.png")
+            save(figure, pictures[-1])
+            if form != "png":
+                files.append(out / f"{kind}.{form}")
+                save_vectors(figure, files[-1])
     if len(runs) > 1:
         files.append(out / "metrics.csv")
         with files[-1].open("w", newline="", encoding="utf-8") as file:
             csv.writer(file).writerows(table(runs))
-    return files
+    files.append(out / "report.html")
+    files[-1].write_text(page(runs, pictures), encoding="utf-8")
+    return pictures + files
 
 
 def table(runs: Sequence[FinishedRun]) -> list[list[str]]:

@@ -16,6 +16,7 @@ from sixthsense.estimators import Estimate
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.landmarks import LandmarkId
+from sixthsense.live import Live
 from sixthsense.logs.relations import Relations
 from sixthsense.measure import measure
 from sixthsense.motion import Odometry
@@ -106,6 +107,8 @@ class Trace:
     """times it was drawn anew, because key poses had moved"""
     name: str = ""
     """of what was driven in or replayed: the scene's, the log's or the folder's"""
+    live: Live | None = None
+    """what the loop works with, while it runs"""
     last_position: Array | None = None
     """(2,) of the robot at the last tick, world frame: true, or by odometry in a log"""
     _measured: Metrics | None = field(default=None, init=False, repr=False, compare=False)

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import tyro
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
-from sixthsense.cli.options import Table, parse
+from sixthsense.cli.options import OrAlone, Table, parse
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.progress import COMPILING, is_compiled
+from sixthsense.view.viewer import PLACES, is_place
 
 if TYPE_CHECKING:
     from sixthsense.folder import RunFolder
@@ -35,6 +36,10 @@ class Common:
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
+    view: Annotated[str | None, tyro.conf.arg(metavar="[window|browser|FILE.rrd]")] = None
+    """Show it as it goes, in Rerun (pip install 'sixthsense[view]'): in a window, in a browser, or write a file."""
+    bind: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    """With --view browser: where its server listens, 127.0.0.1 unless told otherwise; whoever reaches it looks on."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
 
 
@@ -55,6 +60,7 @@ def parse_command(
     preset < configuration file < flags; a ConfigError names the flag, or the file and its field.
     """
     own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", place)}
+    own["view"] = OrAlone("window", is_place, PLACES)
     given, table = parse(args, own, place)
     start = base(given.get(place)) if callable(base) else base
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))

@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import re
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union
@@ -21,6 +22,18 @@ from sixthsense.errors import InputError
 Table = dict[str, Any]
 
 _TRUTHS = {"true": True, "false": False}
+
+
+@dataclass(frozen=True, slots=True)
+class OrAlone:
+    """The type of an option that may stand alone: the word after it is its value only if it looks like one."""
+
+    alone: str | None
+    """its value where it does"""
+    is_value: Callable[[str], bool]
+    """whether a word after it is its value"""
+    allowed: str
+    """what its value may be, in words"""
 
 
 class UsageError(InputError):
@@ -36,15 +49,20 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
     hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}
     table: Table = {}
+    alone: tuple[str, OrAlone] | None = None  # an option that the word before has left without a value
     words = list(reversed(args))  # the next one last
     while words:
         word = words.pop()
         if not word.startswith("-"):
             if place in given:
+                if alone is not None:
+                    raise UsageError(f"{alone[0]}: found {shown(word)}, allowed: {alone[1].allowed}")
                 raise UsageError(f"{place}: found {shown(given[place])} and {shown(word)}, allowed: one")
             given[place] = _name(place, word)
             continue
         flag, value = _option(word, words, hints)
+        hint = hints[flag]
+        alone = (flag, hint) if isinstance(hint, OrAlone) and word == flag else None
         *sections, name = flag.removeprefix("--").split(".")
         target = given if not sections and name in own else table
         for section in sections:
@@ -93,6 +111,10 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
             return positive, False
         raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_near(flag, hints))}")
     hint, optional = hints[flag], False
+    if isinstance(hint, OrAlone):
+        if equals:
+            return flag, _name(flag, text)
+        return flag, _name(flag, words.pop()) if words and hint.is_value(words[-1]) else hint.alone
     while typing.get_origin(hint) in (Annotated, Union, UnionType):
         optional |= typing.get_origin(hint) is not Annotated
         hint = typing.get_args(hint)[0]

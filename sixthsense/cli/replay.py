@@ -19,6 +19,7 @@ from sixthsense.cli.common import (
     wants_help,
 )
 from sixthsense.cli.options import UsageError
+from sixthsense.cli.view import live_view
 from sixthsense.progress import Progress, each
 
 
@@ -59,9 +60,12 @@ def command(args: list[str]) -> int:
     config, log, name = found.config, found.log, found.name
     for note in found.notes:
         print(f"note: {name}: {note}", file=sys.stderr)
-    with run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}", found.files) as folder:
+    with (
+        run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}", found.files) as folder,
+        live_view(options) as shown,
+    ):
         announce_compilation()
         warm_up()
         with BagWriter(folder.partial) as bag, Progress(name, log.duration_s) as progress:
-            trace = replay(log, config, found.relations, each(bag, progress))
+            trace = replay(log, config, found.relations, each(bag, progress, *shown))
         return finish(folder, trace, f"{name} · {config.estimator}: {trace.outcome}")

@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from sixthsense.cli.common import announce_compilation, numbered, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 
-USAGE = """\
-usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite]
+if TYPE_CHECKING:
+    from sixthsense.report import FinishedRun
 
-Draw figures of runs that are over, killed ones included, as far as they got.
+USAGE = """\
+usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|FILE.gif]]
+
+Draw figures of runs that are over, killed ones included, as far as they got, and a page, report.html, that holds them
+all with the metrics, the configuration and the command that repeats the run.
 
 One run gets them into its own figures/; of several, they come side by side, with a table of their metrics.
 
-  RUN_DIR        folder of a run
-  --out DIR      folder to write; for several runs by default a new one under runs/
-  --overwrite    write into DIR though it exists
+  RUN_DIR          folder of a run
+  --out DIR        folder to write; for several runs by default a new one under runs/
+  --overwrite      write into DIR though it exists
+  --figures FORM   svg or pdf: each figure as vectors, too; png (the default): pictures alone
+  --animate [FILE] one run as a film, FILE.mp4 (needs ffmpeg) or FILE.gif; without FILE, animation.gif beside the
+                   figures
 """
+
+_FILM = "animation.gif"
 
 
 def command(args: list[str]) -> int:
@@ -26,22 +36,48 @@ def command(args: list[str]) -> int:
     if wants_help(args):
         print(USAGE, end="")
         return DONE
-    from sixthsense.cli.options import words
+    from sixthsense.cli.options import OrAlone, words
 
-    folders, given = words(args, {"out": Path, "overwrite": bool})
+    film = OrAlone(None, _is_film, "FILE.mp4 or FILE.gif")
+    folders, given = words(args, {"out": Path, "overwrite": bool, "figures": str, "animate": film})
     if not folders:
         raise UsageError("run: found nothing, allowed: one or more folders of runs")
     out: Path | None = given.get("out")
     if out is not None and out.exists() and not given.get("overwrite", False):
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
-    from sixthsense.report import check_folders, compact, load_run, report, table
+    from sixthsense.figures.animation import check_film
+    from sixthsense.report import as_form, check_folders, compact, load_run, report, table
 
+    form = as_form(given.get("figures", "png"))
+    if "animate" in given:
+        check_film(_FILM if given["animate"] is None else given["animate"])
+        if len(folders) > 1:
+            raise UsageError(f"--animate: found {len(folders)} runs, allowed: with one")
     check_folders(folders)
     announce_compilation()
     runs = [load_run(folder) for folder in folders]
     if out is None:
         out = Path(folders[0]) / "figures" if len(runs) == 1 else numbered("report")
-    files = report(runs, out)
+    files = report(runs, out, form)
     print(compact(table(runs)))
     print(f"written to {out}/: {', '.join(file.name for file in files)}")
+    if "animate" in given:
+        file = out / _FILM if given["animate"] is None else Path(given["animate"])
+        _animate(runs[0], folders[0], file)
+        print(f"written: {file}")
     return DONE
+
+
+def _is_film(word: str) -> bool:
+    """Whether a word after `--animate` is its value, and no folder of a run."""
+    return bool(Path(word).suffix) and not Path(word).is_dir()
+
+
+def _animate(run: FinishedRun, folder: str, film: Path) -> None:
+    from tqdm import tqdm
+
+    from sixthsense.figures.animation import MOST_FRAMES, animate
+
+    frames = min(MOST_FRAMES, len(run.trace.stamps_ns))
+    with tqdm(total=frames, desc=film.name, disable=None, leave=False) as bar:
+        animate(folder, run.trace, film, run.title, frames, bar.update)

@@ -18,6 +18,7 @@ from sixthsense.cli.common import (
     wants_help,
 )
 from sixthsense.cli.options import UsageError
+from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
 from sixthsense.progress import Progress, each
 
@@ -53,10 +54,13 @@ def command(args: list[str]) -> int:
     scene = load_scene(config.scene)
     mission(scene, config)
     label = f"{scene.name}, {config.task}"
-    with run_folder(options, config, f"{scene.name}-{config.estimator}") as folder:
+    with (
+        run_folder(options, config, f"{scene.name}-{config.estimator}") as folder,
+        live_view(options) as shown,
+    ):
         announce_compilation()
         warm_up()
         with BagWriter(folder.partial) as bag, Progress(label, config.max_time, options.realtime) as progress:
-            trace = run(config, each(bag, progress))
+            trace = run(config, each(bag, progress, *shown))
         title = f"{scene.name} · {config.estimator} · {config.preset} · seed {config.seed}: {trace.outcome}"
         return finish(folder, trace, title)

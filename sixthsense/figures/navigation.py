@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.freespace import Bools, FreeSpace
-from sixthsense.frontier import frontier_cells, without_gaps
+from sixthsense.frontier import frontier_points
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, draw_segments, label_plane
@@ -72,14 +72,8 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     """
     assert trace.grid is not None
     grid, cell_m = trace.grid, trace.config.grid.cell_m
-    obstacles, seen = without_gaps(grid.obstacles), grid.seen
-    unseen = ~(seen | obstacles)
+    seen = grid.seen
     region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
-    if region is not None:
-        x0, y0, x1, y1 = region
-        y = grid.origin[1] + (np.arange(seen.shape[0]) + 0.5) * cell_m
-        x = grid.origin[0] + (np.arange(seen.shape[1]) + 0.5) * cell_m
-        unseen &= ((y > y0) & (y < y1))[:, None] & ((x > x0) & (x < x1))[None, :]
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=1.6, label="walls, true", zorder=2)
     for k, plan in enumerate(trace.plans):
@@ -89,8 +83,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     driven = np.array(trace.estimates).reshape(-1, 3)
     ax.plot(driven[:, 0], driven[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=4)
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
-    edge = np.argwhere(frontier_cells(seen & ~obstacles, unseen))
-    points = (edge[:, ::-1] + 0.5) * cell_m + np.array(grid.origin)
+    points = frontier_points(seen, grid.obstacles, grid.origin, cell_m, region)
     if len(points):
         ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label="frontiers left", zorder=6)
     if trace.left:

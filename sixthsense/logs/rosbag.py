@@ -37,6 +37,8 @@ class BagLog(Log):
     """The scanner, as the bag describes it."""
     plans: tuple[Array, ...] = ()
     """Paths that were planned, (N, 2) each; of a run of ours."""
+    plan_stamps_ns: tuple[int, ...] = ()
+    """When they were, record time."""
     cut_short: bool = False
     """The bag ends where its writer was stopped."""
 

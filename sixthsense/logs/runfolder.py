@@ -33,7 +33,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
-    plans: list[Array] = []
+    plans: list[tuple[int, Array]] = []
     reader = _Chunks(file)
     place = Pose(*laser.mount)
     try:
@@ -46,7 +46,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
                 ticks.append(Tick(record_ns, pose, increment_cov=stated_covariance(message)))
             elif topic == "/plan":
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
-                plans.append(np.array(points, dtype=np.float64).reshape(-1, 2))
+                plans.append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
             elif ticks and topic == "/sightings":
@@ -65,7 +65,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no sighting{cut}, allowed: a bag of a run")
     log = BagLog(ticks, laser)
-    log.plans, log.cut_short = tuple(plans), reader.cut_short
+    log.plan_stamps_ns, log.plans = tuple(stamp for stamp, _ in plans), tuple(plan for _, plan in plans)
+    log.cut_short = reader.cut_short
     return log
 
 

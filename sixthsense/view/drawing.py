@@ -1,0 +1,227 @@
+"""What the live view shows of a run, in Rerun's terms.
+
+Everything of the plane lies under `map`, which is the world mirrored in y, because Rerun's plane has y downwards; what
+is sent there is in metres, world frame; the body under `map/robot` alone is in the robot's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from sixthsense import metrics
+from sixthsense.frontier import frontier_points
+from sixthsense.geometry import Array, Pose
+from sixthsense.plot import ESTIMATE, LANDMARK, ODOMETRY, PLAN, SEEN, SIGHTING, TRUTH, WALL, WALL_FOUND, ellipse
+from sixthsense.source import Tick
+from sixthsense.stopwatch import STAGES
+from sixthsense.trace import Trace
+
+_FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
+_THIN, _THICK = 1.0, 2.0  # of lines, pixels
+_CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
+_FILE_TICK = timedelta(seconds=5.0)  # of wall time, between two writes to a file
+_BAND = "#999999"
+_STAGE_COLORS = ("#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN)
+
+
+class Drawing:
+    """A stream of Rerun's, and what is sent down it."""
+
+    def __init__(self, sink: str | Path) -> None:
+        """Begin a stream into a file, or to the viewer at an address, rerun+http://..."""
+        import rerun
+
+        self._rr = rerun
+        is_live = str(sink).startswith("rerun+http://")
+        batches = rerun.ChunkBatcherConfig.DEFAULT()
+        if not is_live:
+            batches.flush_tick = _FILE_TICK  # fewer and larger pieces are sooner read again
+        self._stream = rerun.RecordingStream("sixthsense", batcher_config=batches)
+        self._stream.set_log_time_enabled(False)
+        if is_live:
+            self._stream.connect_grpc(str(sink))
+        else:
+            Path(sink).parent.mkdir(parents=True, exist_ok=True)
+            with Path(sink).open("wb"):  # whose complaint names the file
+                self._stream.save(sink)
+        self._cells = b""  # of the grid that was sent last
+
+    def begin(self, trace: Trace) -> None:
+        """Send what stays as it is: the layout, the true walls, colours and names."""
+        rr, scene = self._rr, trace.scene
+        self._stream.send_blueprint(self._blueprint(trace))
+        self._stream.log("map", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
+        names = [(0, "unseen", (0, 0, 0, 0)), (_FREE, "free", _rgb(SEEN)), (_OBSTACLE, "obstacle", _rgb(SIGHTING))]
+        self._stream.log("map/grid", rr.AnnotationContext(names), static=True)
+        if scene is not None:
+            self._lines("map/true/walls", scene.walls, WALL, _THICK, static=True)
+        body = trace.radius_m * np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)], axis=1)
+        self._lines("map/robot/body", [body, np.array([[0.0, 0.0], [trace.radius_m, 0.0]])], TRUTH, _THICK, static=True)
+        self._series("plots/nees/pose", "NEES", ESTIMATE)
+        self._series("plots/nis/per_dof", "NIS per degree of freedom", ESTIMATE)
+        for plot in ("nees", "nis"):
+            for end in ("low", "high"):
+                self._series(f"plots/{plot}/{end}", f"95 %, {end}", _BAND)
+        for stage, color in zip(STAGES, _STAGE_COLORS, strict=True):
+            self._series(f"plots/timing/{stage}", stage, color)
+
+    def set_time(self, now_s: float, scan: int) -> None:
+        """What follows is of that time of the source, and of that scan."""
+        self._stream.set_time("time", duration=now_s)
+        self._stream.set_time("scan", sequence=scan)
+
+    def robot(self, tick: Tick, trace: Trace) -> None:
+        """Where the robot is believed to be, where it truly is, and the scan."""
+        rr, live = self._rr, trace.live
+        pose = Pose.from_array(trace.estimates[-1])
+        turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=pose.theta)
+        self._stream.log("map/robot", rr.Transform3D(translation=[pose.x, pose.y, 0.0], rotation=turn))
+        if live is not None and live.scan is not None:
+            returned = live.scan.ranges < live.scan.max_range
+            self._points("map/scan", pose @ live.scan.points_robot[returned], ODOMETRY, 1.5)
+        if tick.truth is not None:
+            self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
+
+    def features(self, trace: Trace) -> None:
+        """What the last key scan showed, and how sure the pose is after it."""
+        estimate, live = trace.key_estimates[-1], trace.live
+        outline = ellipse(estimate.pose.position, estimate.pose_cov[:2, :2])
+        self._lines("map/pose", [outline], ESTIMATE, _THICK)
+        if live is None or live.features is None:
+            return
+        points = np.array([sighting.z for sighting in live.features.sightings if not sighting.is_wall]).reshape(-1, 2)
+        self._lines("map/features/walls", estimate.pose @ live.features.walls, WALL_FOUND, 3.0)
+        self._points("map/features/points", estimate.pose @ points, WALL_FOUND, 5.0)
+
+    def plots(self, trace: Trace) -> None:
+        """The pose's NEES, the NIS of the matches and the stages' times of the last key scan."""
+        estimate, association = trace.key_estimates[-1], trace.associations[-1]
+        cov = estimate.pose_cov[None]
+        if trace.key_truths and metrics.full_rank_from(cov) == 0:
+            error = (estimate.pose.array() - trace.key_truths[-1])[None]
+            self._scalars("plots/nees", float(metrics.nees_world(error, cov)[0]), metrics.nees_band(1), "pose")
+        dof = association.dof
+        if dof:
+            band = float(chi2.ppf(0.025, dof)) / dof, float(chi2.ppf(0.975, dof)) / dof
+            self._scalars("plots/nis", association.nis / dof, band, "per_dof")
+        for stage, ms in trace.stopwatch.rows[-1].items():
+            self._stream.log(f"plots/timing/{stage}", self._rr.Scalars(ms))
+
+    def plan(self, path: Array) -> None:
+        """A planned path (N, 2)."""
+        self._lines("map/plan", [path], PLAN, _THICK)
+
+    def map(self, trace: Trace) -> None:
+        """The grid, the frontiers, the landmarks and the way so far."""
+        self._grid(trace)
+        self._landmarks(trace)
+        driven = np.array([estimate.pose.position for estimate in trace.key_estimates]).reshape(-1, 2)
+        self._lines("map/driven", [driven], ESTIMATE, _THICK)
+        if trace.key_truths:
+            self._lines("map/true/driven", [np.array(trace.key_truths)[:, :2]], TRUTH, _THIN)
+
+    def flush(self, timeout_s: float) -> None:
+        """Wait until all is sent, or nobody takes it."""
+        try:
+            self._stream.flush(timeout_sec=timeout_s)
+        except Exception:  # whoever was to see it has gone, which is no failure of the run
+            return
+
+    def close(self) -> None:
+        """End the stream."""
+        self._stream.disconnect()
+
+    def _grid(self, trace: Trace) -> None:
+        grid, cell_m = trace.grid, trace.config.grid.cell_m
+        if grid is None:
+            return
+        occupancy = grid.occupancy()
+        rows, cols = (np.flatnonzero((occupancy >= 0).any(axis=axis)) for axis in (1, 0))
+        if len(rows) == 0:
+            return
+        part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        image = np.select([part == 100, part == 0], [_OBSTACLE, _FREE], 0).astype(np.uint8)
+        corner = grid.origin[0] + cols[0] * cell_m, grid.origin[1] + rows[0] * cell_m
+        sent = image.tobytes() + repr((image.shape, corner)).encode()
+        if sent == self._cells:
+            return
+        self._cells = sent
+        place = self._rr.Transform3D(translation=[*corner, 0.0], scale=[cell_m, cell_m, 1.0])
+        self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
+        if trace.config.task == "explore" and trace.scene is not None:
+            region = trace.config.region or trace.scene.region
+            edge = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
+            self._points("map/frontiers", edge, TRUTH, 1.5)
+
+    def _landmarks(self, trace: Trace) -> None:
+        live = trace.live
+        if live is None:  # the run is over
+            estimate, records, joint = trace.final, trace.records, trace.joint_cov
+            at = 3 + 2 * np.flatnonzero(~estimate.walls)
+            covs = np.array([joint[k : k + 2, k : k + 2] for k in at.tolist()]).reshape(-1, 2, 2)
+        elif trace.key_estimates:
+            estimate, records = trace.key_estimates[-1], dict(live.records)
+            covs = live.point_covariances(estimate)
+        else:
+            return
+        points = estimate.landmarks[~estimate.walls]
+        outlines = [ellipse(mean, cov, 24) for mean, cov in zip(points, covs, strict=True)]
+        self._points("map/landmarks/points", points, LANDMARK, 3.0)
+        self._lines("map/landmarks/ellipses", outlines, LANDMARK, _THIN)
+        extents = [records[i].extent for i in estimate.ids[estimate.walls].tolist() if i in records]
+        self._lines("map/landmarks/walls", extents, LANDMARK, _THICK)
+
+    def _points(self, path: str, points: Array, color: str, size: float) -> None:
+        radius = self._rr.Radius.ui_points(size)
+        self._stream.log(path, self._rr.Points2D(points.astype(np.float32), colors=_rgb(color), radii=radius))
+
+    def _lines(self, path: str, lines: Sequence[Array] | Array, color: str, width: float, static: bool = False) -> None:
+        radius = self._rr.Radius.ui_points(0.5 * width)
+        strips = [np.asarray(line, dtype=np.float32) for line in lines]
+        self._stream.log(path, self._rr.LineStrips2D(strips, colors=_rgb(color), radii=radius), static=static)
+
+    def _series(self, path: str, name: str, color: str) -> None:
+        self._stream.log(path, self._rr.SeriesLines(colors=_rgb(color), names=name), static=True)
+
+    def _scalars(self, plot: str, value: float, band: tuple[float, float], name: str) -> None:
+        for path, number in ((name, value), ("low", band[0]), ("high", band[1])):
+            self._stream.log(f"{plot}/{path}", self._rr.Scalars(number))
+
+    def _blueprint(self, trace: Trace) -> Any:
+        """The plane on the left, the plots on the right."""
+        import rerun.blueprint as rrb
+
+        bounds = None
+        if trace.scene is not None:
+            x0, y0, x1, y1 = trace.config.region or trace.scene.region
+            bounds = rrb.VisualBounds2D(x_range=[x0 - 0.5, x1 + 0.5], y_range=[-y1 - 0.5, -y0 + 0.5])
+        plane = rrb.Spatial2DView(
+            origin="/", contents="/map/**", name="map", background=[255, 255, 255], visual_bounds=bounds
+        )
+        titles = {
+            "nees": "NEES of the pose, 95 % band",
+            "nis": "NIS per degree of freedom, 95 % band",
+            "timing": "Stages of a key scan, ms",
+        }
+        plots = [
+            rrb.TimeSeriesView(
+                origin=f"/plots/{plot}", name=title, plot_legend=rrb.PlotLegend(visible=plot == "timing")
+            )
+            for plot, title in titles.items()
+        ]
+        layout = rrb.Horizontal(plane, rrb.Vertical(*plots), column_shares=[3.0, 2.0])
+        # At the newest, until somebody scrubs.
+        clock = rrb.TimePanel(timeline="time", state="collapsed", play_state="following")
+        return rrb.Blueprint(layout, clock, collapse_panels=True)
+
+
+def _rgb(color: str) -> tuple[int, int, int]:
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue

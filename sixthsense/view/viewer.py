@@ -1,0 +1,137 @@
+"""Rerun's viewer as a process beside ours: where it may be shown, and its server, bound to one address."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import socket
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Literal
+from urllib.parse import quote
+
+from sixthsense.config.section import shown
+from sixthsense.errors import InputError
+from sixthsense.view.relay import Relay
+
+LOOPBACK = "127.0.0.1"
+PLACES = "window, browser or FILE.rrd"
+
+_START_S = 60.0  # in which a viewer has begun to listen
+_END_S = 5.0
+
+
+class ViewError(InputError):
+    """One line for a view that cannot be shown."""
+
+
+def is_place(word: str) -> bool:
+    """Whether a word says where to show a run: window, browser, or a file of Rerun's."""
+    return word in ("window", "browser") or Path(word).suffix.lower() == ".rrd"
+
+
+def check_place(place: str | Path, address: str = LOOPBACK) -> None:
+    """Raise ViewError for a place that is none, a window without a display and an address that is none.
+
+    Raises it, too, where Rerun is not installed, and says how to install it.
+    """
+    if not is_place(str(place)):
+        raise ViewError(f"--view: found {shown(str(place))}, allowed: {PLACES}")
+    try:
+        ipaddress.ip_address(address)
+    except ValueError:
+        raise ViewError(f"--bind: found {shown(address)}, allowed: an IP address of this machine") from None
+    if find_spec("rerun") is None:
+        raise ViewError("--view: needs Rerun, which is not installed, allowed: after pip install 'sixthsense[view]'")
+    on_linux = sys.platform.startswith("linux")
+    if str(place) == "window" and on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewError("--view: found window, but there is no display to open one on, allowed: browser or FILE.rrd")
+
+
+class Viewer:
+    """A viewer in a process of its own that listens on one address: a native window, or a server for browsers."""
+
+    def __init__(self, kind: Literal["window", "browser"], address: str = LOOPBACK) -> None:
+        """Start it and wait until it listens; ViewError if it does not."""
+        host = f"[{address}]" if ":" in address else address
+        port = _free_port(address)
+        self.stream = f"rerun+http://{host}:{port}/proxy"
+        """where data is sent to"""
+        self.page = ""
+        """what a browser opens; empty of a window"""
+        self._relay: Relay | None = None
+        words, ports = [_program(), "--bind", address, "--port", str(port)], [port]
+        if kind == "browser":
+            ports.append(_free_port(address))
+            self._relay = Relay(address, f"http://{host}:{ports[1]}", f"http://{host}:{port}")
+            origin = f"http://{host}:{self._relay.port}"
+            self.page = f"{origin}/?url={quote(self.stream, safe='')}"
+            words += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
+        else:
+            words += ["--hide-welcome-screen", "--expect-data-soon"]
+        nowhere = subprocess.DEVNULL
+        # In a session of its own: Ctrl-C is for the run, which ends in order, and is still shown.
+        self._process = subprocess.Popen(
+            words, env=_environment(), stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
+        )
+        deadline = time.monotonic() + _START_S
+        while not all(_listens(address, port) for port in ports):
+            if self._process.poll() is not None or time.monotonic() > deadline:
+                self.end()
+                raise ViewError(f"--view: Rerun's viewer does not start on {address}, allowed: FILE.rrd")
+            time.sleep(0.05)
+
+    def wait(self) -> None:
+        """Until the viewer ends, or Ctrl-C."""
+        self._process.wait()
+
+    def end(self) -> None:
+        """Stop it; a window that its user has closed has ended already."""
+        if self._relay is not None:
+            self._relay.end()
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+
+
+def _program() -> str:
+    """Rerun's own program, without the script around it, which would not hand on the signal that ends it."""
+    spec = find_spec("rerun_cli")
+    folders = list(spec.submodule_search_locations or ()) if spec is not None else []
+    names = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
+    for file in (Path(folder) / name for folder in folders for name in names):
+        if file.is_file():
+            return str(file)
+    raise ViewError("--view: Rerun's viewer is not installed, allowed: FILE.rrd")
+
+
+def _environment() -> dict[str, str]:
+    """Ours, without usage statistics: the viewer sends none where `CI` is set, whatever is configured."""
+    kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return kept | {"CI": "1", "TELEMETRY_ENABLED": "false"}
+
+
+def _free_port(address: str) -> int:
+    try:
+        family = socket.getaddrinfo(address, 0, type=socket.SOCK_STREAM)[0][0]
+        with socket.socket(family, socket.SOCK_STREAM) as probe:
+            probe.bind((address, 0))
+            return int(probe.getsockname()[1])
+    except OSError as error:
+        found = f"--bind: found {address}, which cannot be bound ({error.strerror})"
+        raise ViewError(f"{found}, allowed: an IP address of this machine") from None
+
+
+def _listens(address: str, port: int) -> bool:
+    try:
+        with socket.create_connection((address, port), timeout=1.0):
+            return True
+    except OSError:
+        return False

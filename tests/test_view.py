@@ -1,0 +1,223 @@
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import pytest
+
+import sixthsense as ss
+from sixthsense.cli import main
+from sixthsense.config import preset
+from sixthsense.loop import run
+from sixthsense.view.relay import Relay
+from sixthsense.view.viewer import ViewError, check_place
+
+pytest.importorskip("rerun")
+
+SHOWN = {
+    "/map", "/map/true/walls", "/map/true/robot", "/map/true/driven", "/map/robot", "/map/scan",
+    "/map/robot/body",
+    "/map/features/walls", "/map/features/points", "/map/landmarks/points", "/map/landmarks/ellipses",
+    "/map/landmarks/walls", "/map/pose", "/map/grid", "/map/frontiers", "/map/plan", "/map/driven", "/plots/nees/pose",
+    "/plots/nees/low", "/plots/nis/per_dof", "/plots/timing/update", "/plots/timing/grid",
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def strict(monkeypatch):
+    """Rerun raises where it would otherwise warn."""
+    monkeypatch.setenv("RERUN_STRICT", "1")
+
+
+def rows(file: Path) -> dict[str, int]:
+    """The entities of a recording, and how many rows each has."""
+    from rerun.chunk import RrdReader
+
+    counts: dict[str, int] = {}
+    for chunk in RrdReader(str(file)).stream().to_chunks():
+        path = str(chunk.entity_path)
+        counts[path] = counts.get(path, 0) + chunk.num_rows
+    return counts
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "one"
+    file = out.parent / "deep" / "one.rrd"
+    words = ["--max-time", "6", "--seed", "3", "--out", str(out), "--view", str(file)]
+    assert main(["run", "apartment", *words]) == 1
+    return out
+
+
+def test_a_run_is_shown_in_a_file_with_all_there_is_to_see(folder):
+    counts = rows(folder.parent / "deep" / "one.rrd")
+    assert set(counts) >= SHOWN
+    assert counts["/map/scan"] == 61  # every scan
+    assert 5 <= counts["/map/grid"] <= 10  # once a second, and what names its classes
+    assert counts["/plots/nis/low"] == counts["/plots/nis/high"] == counts["/plots/nis/per_dof"]
+
+
+def test_a_replay_is_shown_too(folder, tmp_path, capsys):
+    file = tmp_path / "replay.rrd"
+    assert main(["replay", str(folder), "--out", str(tmp_path / "again"), "--view", str(file)]) == 0
+    assert set(rows(file)) >= SHOWN - {"/map/plan"}  # a passenger plans nothing
+
+
+def test_to_be_watched_changes_nothing(tmp_path):
+    config = preset(scene="rectangle", task="goal", goal=(1.2, 0.5), estimator="isam2", seed=4)
+    with ss.View(tmp_path / "run.rrd") as view:
+        watched = run(config, view)
+    np.testing.assert_array_equal(watched.estimates, run(config).estimates)
+    assert watched.live is None
+
+
+def test_a_log_without_scans_is_shown(tmp_path):
+    graph = tmp_path / "log.graph"
+    graph.write_text("VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1 0 0 100 0 100 1000 0 0\n", encoding="utf-8")
+    words = ["--out", str(tmp_path / "out"), "--view", str(tmp_path / "log.rrd")]
+    if main(["replay", str(graph), *words]) == 0:
+        assert "/map/robot" in rows(tmp_path / "log.rrd")
+
+
+def test_the_core_runs_where_rerun_is_not_installed():
+    code = (
+        "import sys; sys.modules['rerun'] = None; sys.modules['rerun_cli'] = None\n"
+        "import sixthsense as ss; from sixthsense.cli import main\n"
+        "ss.run(ss.preset(scene='rectangle', max_time=0.5)); ss.View\n"
+        "assert main(['scenes']) == 0"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
+
+
+def test_without_rerun_a_view_is_refused_in_one_line_that_says_how_to_install_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sixthsense.view.viewer.find_spec", lambda _: None)
+    assert main(["run", "rectangle", "--out", str(tmp_path / "out"), "--view", "run.rrd"]) == 2
+    said = "--view: needs Rerun, which is not installed, allowed: after pip install 'sixthsense[view]'"
+    assert capsys.readouterr().err == f"sixthsense: {said}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["rectangle", "--view", "tab"], "--view: found 'tab', allowed: window, browser or FILE.rrd"),
+        (["rectangle", "--view=film.mp4"], "--view: found 'film.mp4', allowed: window, browser or FILE.rrd"),
+        (["rectangle", "--view="], "--view: found '', allowed: window, browser or FILE.rrd"),
+        (
+            ["rectangle", "--view", "browser", "--bind", "here"],
+            "--bind: found 'here', allowed: an IP address of this machine",
+        ),
+        (["rectangle", "--bind", "127.0.0.1"], "--bind: found without --view browser, allowed: with it"),
+        (["rectangle", "--view", "x.rrd", "--bind", "::1"], "--bind: found without --view browser, allowed: with it"),
+    ],
+)
+def test_a_view_that_cannot_be_is_refused_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", *words]) == 2
+    assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
+    assert not any(tmp_path.rglob("*.toml"))
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
+def test_a_window_without_a_display_is_refused_before_the_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(["run", "--view", "rectangle"]) == 2  # the word after it is the scene
+    err = capsys.readouterr().err
+    assert (
+        err
+        == "sixthsense: --view: found window, but there is no display to open one on, allowed: browser or FILE.rrd\n"
+    )
+    with pytest.raises(ViewError, match="no display"):
+        check_place("window")
+
+
+def test_a_file_that_cannot_be_written_is_named_in_one_line(tmp_path, capsys):
+    (tmp_path / "dir.rrd").mkdir()
+    words = ["--out", str(tmp_path / "out"), "--view", str(tmp_path / "dir.rrd")]
+    assert main(["run", "rectangle", "--max-time", "1", *words]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert f"{tmp_path}/dir.rrd: " in err
+
+
+@pytest.fixture
+def viewer():
+    from sixthsense.view.viewer import Viewer
+
+    started = Viewer("browser")
+    yield started
+    started.end()
+
+
+def test_a_browser_is_served_on_the_loopback_alone_and_kept_from_other_machines(viewer):
+    with urllib.request.urlopen(viewer.page) as answer:
+        assert b"<canvas" in answer.read()
+        policy = answer.headers["Content-Security-Policy"]
+    assert "http://127.0.0.1:" in policy.partition("connect-src")[2]
+    assert "*" not in policy
+    assert policy.count("http") == 1
+    if Path("/proc/net/tcp").is_file():
+        port = int(viewer.stream.rpartition(":")[2].partition("/")[0])
+        listening = [line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        assert next(where for where in listening if where.endswith(f":{port:04X}")).startswith("0100007F")
+    viewer.end()
+    with pytest.raises(urllib.error.URLError):
+        urllib.request.urlopen(viewer.page)
+
+
+def test_the_viewer_sends_no_usage_statistics(viewer):
+    if not Path("/proc/self/environ").is_file():
+        pytest.skip("needs /proc")
+    environment = Path(f"/proc/{viewer._process.pid}/environ").read_bytes().split(b"\0")
+    assert b"CI=1" in environment
+    assert b"TELEMETRY_ENABLED=false" in environment
+    assert not any(entry.startswith(b"FORCE_RERUN_ANALYTICS") for entry in environment)
+
+
+def test_a_run_goes_on_when_its_viewer_has_gone(tmp_path, monkeypatch):
+    monkeypatch.setattr("sixthsense.view.recording._FLUSH_S", 1.0)
+    with ss.View("browser") as view:
+        view._viewer._process.kill()
+        view._viewer._process.wait()
+        began = time.monotonic()
+        trace = run(preset(scene="rectangle", max_time=1.0), view)
+    assert trace.estimates
+    assert time.monotonic() - began < 60.0
+
+
+class Behind(BaseHTTPRequestHandler):
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/plain")
+        self.send_header("Access-Control-Allow-Origin", "*")
+        self.end_headers()
+        self.wfile.write(self.path.encode())
+
+    def log_message(self, *_):
+        pass
+
+
+def test_the_relay_hands_on_what_is_behind_it_under_its_policy():
+    server = HTTPServer(("127.0.0.1", 0), Behind)
+    Thread(target=server.serve_forever, daemon=True).start()
+    relay = Relay("127.0.0.1", f"http://127.0.0.1:{server.server_port}", "http://127.0.0.1:1")
+    with urllib.request.urlopen(f"http://127.0.0.1:{relay.port}/a/b?c=d") as answer:
+        assert answer.read() == b"/a/b?c=d"
+        assert answer.headers["Content-Type"] == "text/plain"
+        assert answer.headers["Access-Control-Allow-Origin"] is None
+        assert "connect-src" in answer.headers["Content-Security-Policy"]
+    server.shutdown()
+    server.server_close()
+    with pytest.raises(urllib.error.HTTPError, match="502"):
+        urllib.request.urlopen(f"http://127.0.0.1:{relay.port}/")
+    relay.end()
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", relay.port)) != 0
