@@ -15,10 +15,37 @@ from typing import Annotated, Any, Literal, Union
 
 from sixthsense.cli import COMMANDS, main
 from sixthsense.config import PRESETS, Config, Section, preset
+from sixthsense.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
 
+_ABOUT_METRICS = """\
+Flat keys: `run.metrics`, `metrics.json`, the table at the end of a run, the columns of a campaign. What cannot be
+measured is left out: no errors without truth, no relations without a file of them. The error of an estimate is estimate minus
+truth. `run.metrics.frame()` is a pandas frame with units and meanings.
+
+This page is made from the package when the site is built.
+""".splitlines()
+_MORE = {
+    "Outcome": [
+        "The outcome is [in words](../concepts/index.md#how-a-run-ends), and judged by what the robot believes: a goal",
+        "reached by the estimate may truly be `goal_error_m` away. Coverage is measured against",
+        "[what can be seen](../concepts/exploration.md#coverage). `places_left.csv` has each place left and its reason.",
+    ],
+    "Accuracy": [
+        "Trajectories are not aligned: the start is known. `ate_rmse_m` is of `estimate.tum`, one pose a scan, as it",
+        "was believed then; relations (Kümmerle et al. 2009) judge the final trajectory.",
+    ],
+    "Consistency": ["See [Consistency](../concepts/consistency.md) for what they mean and how to read them."],
+    "Map and way": [
+        "Paths keep a [margin](../concepts/planning.md#how-far-to-keep-away) where there is room;",
+        "the [guard](../concepts/planning.md#the-guard) watches every command.",
+    ],
+    "Time": [
+        "A key scan's processing leaves sensing out. A stage's mean is all its time in the run over the key scans.",
+    ],
+}
 _SHARED = ("config", "out", "overwrite")
 _ABOUT_FIELDS = """\
 A `Config` is a tree of frozen sections that check themselves. Every field is an option of `sixthsense run`
@@ -39,8 +66,8 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
     """Add the generated pages."""
     from mkdocs.structure.files import File
 
-    for name, text in (("reference/configuration.md", configuration()), ("reference/cli.md", command_line())):
-        files.append(File.generated(config, name, content=text))
+    for name, text in (("configuration", configuration()), ("cli", command_line()), ("metrics", metrics())):
+        files.append(File.generated(config, f"reference/{name}.md", content=text))
     return files
 
 
@@ -73,6 +100,19 @@ def command_line() -> str:
             lines += [f"| `{option}` | {_cell(text)} |" for option, text in _options(own[name])] + [""]
         else:
             lines += ["```text", _printed(name, "--help"), "```", ""]
+    return "\n".join(lines)
+
+
+def metrics() -> str:
+    """The page of what a run measures, by its headings."""
+    groups: dict[str, list[str]] = {quantity.group: [] for quantity in QUANTITIES.values()}
+    for key, quantity in QUANTITIES.items():
+        unit = "" if quantity.unit == "1" else quantity.unit
+        groups[quantity.group].append(f"| `{key}` | {unit} | {_cell(quantity.meaning)} |")
+    lines = ["# Metrics", "", *_ABOUT_METRICS, ""]
+    for group, rows in groups.items():
+        lines += [f"## {group}", "", "| key | unit | what |", "| --- | --- | --- |", *rows, ""]
+        lines += [*_MORE[group], ""] if group in _MORE else []
     return "\n".join(lines)
 
 
