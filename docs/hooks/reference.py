@@ -22,16 +22,16 @@ _IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
 
 _ABOUT_METRICS = """\
 Flat keys: `run.metrics`, `metrics.json`, the table at the end of a run, the columns of a campaign. What cannot be
-measured is left out: no errors without truth, no relations without a file of them. The error of an estimate is estimate minus
-truth. `run.metrics.frame()` is a pandas frame with units and meanings.
+measured is left out: no errors without truth, no relations without a file of them. The error of an estimate is
+estimate minus truth. `run.metrics.frame()` is a pandas frame with units and meanings.
 
 This page is made from the package when the site is built.
 """.splitlines()
 _MORE = {
     "Outcome": [
         "The outcome is [in words](../concepts/index.md#how-a-run-ends), and judged by what the robot believes: a goal",
-        "reached by the estimate may truly be `goal_error_m` away. Coverage is measured against",
-        "[what can be seen](../concepts/exploration.md#coverage). `places_left.csv` has each place left and its reason.",
+        "reached by the estimate may truly be `goal_error_m` away. Coverage is measured against [what can be",
+        "seen](../concepts/exploration.md#coverage). `places_left.csv` has each place left and its reason.",
     ],
     "Accuracy": [
         "Trajectories are not aligned: the start is known. `ate_rmse_m` is of `estimate.tum`, one pose a scan, as it",
