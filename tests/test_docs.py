@@ -53,7 +53,8 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path):
 
 
 def test_every_public_name_has_its_place_in_the_reference():
-    named = re.findall(r"^::: sixthsense\.(\w+)$", (DOCS / "reference" / "api.md").read_text(), re.MULTILINE)
+    page, _, _ = (DOCS / "reference" / "api.md").read_text(encoding="utf-8").partition("## Behind these names")
+    named = re.findall(r"^::: sixthsense\.(\w+)$", page, re.MULTILINE)
     assert sorted(named) == sorted(ss.__all__)
 
 
@@ -90,3 +91,20 @@ def test_every_command_has_a_part_with_its_options():
     page = reference.command_line()
     assert all(f"\n## {name}\n" in page for name in COMMANDS)
     assert "| `--overwrite` | Replace the folder if it exists. |" in page
+
+
+class Page:
+    class file:  # noqa: N801
+        src_uri = "some.md"
+
+
+def test_formulae_become_mathml_and_what_nobody_knows_stops_the_build():
+    pytest.importorskip("latex2mathml", reason="needs the extra docs")
+    import mathematics
+    from mkdocs.exceptions import PluginError
+
+    marked = '<p><span class="arithmatex">\\({}\\)</span></p>'
+    made = mathematics.on_page_content(marked.format(r"a &lt; \frac{1}{2}"), Page)
+    assert "<math" in made and "<mfrac>" in made and "arithmatex" not in made
+    with pytest.raises(PluginError, match=r"some\.md: found .*nonsense"):
+        mathematics.on_page_content(marked.format(r"\nonsense{1}"), Page)
