@@ -2,13 +2,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all notebooks check bench clean
+.PHONY: run test test-all notebooks check bench docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
 $(VENV)/installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev,docs]"
 	touch $@
 
 run: $(VENV)/installed  ## see a robot explore an apartment
@@ -33,5 +33,8 @@ bench: $(VENV)/installed  ## the figures in benchmarks/RESULTS.md
 	$(BIN)/python benchmarks/kernels.py
 	$(BIN)/python benchmarks/ekf_scaling.py
 
+docs: $(VENV)/installed  ## site/index.html; a warning is an error
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) runs
+	rm -rf $(VENV) runs site

@@ -119,7 +119,13 @@ def replay(
         ("intel", "victoria", "mrclam"; of a bag "default"). An opened log needs one.
     relations
         Hand-checked relations between poses, or their file, to measure the trajectory against.
-    on_tick, progress, out, overwrite
+    on_tick
+        As of `ss.run`.
+    progress
+        As of `ss.run`.
+    out
+        As of `ss.run`.
+    overwrite
         As of `ss.run`.
     topics
         Topics of a bag to use, where it has several of scans or of odometry.

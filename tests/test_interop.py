@@ -1,25 +1,30 @@
-"""Whether programs that are not ours read what a run leaves: `evo` its trajectories and its map."""
+"""Whether programs that are not ours read what a run leaves, a part for each, of one short run.
+
+evo reads the trajectories, GTSAM the factor graph, map_server the map, rosbags and mcap the bag, pandas the tables.
+"""
 
 import json
 import math
 import os
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
+import gtsam
 import matplotlib
 import numpy as np
 import pytest
 import yaml
 from PIL import Image
 
-from sixthsense.bag import BagWriter
+from sixthsense.bag import TOPICS, BagWriter
 from sixthsense.config import preset
 from sixthsense.folder import RunFolder
 from sixthsense.loop import run
 from sixthsense.trace import Trace
 
-CONFIG = preset(task="tour", scene="apartment", max_time=30.0, seed=3)
+CONFIG = preset(task="tour", scene="apartment", estimator="isam2", max_time=30.0, seed=3)
 
 # evo keeps its settings in the home, which is one of the test's own: hence a process of its own.
 EVO = """
@@ -89,6 +94,18 @@ def map_server(file: Path) -> tuple[np.ndarray, float, list[float]]:
     return cells[::-1], table["resolution"], table["origin"]
 
 
+def expected_counts(trace: Trace) -> dict[str, int]:
+    """Messages per topic."""
+    ticks = round((trace.stamps_ns[-1] - trace.stamps_ns[0]) * 1e-9 / CONFIG.robot.control_period_s) + 1
+    scans, key_scans, plans = len(trace.stamps_ns), len(trace.key_stamps_ns), len(trace.plans)
+    counts = {"/tf_static": 1, "/odom": ticks, "/truth": ticks, "/scan": scans, "/estimate": key_scans, "/plan": plans}
+    assert min(counts.values()) > 0
+    return counts
+
+
+# evo
+
+
 def test_evo_finds_the_same_absolute_error_as_the_metrics(recorded, evo):
     folder, trace = recorded
     ours = json.loads((folder / "metrics.json").read_text())["ate_rmse_m"]
@@ -109,6 +126,9 @@ def test_evo_places_the_map_where_the_grid_is(recorded, evo):
     np.testing.assert_allclose(evo["low"], origin + cell_m * np.array([columns.min(), rows.min()]), atol=1e-6)
     np.testing.assert_allclose(evo["high"], origin + cell_m * np.array([columns.max() + 1, rows.max() + 1]), atol=1e-6)
     assert evo["known"] == len(rows)
+
+
+# map_server
 
 
 def test_the_map_read_by_map_servers_rule_is_the_grid(recorded):
@@ -141,18 +161,31 @@ def test_the_map_has_a_wall_where_the_robot_saw_one_and_is_free_where_it_drove(r
     assert np.mean(gaps < 0.1) > 0.95
 
 
-def test_the_bag_of_a_finished_run_has_the_same_counts_in_both_readers(recorded):
-    from mcap.reader import make_reader
+# rosbags and mcap
+
+
+def test_rosbags_opens_the_bag_and_finds_every_message(recorded):
     from rosbags.highlevel import AnyReader
 
     folder, trace = recorded
     with AnyReader([folder / "bag"]) as reader:
-        counts = {c.topic: c.msgcount for c in reader.connections}
+        assert {c.topic: c.msgtype for c in reader.connections} == TOPICS
+        assert {c.topic: c.msgcount for c in reader.connections} == expected_counts(trace)
+        found = [c.topic for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype)]
+        assert Counter(found) == expected_counts(trace)
+        assert (reader.start_time, reader.end_time) == (trace.stamps_ns[0], trace.stamps_ns[-1] + 1)
+
+
+def test_the_reader_of_mcap_finds_every_message_and_right_checksums(recorded):
+    from mcap.reader import make_reader
+
+    folder, trace = recorded
     with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
-        summary = make_reader(stream, validate_crcs=True).get_summary()
-    in_mcap = {summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()}
-    assert in_mcap == counts
-    assert counts["/scan"] == len(trace.stamps_ns) and counts["/estimate"] == len(trace.key_stamps_ns)
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        counts = {summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()}
+        assert counts == expected_counts(trace)
+        assert Counter(channel.topic for _, channel, _ in reader.iter_messages()) == counts
 
 
 def test_the_stamps_of_the_trajectories_are_those_of_the_bag(recorded):
@@ -164,3 +197,61 @@ def test_the_stamps_of_the_trajectories_are_those_of_the_bag(recorded):
         scans = [stamp for c, stamp, _ in reader.messages() if c.topic == "/scan"]
     assert math.isclose(stamps[0], 0.0)
     np.testing.assert_allclose(stamps, 1e-9 * (np.array(scans) - scans[0]), atol=1e-9)
+
+
+# GTSAM
+
+
+def test_gtsam_reads_every_factor_and_every_value_of_the_graph(recorded):
+    folder, trace = recorded
+    points = set(trace.final.ids[~trace.final.walls].tolist())
+    sightings = sum(i in points for association in trace.associations for i in association.sightings)
+    steps = len(trace.key_stamps_ns) - 1
+    factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
+    kinds = Counter(type(factors.at(k)).__name__ for k in range(factors.size()))
+    assert kinds == {"BetweenFactorPose2": steps, "BearingRangeFactor2D": sightings}
+    assert steps > 20 and sightings > 50
+    np.testing.assert_allclose(gtsam.utilities.extractPose2(values), trace.trajectory, atol=1e-12)
+    assert gtsam.utilities.extractPoint2(values).shape == (len(points), 2)
+
+
+def test_gtsam_moves_the_poses_by_little_when_it_solves_the_graph_again(recorded):
+    """Without the walls, which the format has no tag for."""
+    folder, trace = recorded
+    factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
+    factors.add(gtsam.PriorFactorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    solved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    assert factors.error(solved) <= factors.error(values)
+    assert np.abs(gtsam.utilities.extractPose2(solved) - trace.trajectory)[:, :2].max() < 0.1
+
+
+# pandas
+
+
+def test_pandas_reads_metrics_and_landmarks(recorded):
+    pd = pytest.importorskip("pandas")
+    folder, trace = recorded
+    metrics = pd.read_json(folder / "metrics.json", typ="series")
+    assert metrics["outcome"] == trace.outcome and metrics["landmarks"] == len(trace.records)
+    frame = pd.read_csv(folder / "landmarks.csv", index_col="id")
+    assert frame.index.tolist() == trace.final.ids.tolist()
+    is_wall = (frame["kind"] == "wall").to_numpy()
+    assert np.array_equal(is_wall, trace.final.walls) and 0 < is_wall.sum() < len(frame)
+    assert np.array_equal(frame.loc[is_wall, ["alpha", "d"]], trace.final.landmarks[is_wall])
+    assert np.array_equal(frame.loc[~is_wall, ["x", "y"]], trace.final.landmarks[~is_wall])
+    assert frame.loc[is_wall, "x"].isna().all() and frame.loc[~is_wall, "alpha"].isna().all()
+    blocks = frame.loc[~is_wall, ["cov_xx", "cov_xy", "cov_xy", "cov_yy"]].to_numpy().reshape(-1, 2, 2)
+    assert (np.linalg.eigvalsh(blocks) > 0.0).all()
+
+
+def test_pandas_reads_a_campaigns_rows_with_the_same_numbers(recorded, tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    from sixthsense.campaign.rows import Rows
+    from sixthsense.campaign.worker import row_of
+
+    metrics = json.loads((recorded[0] / "metrics.json").read_text())
+    Rows(tmp_path).add(row_of(CONFIG) | metrics)
+    frame = pd.read_parquet(tmp_path / "rows")
+    assert frame["estimator"].tolist() == ["isam2"] and frame["seed"].tolist() == [3]
+    assert {key: frame[key].item() for key in metrics} == metrics

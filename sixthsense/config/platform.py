@@ -103,7 +103,7 @@ class LaserConfig(Section):
     max_range: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 10.0
     """A beam that meets nothing nearer returns inf, m."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Pose of the laser in the robot's frame: x y theta."""
+    """Pose of the laser in the robot's frame: x y theta, m and rad."""
     period_ticks: PositiveCount = 5
     """Control ticks per scan."""
     sweep_s: Annotated[float, Range(0.0, 1.0)] = 0.0

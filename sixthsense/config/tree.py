@@ -41,13 +41,13 @@ class Config(Section):
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None
-    """x y theta, world frame; none: the scene's."""
+    """x y theta, world frame, m and rad; none: the scene's."""
     region: tuple[float, float, float, float] | None = None
-    """x0 y0 x1 y1 of the region of interest; none: the scene's."""
+    """x0 y0 x1 y1 of the region of interest, m; none: the scene's."""
     seed: Count = 0
     """Of all randomness."""
     max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] = 1800.0
-    """Simulated seconds after which the run ends."""
+    """Simulated time after which the run ends, s."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)
