@@ -43,7 +43,7 @@ class Estimator(Protocol):
     5. What is returned is a copy.
     6. The same calls give the same bits.
     7. A covariance that is none (not finite, not symmetric, indefinite; of a sighting, not positive definite) is a
-       ValueError that names it, and the state stays as it was. An odometry's may be zero.
+       ValueError that names it, and the state stays as it was. An odometry's and the start's may be zero.
     """
 
     def predict(self, odometry: Odometry) -> None:
