@@ -7,7 +7,7 @@ from scipy.linalg import block_diag, expm
 from sixthsense.geometry import Pose, rotation
 from sixthsense.landmarks import born_point, predict_points
 from sixthsense.motion import compose_jacobians
-from sixthsense.testing.estimation import START, START_COV, everything, fed, make, random_log, sight, step
+from sixthsense.testing.estimation import START, START_COV, driven, everything, fed, make, random_log, sight, step
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 SEEDS = range(5)
@@ -242,3 +242,14 @@ def moved(xi, x):
 
 def derivative(x):
     return np.column_stack([(moved(h, x) - moved(-h, x)) / 2e-6 for h in 1e-6 * np.eye(len(x))])
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"])
+def test_forgetting_cuts_rows_and_columns_out_and_changes_no_bit_of_the_rest(name):
+    estimator = driven(name)
+    before, cov = everything(estimator)
+    estimator.forget(before.ids[[1, 3]].tolist())
+    after, cov_after = everything(estimator)
+    index = [0, 1, 2, 3, 4, 7, 8, 11, 12]
+    assert np.array_equal(cov_after, cov[np.ix_(index, index)])
+    assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks[[0, 2, 4]])
