@@ -13,17 +13,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy import ndimage
 from scipy.special import ndtri
 
 from sixthsense.config import Config
 from sixthsense.freespace import FreeSpace
 from sixthsense.geometry import Array
 from sixthsense.grid import Grid
-from sixthsense.planners import Plan, Planner
+from sixthsense.planners import Plan
+from sixthsense.planners.astar import AStar
 from sixthsense.planners.shortcut import path_is_free
 from sixthsense.safety import latency_s, stopping_distance
 
-_SHARES = (1.0, 0.5)  # of the margin, tried in turn before none
 _SQUEEZE_M = 2.0  # longest way out of a place where only the clearance is missing
 _ESCAPE_M = 0.5  # longest way out of one where, if the map is right, the robot does not fit
 
@@ -38,30 +39,58 @@ def margin_m(pose_cov: Array, config: Config) -> float:
 
 
 def plan_with_margin(
-    planners: tuple[Planner, Planner],
-    free_space: Callable[[float], FreeSpace],
+    planners: tuple[AStar, AStar],
+    free_space: Callable[[float, Array], FreeSpace],
     start: Array,
     goal: Array,
     wanted_m: float,
     detour: float,
-) -> tuple[Plan, float]:
-    """Plan between (2,) points with the margin wanted, less, or none; the plan, and the margin that it keeps, metres.
+) -> tuple[Plan, FreeSpace, float]:
+    """Plan between (2,) points with the margin wanted, or less: the plan, its space, the least margin in it, metres.
 
-    `free_space` gives the space with a margin; the second planner is for those with one, so that each of the two, if it
-    remembers, is asked of much the same space again. A margin gives way if there is no path with it, or none at most
-    `detour` times as long as the shortest.
+    `free_space` gives the space with a margin that gives way about (K, 2) places; the second planner is for those with
+    one, so that each of the two, which remember, is asked of much the same space again. The margin gives way if there
+    is no path with it, or none at most `detour` times as long as the shortest: by half, then wholly where the shortest
+    path passes a gap that closes with it, then everywhere.
     """
-    shortest = planners[0].plan(free_space(0.0), start, goal)
-    for share in _SHARES if shortest.found and wanted_m > 0.0 else ():
-        margin = share * wanted_m
-        space = free_space(margin)
-        if path_is_free(space, shortest.path_world):
-            return shortest, margin
+    ends = np.array([start, goal])
+    widest = free_space(0.0, ends)
+    shortest = planners[0].plan(widest, start, goal)
+    if not shortest.found or wanted_m <= 0.0:
+        return shortest, widest, 0.0
+
+    longest = detour * shortest.cost
+
+    def with_margin(margin_m: float, places: Array) -> FreeSpace:
         # What cannot be part of a path that short is not looked at.
-        plan = planners[1].plan(space.between(start, goal, detour * shortest.cost), start, goal)
-        if plan.found and plan.cost <= detour * shortest.cost:
-            return plan, margin
-    return shortest, 0.0
+        return free_space(margin_m, places).between(start, goal, longest)
+
+    def within(space: FreeSpace) -> Plan | None:
+        plan = shortest if path_is_free(space, shortest.path_world) else planners[1].plan(space, start, goal)
+        return plan if plan.cost <= longest else None
+
+    whole = with_margin(wanted_m, ends)
+    for space, margin in ((whole, wanted_m), (with_margin(0.5 * wanted_m, ends), 0.5 * wanted_m)):
+        plan = within(space)
+        if plan is not None:
+            return plan, space, margin
+    gaps = _gaps(whole, shortest.path_world, 0.5 * wanted_m)
+    space = with_margin(wanted_m, np.vstack([ends, gaps]))
+    plan = within(space) if len(gaps) else None
+    return (plan, space, 0.0) if plan is not None else (shortest, widest, 0.0)
+
+
+def _gaps(space: FreeSpace, path_world: Array, spacing_m: float) -> Array:
+    """(K, 2) places, at most so far apart, where a path (N, 2) by cells passes from one part of a space to another."""
+    parts, _ = ndimage.label(~space.blocked)
+    # Two neighbours on the path are next to each other, or in one cell.
+    cells = np.array([space.cell_of(point) for point in path_world])
+    part = parts[cells[:, 0], cells[:, 1]]
+    inside = np.flatnonzero(part)
+    leaves = np.flatnonzero((np.diff(inside) > 1) & (np.diff(part[inside]) != 0))
+    step = max(1, math.floor(spacing_m / (math.sqrt(2.0) * space.cell_m)))
+    places = [path_world[inside[k] + 1 : inside[k + 1]] for k in leaves]
+    return np.vstack([np.zeros((0, 2)), *(np.vstack([place[::step], place[-1:]]) for place in places)])
 
 
 def way_out(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) -> Array | None:

@@ -97,9 +97,9 @@ class Explorer(Driver):
             if not self._planned and self._phase == "explore":
                 self._choose(pose)  # what was seen on the way has made another viewpoint the better one
 
-    def _free_space(self, start: Array, goal: Array, margin_m: float = 0.0) -> FreeSpace:
+    def _free_space(self, margin_m: float, places: Array) -> FreeSpace:
         """Where the robot may drive: outside the bounds nowhere."""
-        space = super()._free_space(start, goal, margin_m)
+        space = super()._free_space(margin_m, places)
         inside = self._inside(space)
         blocked = np.ones(space.blocked.shape, dtype=np.bool_)
         blocked[inside] = space.blocked[inside]
@@ -120,7 +120,7 @@ class Explorer(Driver):
 
     def _take_in(self, grid: Grid, pose: Pose) -> None:
         self._grid = grid
-        space = self._free_space(pose.position, self._goal)
+        space = self._free_space(0.0, np.array([pose.position, self._goal]))
         self._space = space
         cell_m = space.cell_m
         first = round(space.origin[1] / cell_m), round(space.origin[0] / cell_m)

@@ -274,6 +274,7 @@ def drive(
     trace.live = None
     if navigator.plans_below_margin is not None:
         trace.guard_stops, trace.plans_below_margin = guard.stops, navigator.plans_below_margin
+        trace.plans_by_astar = navigator.plans_by_astar
     trace.left = navigator.left
     estimator.predict(keyscans.take())
     trace.final = estimator.estimate()

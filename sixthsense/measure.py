@@ -38,6 +38,8 @@ def measure(trace: Trace) -> Metrics:
     out["plans"] = len(trace.plans)
     if trace.plans_below_margin is not None and trace.guard_stops is not None:
         out["plans_below_margin"], out["guard_stops"] = trace.plans_below_margin, trace.guard_stops
+    if trace.plans_by_astar is not None:
+        out["plans_by_astar"] = trace.plans_by_astar
     sim_time_s = 1e-9 * (trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
     out["sim_time_s"] = sim_time_s
     out |= _timing(trace, sim_time_s)

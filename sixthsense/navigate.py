@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import itertools
 import math
 from collections.abc import Iterator
@@ -18,6 +17,7 @@ from sixthsense.follow import Follower
 from sixthsense.geometry import Array, Pose, wrap_angle
 from sixthsense.grid import FreeSpace, Grid
 from sixthsense.planners import Planner
+from sixthsense.planners.astar import AStar
 from sixthsense.planners.shortcut import path_is_free, shortcut
 from sixthsense.source import Command
 
@@ -63,6 +63,8 @@ class Navigator(Protocol):
     """every planned path, (N, 2) each, world frame"""
     plans_below_margin: int | None
     """how many of them keep less than the margin that was wanted; None of who plans nothing"""
+    plans_by_astar: int | None
+    """how many of them are A*'s because the planner found none; None of who plans nothing, or by A* alone"""
     left: list[Place]
     """what an exploration that is over has not seen"""
 
@@ -87,6 +89,7 @@ class Passenger:
         self.at_the_end = "log ended"
         self.plans: list[Array] = []
         self.plans_below_margin: int | None = None
+        self.plans_by_astar: int | None = None
         self.left: list[Place] = []
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
@@ -112,7 +115,10 @@ class Driver:
         self.left: list[Place] = []
         self._goals: Iterator[Array] = itertools.cycle(goals) if rounds else iter(goals)
         self._goal = next(self._goals)
-        self._planners = planner, copy.copy(planner)
+        # A* says whether there is a way and how far it can keep from obstacles; whoever else plans, plans there.
+        self._scouts = AStar(), AStar()
+        self._planner = None if type(planner) is AStar else planner
+        self.plans_by_astar: int | None = None if self._planner is None else 0
         self._follower = follower
         self._config = config
         self._grid: Grid | None = None
@@ -130,7 +136,7 @@ class Driver:
         """Replan if the path is crossed by an obstacle now, or if there is none."""
         pose = estimate.pose
         self._grid, self._margin_m = grid, margin_m(estimate.pose_cov, self._config)
-        self._space = self._free_space(pose.position, self._goal)
+        self._space = self._free_space(0.0, np.array([pose.position, self._goal]))
         if self._planned and path_is_free(self._space, self._follower.remaining(pose)):
             return
         self._plan(pose)
@@ -189,28 +195,31 @@ class Driver:
         goal = self._space.nearest_free(self._goal, slack)
         goal = self._goal if goal is None else goal
 
-        def free_space(margin_m: float) -> FreeSpace:
-            return self._free_space(start, goal, margin_m)
-
-        plan, kept_m = plan_with_margin(self._planners, free_space, start, goal, self._margin_m, config.safety.detour)
+        plan, space, kept_m = plan_with_margin(
+            self._scouts, self._free_space, start, goal, self._margin_m, config.safety.detour
+        )
         self._planned = plan.found
         if not plan.found:
             if self._heading is None:
                 self._heading, self._turn_left = pose.theta, 2.0 * math.pi
             return
         self._heading = None
+        if self._planner is not None:
+            own = self._planner.plan(space, start, goal)
+            plan = own if own.found else plan
+            self.plans_by_astar = (self.plans_by_astar or 0) + (not own.found)
         path = plan.path_world
         if config.follow.shortcut:
-            path = shortcut(free_space(kept_m), path)
+            path = shortcut(space, path)
         path = np.vstack([leaving, path])
         self.plans.append(np.vstack([leaving, plan.path_world]))
         self.plans_below_margin = (self.plans_below_margin or 0) + (kept_m < self._margin_m)
         self._follower.follow(path)
 
-    def _free_space(self, start: Array, goal: Array, margin_m: float = 0.0) -> FreeSpace:
-        """Where the robot may drive, with a margin beyond the inflation."""
+    def _free_space(self, margin_m: float, places: Array) -> FreeSpace:
+        """Where the robot may drive, with a margin beyond the inflation that gives way about (K, 2) places."""
         assert self._grid is not None
-        return self._grid.free_space(start, goal, margin_m=margin_m)
+        return self._grid.free_space(*places, margin_m=margin_m)
 
     def _look_around(self, pose: Pose) -> Command:
         """Turn once on the spot: what blocks the way may be one stray return, which more scans will clear."""

@@ -60,6 +60,7 @@ def _quantities() -> dict[str, Quantity]:
             ("path_length_m", "m", "way driven"),
             ("plans", "1", "paths planned"),
             ("plans_below_margin", "1", "of these, nearer to obstacles than wanted"),
+            ("plans_by_astar", "1", "of these, by A* because the planner found none"),
             ("guard_stops", "1", "times the guard stopped the robot"),
         ],
         "Time": [

@@ -83,6 +83,8 @@ class Trace:
     """planned paths"""
     plans_below_margin: int | None = None
     """of these, that keep less from obstacles than was wanted; none in a log"""
+    plans_by_astar: int | None = None
+    """of these, that are A*'s because the planner found none; none in a log, and of A* itself"""
     guard_stops: int | None = None
     """times the guard stopped the moving robot; none in a log"""
     left: list[Place] = field(default_factory=list)

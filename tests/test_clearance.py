@@ -8,6 +8,7 @@ from scipy.stats import norm
 from sixthsense.clearance import margin_m, plan_with_margin, way_out
 from sixthsense.config import Config, GridConfig, merge
 from sixthsense.errors import InputError
+from sixthsense.freespace import FreeSpace
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.laser import Scan
@@ -34,12 +35,13 @@ def gap_m(grid: Grid, path: Array) -> float:
     return float(np.linalg.norm(path[:, None] - centres[None], axis=2).min())
 
 
-def spaces(grid, start, goal):
-    return lambda margin: grid.free_space(start, goal, margin_m=margin)
+def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: float = 1.2):
+    def free_space(margin: float, places: Array) -> FreeSpace:
+        return grid.free_space(*places, margin_m=margin)
 
-
-def planned(grid, start, goal):
-    return plan_with_margin((AStar(), AStar()), spaces(grid, start, goal), start, goal, 0.3, 1.2)
+    plan, space, kept = plan_with_margin((AStar(), AStar()), free_space, start, goal, wanted, detour)
+    assert not plan.found or path_is_free(space, plan.path_world)
+    return plan, kept
 
 
 @pytest.mark.parametrize("margin", [0.013, 0.1, 0.27, -0.03, -0.2, -math.inf])
@@ -104,7 +106,7 @@ def test_where_there_is_room_a_path_keeps_the_margin() -> None:
     grid = grid_of((0.0, -2.0, 0.0, 0.0))
     start, goal = np.array([-1.0, -1.0]), np.array([1.0, -1.0])
     for wanted in (0.0, 0.1, 0.3):
-        plan, kept = plan_with_margin((AStar(), AStar()), spaces(grid, start, goal), start, goal, wanted, 1.5)
+        plan, kept = planned(grid, start, goal, wanted, 1.5)
         assert plan.found and kept == wanted
         assert gap_m(grid, plan.path_world) >= RADIUS + 0.05 + wanted
 
@@ -116,6 +118,18 @@ def test_a_door_is_passed_with_as_much_of_the_margin_as_it_leaves(width: float, 
     plan, margin = planned(grid, np.array([-1.0, 0.3]), np.array([1.0, 0.3]))
     assert plan.found and margin == pytest.approx(kept)
     assert np.abs(plan.path_world[np.abs(plan.path_world[:, 0]) < 0.1, 1]).max() < half
+
+
+def test_before_and_after_a_door_too_narrow_for_it_the_margin_is_kept() -> None:
+    # A door 0.65 m wide, and a corner 2 m before it that the shortest way goes round.
+    door = (0.0, -3.0, 0.0, -0.325), (0.0, 0.325, 0.0, 3.0)
+    grid = grid_of(*door, (-3.0, -2.0, -2.0, -0.2), (-2.0, -0.2, -2.0, -2.0))
+    plan, kept = planned(grid, np.array([-3.5, -1.5]), np.array([2.0, 0.0]))
+    assert plan.found and kept == 0.0
+    path = plan.path_world
+    through = np.hypot(path[:, 0], path[:, 1]) < 1.0
+    assert gap_m(grid, path[~through]) >= RADIUS + 0.05 + 0.3
+    assert gap_m(grid, path[through]) < RADIUS + 0.05 + 0.1
 
 
 def test_a_goal_that_is_walled_in_is_not_reached_with_less_margin_either() -> None:

@@ -211,6 +211,31 @@ def test_a_replan_begins_with_what_the_last_plan_found() -> None:
     assert again.expanded < scratch.expanded
 
 
+def test_a_planner_is_asked_once_a_plan_and_only_where_there_is_a_way() -> None:
+    asked: list[FreeSpace] = []
+
+    class Straight:
+        def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+            asked.append(space)
+            if not space.line_is_free(start, goal):
+                return Plan.without_path("gave up", 1, 0.0)
+            return Plan.along(np.array([start, goal]), 1, 0.0)
+
+    grid, config = empty_grid(), CONFIG
+    navigator = Driver(np.array([[4.0, 0.0]]), False, Straight(), Follower(config.follow, config.robot), config)
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
+    wall_up(grid, [[[2.0, -0.5], [2.0, 0.5]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 2 and len(navigator.plans[1]) > 2 and navigator.plans_by_astar == 1
+    assert path_is_free(asked[1], navigator.plans[1])
+    wall_up(grid, [[[3.5, -0.5], [4.5, -0.5]], [[4.5, -0.5], [4.5, 0.5]], [[4.5, 0.5], [3.5, 0.5]]])
+    wall_up(grid, [[[3.5, 0.5], [3.5, -0.5]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 2 and len(navigator.plans) == 2
+    assert driver((3.0, 0.0)).plans_by_astar is None
+
+
 def test_a_robot_that_the_guard_has_stopped_turns_on_the_spot_until_it_has_another_plan() -> None:
     navigator, grid = driver((3.0, 0.0)), empty_grid()
     navigator.look(grid, believed(Pose()))
