@@ -15,25 +15,23 @@ from sixthsense.clearance import margin_m
 from sixthsense.config import Config
 from sixthsense.estimators import Estimate
 from sixthsense.follow import Follower
-from sixthsense.freespace import TOUCH, Bools, FreeSpace
-from sixthsense.frontier import Cells, Costs
-from sixthsense.geometry import Array, Pose, wrap_angle
+from sixthsense.freespace import TOUCH, FreeSpace
+from sixthsense.frontier import Costs
+from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
 from sixthsense.laser import beam_bearings
-from sixthsense.navigate import Driver, Place, Reason
+from sixthsense.navigate import Driver
 from sixthsense.planners import Planner
 from sixthsense.planners.shortcut import path_is_free
+from sixthsense.targets import Prospect, places_left
 from sixthsense.unseen import Target, Tries, View
 
 Region = tuple[float, float, float, float]
 
 _TILE_M = 1.0  # frontiers longer than this are several
-_DEEP_M = 3.0  # how far into the unknown a view is expected to reach
 _MOSTLY = 0.2  # a target of which no more than this is left unseen has been seen; the rest is a target of its own
-_BEYOND_M = 0.5  # how far outside the region something unseen counts that what is unseen within leads to
-_VIEWS = 24  # so many views are compared, those of the nearest frontiers
+_BEYOND_M = 0.5, 2.0, 5.0, math.inf  # so far outside the region counts what is unseen within leads to, in turn
 _WALL_HITS, _WALL_PASSES = 3, 15  # a cell hit so often, and passed no more often per hit, is of a wall
-_SMALL = 0.003  # of the area seen: small places that are more than that together count
 _NO_WAY = 255  # tries of what no way led to: more than any number of looks
 _HALF = 0.5  # of the sigma now: what a place must have had to be worth going back to
 
@@ -75,6 +73,7 @@ class Explorer(Driver):
         self._phase: Literal["explore", "revisit", "nearer", "home"] = "explore"
         self._approaches = 0  # how often what cuts the robot off from home was looked at from nearer
         self._taken_up = 0  # how often what no way led to was wanted again
+        self._level = 0  # of _BEYOND_M: the next one when nothing is left to see at this
         self._target: Target | None = None
         self._at_viewpoint = False
         self._sigma = 0.0
@@ -107,7 +106,9 @@ class Explorer(Driver):
 
     def _inside(self, space: FreeSpace) -> tuple[slice, slice]:
         """Rows and columns of a space that lie within the bounds of the drive."""
-        margin, (x0, y0, x1, y1) = self._config.explore.margin_m, self._region
+        (x0, y0, x1, y1), margin = self._region, self._config.explore.margin_m
+        if self._level > 0:
+            margin = max(margin, self._beyond_m())
         slices = []
         for low, high, origin, count in (
             (y0, y1, space.origin[1], space.blocked.shape[0]),
@@ -255,34 +256,66 @@ class Explorer(Driver):
 
     def _choose(self, pose: Pose) -> None:
         """Head for the view that is worth most, or home when none is left."""
-        self._close_walls()
-        assert self._view is not None
-        view, tries = self._view, self._config.explore.tries
         self._at_viewpoint, self._planned, self._heading = False, False, None
-        # A part of the region may be in view only across its edge.
-        beyond = max(1, round(_BEYOND_M / view.cell_m))
-        wanted = ndimage.binary_dilation(view.unseen, iterations=beyond, mask=view.dark) & (self._tried < tries)
-        edge = frontier.frontier_cells(frontier.connected(view.free, *view.cell(pose.position)), wanted)
-        wanted, edge = frontier.without_dust(wanted, edge, self._config.explore.dust * np.count_nonzero(view.seen))
-        pieces = frontier.clusters(edge, max(1, round(_TILE_M / view.cell_m)))
-        self._target = None
-        if pieces:
-            cost = self._ways(pose)
-            best = self._best(pose, cost, wanted, pieces)
-            self._target = best if best is not None else self._nearest_hidden(pose, cost, wanted, pieces)
+        self._target = self._next_target(pose)
+        if self._target is None and self._take_up_again(pose):
+            self._target = self._next_target(pose)
+        if self._target is None:
+            self._target = self._target_beyond(pose)
+        assert self._view is not None
+        view = self._view
         if self._target is not None:
             row, col = self._target.viewpoint
             self._head_for(view.point(row - view.first[0], col - view.first[1]), pose)
             return
-        if self._take_up_again(pose):
-            self._choose(pose)
-            return
-        self.left = self._places(pose)
+        fitting = self._ways_without_clearance(pose)
+        self.left = places_left(view, self._tried, self._ways(pose), fitting, self._reach, self._config.explore)
         if self._config.explore.return_home:
             self._phase = "home"
             self._head_for(self._home, pose)
         else:
             self.outcome = "explored in part" if self.left else "explored"
+
+    def _next_target(self, pose: Pose) -> Target | None:
+        """What is worth most of what is left to see; None if nothing is."""
+        self._close_walls()
+        assert self._view is not None
+        view, tries = self._view, self._config.explore.tries
+        # A part of the region may be in view only across its edge.
+        beyond = max(1, round(self._beyond_m() / view.cell_m))
+        # What was looked at and did not show is no reason to go farther.
+        sought = view.unseen & ((self._tried < tries) | (self._tried == _NO_WAY)) if self._level > 0 else view.unseen
+        wanted = ndimage.binary_dilation(sought, iterations=beyond, mask=view.dark) & (self._tried < tries)
+        edge = frontier.frontier_cells(frontier.connected(view.free, *view.cell(pose.position)), wanted)
+        wanted, edge = frontier.without_dust(wanted, edge, self._config.explore.dust * np.count_nonzero(view.seen))
+        pieces = frontier.clusters(edge, max(1, round(_TILE_M / view.cell_m)))
+        if not pieces:
+            return None
+        prospect = Prospect(view, self._ways(pose), wanted, pieces, self._reach)
+        if self._config.explore.method == "random":
+            target = prospect.drawn(self._rng)
+        else:
+            target = prospect.best(pose, self._sigma, self._rays, self._config)
+        return target or prospect.nearest_hidden(self._ways_without_clearance(pose))
+
+    def _beyond_m(self) -> float:
+        """How far outside the region something unseen counts; farther than the laser reaches nothing in it shows."""
+        return min(_BEYOND_M[self._level], self._config.laser.max_range)
+
+    def _target_beyond(self, pose: Pose) -> Target | None:
+        """What is left to see when the robot may go farther outside the region: there may be a way round into it."""
+        assert self._grid is not None
+        before = self._level
+        while self._level < len(_BEYOND_M) - 1:
+            self._level += 1
+            self._take_in(self._grid, pose)
+            target = self._next_target(pose)
+            if target is not None:
+                return target
+        self._level = before
+        self._take_in(self._grid, pose)
+        self._close_walls()
+        return None
 
     def _take_up_again(self, pose: Pose) -> bool:
         """Want what no way led to once more where it can be seen from by now: noise may have closed the way for a time.
@@ -303,120 +336,6 @@ class Explorer(Driver):
                 again.update(labels[tuple(frontier.beside(lost, cells).T)].tolist())
         self._tried[np.isin(labels, list(again))] = explore.tries - 1
         return bool(again)
-
-    def _best(self, pose: Pose, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target | None:
-        """The target that shows most for the time it takes, of those that are in view from somewhere."""
-        assert self._view is not None
-        view, explore, robot = self._view, self._config.explore, self._config.robot
-        if explore.method == "random":
-            return self._drawn(cost, wanted, pieces)
-        stamp = np.zeros(wanted.shape, dtype=np.int64)
-        deep = round(_DEEP_M / view.cell_m)
-        # The surer the robot is of where it is, the farther it dares.
-        caution = (1.0 + self._sigma / explore.revisit_sigma_m) * view.cell_m / robot.speed
-        here = view.cell(pose.position)
-        centres = [frontier.centre_cell(cells) for cells in pieces]
-        best: tuple[float, Target] | None = None
-        compared = 0
-        away = [math.dist(here, centre) for centre in centres]
-        for mark in np.argsort(away, kind="stable").tolist():
-            if compared == _VIEWS:
-                break  # what is farther is hardly worth more
-            target = self._target_at(cost, wanted, pieces[mark])
-            if target is None:
-                continue
-            compared += 1
-            row, col = target.viewpoint[0] - view.first[0], target.viewpoint[1] - view.first[1]
-            shown = frontier.gain(view.obstacles, wanted, row, col, self._rays, self._reach, deep, stamp, mark + 1)
-            area = max(shown, len(target.cells)) * view.cell_m**2
-            ahead = view.point(row, col) - pose.position
-            turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - pose.theta)) if ahead.any() else 0.0
-            seconds = caution * float(cost[row, col]) + turn / robot.turn_rate
-            worth = area**explore.gain_exponent / (seconds + explore.overhead_s)
-            if best is None or worth > best[0]:
-                best = worth, target
-        return best[1] if best is not None else None
-
-    def _drawn(self, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target | None:
-        """A place drawn evenly from the largest unseen area that has one in view (the report's idea)."""
-        labels, _ = ndimage.label(wanted)
-        sizes = np.bincount(labels.ravel())
-        found: dict[int, list[tuple[Cells, Target]]] = {}
-        for cells in pieces:
-            target = self._target_at(cost, wanted, cells)
-            if target is not None:
-                row, col = target.cells[0] - self._view.first  # type: ignore[union-attr]
-                found.setdefault(int(labels[row, col]), []).append((cells, target))
-        if not found:
-            return None
-        label = max(found, key=lambda k: int(sizes[k]))
-        area = np.argwhere(labels == label)
-        place = area[self._rng.integers(len(area))]
-        return min(found[label], key=lambda pair: float(((pair[0] - place) ** 2).sum(axis=1).min()))[1]
-
-    def _target_at(self, cost: Costs, wanted: Bools, cells: Cells) -> Target | None:
-        """The target beside a piece of frontier, with its viewpoint; None if it is in view from nowhere."""
-        assert self._view is not None
-        view = self._view
-        beside = frontier.beside(wanted, cells)
-        row, col = frontier.centre_cell(cells)
-        index = frontier.viewpoint(cost, view.obstacles, row, col, self._reach)
-        if index < 0:
-            return None
-        at = divmod(index, wanted.shape[1])
-        return Target(beside + view.first, (at[0] + view.first[0], at[1] + view.first[1]), False)
-
-    def _nearest_hidden(self, pose: Pose, cost: Costs, wanted: Bools, pieces: list[Cells]) -> Target:
-        """Of what is in view from nowhere the nearest, and the reachable cell to look from.
-
-        That is the last one before the gap that only the inflation closes, a door perhaps; where there is no such gap,
-        the nearest one.
-        """
-        assert self._view is not None
-        view = self._view
-        reachable, fitting = np.argwhere(np.isfinite(cost)), self._ways_without_clearance(pose)
-        best: tuple[float, Target] | None = None
-        for cells in pieces:
-            centre = frontier.centre_cell(cells)
-            beyond = frontier.viewpoint(fitting, view.obstacles, *centre, self._reach)
-            before = frontier.before_gap(cost, fitting, *divmod(beyond, wanted.shape[1])) if beyond >= 0 else None
-            away = ((reachable - centre) ** 2).sum(axis=1)
-            at = before if before is not None else reachable[int(np.argmin(away))]
-            length = float(cost[at[0], at[1]])
-            if best is None or length < best[0]:
-                viewpoint = int(at[0]) + view.first[0], int(at[1]) + view.first[1]
-                best = length, Target(frontier.beside(wanted, cells) + view.first, viewpoint, True)
-        assert best is not None
-        return best[1]
-
-    def _places(self, pose: Pose) -> list[Place]:
-        """What is left unseen beside what was seen, in pieces, with the reason."""
-        assert self._view is not None
-        view, explore = self._view, self._config.explore
-        given_up = view.unseen & (self._tried >= explore.tries)
-        edge = frontier.frontier_cells(view.free, given_up)
-        if not edge.any():
-            return []
-        labels, _ = ndimage.label(view.unseen)
-        reached, fitting = self._ways(pose), self._ways_without_clearance(pose)
-        places = []
-        for label in np.unique(labels[given_up & frontier.frontier_cells(view.unseen, edge)]):
-            beside = np.argwhere(edge & frontier.frontier_cells(edge, labels == label))
-            row, col = frontier.centre_cell(beside)
-            reason: Reason = "unreachable"
-            area = np.count_nonzero(labels == label)
-            if frontier.viewpoint(reached, view.obstacles, row, col, self._reach) >= 0:
-                reason = "gave up"
-                area = np.count_nonzero(given_up & (labels == label))
-            elif frontier.viewpoint(fitting, view.obstacles, row, col, self._reach) >= 0:
-                reason = "cut off by inflation only"
-            x, y = view.point(row, col)
-            places.append(Place(float(x), float(y), float(area) * view.cell_m**2, reason))
-        places.sort(key=lambda place: -place.area_m2)
-        small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
-        if small > _SMALL * np.count_nonzero(view.seen) * view.cell_m**2:
-            return places  # small each, but not together
-        return [place for place in places if place.area_m2 >= explore.least_area_m2]
 
     def _ways_without_clearance(self, pose: Pose) -> Costs:
         """Ways of a robot that comes as near to an obstacle cell's centre as its radius."""

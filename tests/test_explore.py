@@ -132,6 +132,15 @@ def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
     assert np.array(part.truths)[:, 0].max() < 4.5
 
 
+def test_the_part_of_a_region_that_only_a_way_outside_it_shows_is_seen_too(tmp_path: Path) -> None:
+    # Two rooms side by side whose doors lead to a corridor behind; the region holds the near half of both.
+    rooms = "start = [1.0, 1.0, 0.0]\nradius = 0.2\nregion = [0.0, 0.0, 6.0, 1.7]\n"
+    rooms += "walls = [[3.0, 0.0, 3.0, 3.5], [0.0, 3.5, 1.0, 3.5], [2.0, 3.5, 4.0, 3.5], [5.0, 3.5, 6.0, 3.5]]\n"
+    trace = explored(tmp_path, rooms + box(0.0, 0.0, 6.0, 5.0))
+    assert trace.outcome == "explored" and trace.metrics["coverage"] > 0.995
+    assert np.array(trace.truths)[:, 1].max() > 3.5
+
+
 def test_random_places_of_the_largest_unseen_area_end_explored_as_well(tmp_path: Path) -> None:
     trace = explored(tmp_path, L_SHAPE, explore={"method": "random"})
     assert trace.outcome == "explored"

@@ -27,7 +27,8 @@ class ExploreConfig(Section):
     dust: Annotated[float, Range(0.0, 1.0)] = 0.001
     """Specks that are unseen are left so, the smallest first, up to this share of the area seen."""
     margin_m: NonNegative = 1.0
-    """How far outside the region the robot may drive, to get around a wall at its edge."""
+    """How far outside the region the robot may drive, to get around a wall at its edge; farther, as far as the laser
+    reaches, when nothing else is left to see and what is unseen in the region goes on there."""
     least_area_m2: NonNegative = 0.02
     """A place that was given up counts as left unseen if it is at least so large."""
     revisit: bool = True
