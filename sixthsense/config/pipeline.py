@@ -221,7 +221,7 @@ class RRTStarConfig(Section):
 
     informed: bool = True
     """Once there is a path, draw from the ellipse that a shorter one must lie in (Informed RRT*)."""
-    iterations: Annotated[int, Range(1, 10_000_000)] = 10_000
+    iterations: Annotated[int, Range(1, 10_000_000)] = 5_000
     """States drawn per plan, all of them; without a path by then it gives up."""
     range_m: NonNegative = 2.0
     """A draw extends the tree by this much at most; 0: a fifth of the diagonal of what can be reached."""
