@@ -16,6 +16,7 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense import frontier
+from sixthsense.campaign import load_campaign
 from sixthsense.config import Config, preset
 from sixthsense.coverage import visible_area
 from sixthsense.geometry import Array
@@ -119,33 +120,21 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="how many, from 0 on")
     parser.add_argument("--max-time", type=float, default=3600.0, metavar="S", help="simulated seconds of a run")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
+    parser.add_argument("--campaign", metavar="DIR", help="the table of a campaign's rows, instead of runs made here")
     parser.add_argument("--tour", action="store_true", help="also the tour of the known map")
     options = parser.parse_args()
     if options.seeds < 1 or options.jobs < 1:
         parser.error("--seeds, --jobs: allowed: at least 1")
-    warm_up()
-    figures: Figures = {}
-    rows = [
-        ["setting", "outcomes", "collisions", "coverage, min", "home m, max", "travel m", "sim s", "x real", "ATE m"]
-    ]
-    kinds = settings(options)
-    with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
+    if options.campaign is not None:
+        runs = campaign_runs(options.campaign)
+    else:
+        warm_up()
+        kinds = settings(options)
         configs = [dataclasses.replace(config, seed=seed) for _, config in kinds for seed in range(options.seeds)]
-        results = list(pool.map(measure, configs))
-    for k, (name, _) in enumerate(kinds):
-        mine = results[k * options.seeds : (k + 1) * options.seeds]
-        outcomes = Counter(result["outcome"] for result in mine)
-        figures |= {f"{name}.outcome.{o.replace(' ', '_')}": n for o, n in outcomes.items()}
-        figures[f"{name}.collisions"] = sum(result["collisions"] for result in mine)
-        reduce = {"coverage": np.min, "home_error_m": np.max}
-        for key in COLUMNS:
-            values = [result[key] for result in mine if key in result]
-            if values:
-                figures[f"{name}.{key}"] = float(reduce.get(key, np.median)(values))  # type: ignore[operator]
-        said = ", ".join(f"{n} {o}" for o, n in outcomes.most_common())
-        cells = [figures.get(f"{name}.{key}") for key in COLUMNS]
-        shown = ["" if value is None else f"{value:.4g}" for value in cells]
-        rows.append([name, said, f"{figures[f'{name}.collisions']:.0f}", *shown])
+        with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
+            results = list(pool.map(measure, configs))
+        runs = {name: results[k * options.seeds : (k + 1) * options.seeds] for k, (name, _) in enumerate(kinds)}
+    figures, rows = summary(runs)
     figures |= ratios(figures, options)
     print(machine())
     print_table(rows)
@@ -153,6 +142,38 @@ def main() -> None:
         if ".over_" in key or key.endswith("known_map_tour_m"):
             print(f"{key}  {value:.3g}")
     write_json(options.json, figures)
+
+
+def campaign_runs(folder: str) -> dict[str, list[dict[str, Any]]]:
+    """The metrics of a campaign's runs per scene, estimator, planner and preset; what was not measured is left out."""
+    runs: dict[str, list[dict[str, Any]]] = {}
+    for row in load_campaign(folder).to_dict("records"):
+        name = f"{row['scene']}.{row['estimator']}.{row['planner']}.frontier.{row['preset']}"
+        runs.setdefault(name, []).append({key: value for key, value in row.items() if value == value})
+    return runs
+
+
+def summary(runs: dict[str, list[dict[str, Any]]]) -> tuple[Figures, list[list[str]]]:
+    """Figures over the runs of each kind, and a table with a line for each."""
+    figures: Figures = {}
+    rows = [[
+        "setting", "runs", "outcomes", "collisions", "coverage, min", "home m, max", "travel m", "sim s", "x real",
+        "ATE m",
+    ]]  # fmt: skip
+    reduce: dict[str, Any] = {"coverage": np.min, "home_error_m": np.max}
+    for name, mine in runs.items():
+        outcomes = Counter(result["outcome"] for result in mine)
+        figures |= {f"{name}.outcome.{o.replace(' ', '_')}": n for o, n in outcomes.items()}
+        figures[f"{name}.collisions"] = sum(result.get("collisions", 0) for result in mine)
+        for key in COLUMNS:
+            values = [result[key] for result in mine if key in result]
+            if values:
+                figures[f"{name}.{key}"] = float(reduce.get(key, np.median)(values))
+        said = ", ".join(f"{n} {o}" for o, n in outcomes.most_common())
+        cells = [figures.get(f"{name}.{key}") for key in COLUMNS]
+        shown = ["" if value is None else f"{value:.4g}" for value in cells]
+        rows.append([name, str(len(mine)), said, f"{figures[f'{name}.collisions']:.0f}", *shown])
+    return figures, rows
 
 
 def ratios(figures: Figures, options: Any) -> Figures:
