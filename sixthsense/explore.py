@@ -15,7 +15,7 @@ from sixthsense.clearance import margin_m
 from sixthsense.config import Config
 from sixthsense.estimators import Estimate
 from sixthsense.follow import Follower
-from sixthsense.freespace import TOUCH, FreeSpace
+from sixthsense.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.frontier import Costs
 from sixthsense.geometry import Array, Pose
 from sixthsense.grid import Grid
@@ -80,6 +80,7 @@ class Explorer(Driver):
         self._known: list[tuple[float, float, float]] = []  # x, y and the pose's sigma there, per key scan
         self._bearable = config.explore.revisit_sigma_m
         self._stuck_before = False
+        self._retraces = False  # goes home the way it came, though it is closed by the clearance now
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in what was seen: choose anew when the target has been seen, replan when the path is crossed."""
@@ -102,7 +103,25 @@ class Explorer(Driver):
         inside = self._inside(space)
         blocked = np.ones(space.blocked.shape, dtype=np.bool_)
         blocked[inside] = space.blocked[inside]
+        if self._retraces and margin_m == 0.0:
+            blocked &= ~self._own_way(space)
         return replace(space, blocked=blocked)
+
+    def _own_way(self, space: FreeSpace) -> Bools:
+        """The cells of a space that the robot has driven over and those beside, where it fits but for the clearance."""
+        assert self._grid is not None
+        places = np.array([place[:2] for place in self._known])
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+        steps = np.arange(0.0, along[-1] + space.cell_m, 0.5 * space.cell_m)
+        points = np.column_stack([np.interp(steps, along, places[:, axis]) for axis in (0, 1)])
+        cols, rows = np.floor((points - space.origin) / space.cell_m).astype(np.int64).T
+        height, width = space.blocked.shape
+        way = np.zeros((height, width), dtype=np.bool_)
+        way[np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)] = True
+        way = ndimage.binary_dilation(way, np.ones((3, 3), dtype=np.bool_))
+        tight = self._grid.free_space(margin_m=-self._config.grid.clearance_m)
+        down, across = (round((space.origin[k] - tight.origin[k]) / space.cell_m) for k in (1, 0))
+        return np.asarray(way & ~tight.window(np.arange(height) + down, np.arange(width) + across))
 
     def _inside(self, space: FreeSpace) -> tuple[slice, slice]:
         """Rows and columns of a space that lie within the bounds of the drive."""
@@ -196,7 +215,7 @@ class Explorer(Driver):
 
     def _looked_around(self, pose: Pose) -> None:
         if self._phase == "home":
-            if not self._go_nearer(pose):
+            if not self._go_nearer(pose) and not self._retrace(pose):
                 self.outcome = "goal unreachable"
             return
         if self._phase != "explore":
@@ -216,6 +235,16 @@ class Explorer(Driver):
         self._phase = "nearer"
         self._head_for(self._view.point(*before), pose)
         return True
+
+    def _retrace(self, pose: Pose) -> bool:
+        """Head home over where the robot has been, with less clearance; whether that is another try."""
+        if self._retraces:
+            return False
+        assert self._grid is not None
+        self._retraces = True
+        self._take_in(self._grid, pose)
+        self._head_for(self._home, pose)
+        return self._planned
 
     def _got_stuck(self, pose: Pose) -> None:
         if self._stuck_before or self._phase == "home":

@@ -111,6 +111,15 @@ def test_a_way_home_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_pat
     assert trace.metrics["home_error_m"] <= 0.2
 
 
+def test_a_way_home_that_stays_closed_is_driven_as_the_robot_came(tmp_path: Path) -> None:
+    rooms = "start = [0.5, 0.5, 0.0]\nradius = 0.1\nwalls = [[1.0, 0.0, 1.0, 0.35], [1.0, 0.7, 1.0, 1.5],"
+    rooms += "[2.0, 0.0, 2.0, 0.9], [2.0, 1.2, 2.0, 1.5]]\n"
+    trace = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5))
+    assert np.array(trace.truths)[:, 0].max() > 1.2
+    assert trace.outcome == "explored in part" and trace.left[0].reason == "cut off by inflation only"
+    assert trace.metrics["home_error_m"] <= 0.2 and trace.metrics["collisions"] == 0
+
+
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
     trace = explored(tmp_path, two_rooms(0.3))
     assert trace.outcome == "explored in part"
