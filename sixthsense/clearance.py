@@ -70,14 +70,20 @@ def plan_with_margin(
         return plan if plan.cost <= longest else None
 
     whole = with_margin(wanted_m, ends)
-    for space, margin in ((whole, wanted_m), (with_margin(0.5 * wanted_m, ends), 0.5 * wanted_m)):
-        plan = within(space)
-        if plan is not None:
-            return plan, space, margin
+    plan = within(whole)
+    if plan is not None:
+        return plan, whole, wanted_m
+    half = with_margin(0.5 * wanted_m, ends)
+    plan = within(half)
+    if plan is not None:
+        return plan, half, 0.5 * wanted_m
     gaps = _gaps(whole, shortest.path_world, 0.5 * wanted_m)
-    space = with_margin(wanted_m, np.vstack([ends, gaps]))
-    plan = within(space) if len(gaps) else None
-    return (plan, space, 0.0) if plan is not None else (shortest, widest, 0.0)
+    if len(gaps):
+        about = with_margin(wanted_m, np.vstack([ends, gaps]))
+        plan = within(about)
+        if plan is not None:
+            return plan, about, 0.0
+    return shortest, widest, 0.0
 
 
 def _gaps(space: FreeSpace, path_world: Array, spacing_m: float) -> Array:
