@@ -10,14 +10,16 @@ import dataclasses
 import math
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense import frontier
-from sixthsense.campaign import load_campaign
-from sixthsense.config import Config, preset
+from sixthsense.campaign import CampaignError, load_campaign
+from sixthsense.campaign.folder import read_folder
+from sixthsense.config import Config, ExploreConfig, preset
 from sixthsense.coverage import visible_area
 from sixthsense.geometry import Array
 from sixthsense.loop import run, warm_up
@@ -126,7 +128,10 @@ def main() -> None:
     if options.seeds < 1 or options.jobs < 1:
         parser.error("--seeds, --jobs: allowed: at least 1")
     if options.campaign is not None:
-        runs = campaign_runs(options.campaign)
+        try:
+            runs = campaign_runs(options.campaign)
+        except CampaignError as error:
+            parser.error(f"--campaign: {error}")
     else:
         warm_up()
         kinds = settings(options)
@@ -147,8 +152,9 @@ def main() -> None:
 def campaign_runs(folder: str) -> dict[str, list[dict[str, Any]]]:
     """The metrics of a campaign's runs per scene, estimator, planner and preset; what was not measured is left out."""
     runs: dict[str, list[dict[str, Any]]] = {}
+    method = read_folder(Path(folder))["fields"].get("explore", {}).get("method", ExploreConfig().method)
     for row in load_campaign(folder).to_dict("records"):
-        name = f"{row['scene']}.{row['estimator']}.{row['planner']}.frontier.{row['preset']}"
+        name = f"{row['scene']}.{row['estimator']}.{row['planner']}.{method}.{row['preset']}"
         runs.setdefault(name, []).append({key: value for key, value in row.items() if value == value})
     return runs
 
