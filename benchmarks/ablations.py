@@ -20,14 +20,14 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense.config import Config, LaserConfig, merge, preset
-from sixthsense.features import extract
-from sixthsense.geometry import Array, Pose, point_segment_distance, wrap_angle
-from sixthsense.laser import Scan, cast_rays
+from sixthsense.core.geometry import Array, Pose, point_segment_distance, wrap_angle
+from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.source import Tick
+from sixthsense.evaluation.metrics import ate, true_landmarks
 from sixthsense.loop import run, warm_up
-from sixthsense.metrics import ate, true_landmarks
-from sixthsense.scene import load_scene
-from sixthsense.source import Tick
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
+from sixthsense.slam.features import extract
+from sixthsense.sources.scene import load_scene
 
 GATE_M, NEAR_M = 0.15, 3.0
 _SIGHT_M = 0.02  # a ray that ends this near to a landmark has reached it

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
-from sixthsense.calibrate import SAMPLES, calibrate
 from sixthsense.config import Config, merge, preset
+from sixthsense.evaluation.calibrate import SAMPLES, calibrate
 from sixthsense.loop import run, warm_up
 
 SCENE = "apartment"

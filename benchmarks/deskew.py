@@ -14,9 +14,9 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense.config import Config, merge, preset
-from sixthsense.geometry import point_segment_distance
+from sixthsense.core.geometry import point_segment_distance
 from sixthsense.loop import run, warm_up
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
 
 SWEEP_S = 0.1
 

@@ -9,10 +9,10 @@ import numpy as np
 from harness import Figures, alternate, arguments, print_figures, single_threaded, write_json
 from numpy.typing import NDArray
 
-from sixthsense.estimators.ekf import EKF
-from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import Kind, Sighting, predict_points
-from sixthsense.motion import Odometry
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators.ekf import EKF
 
 SIZES = (10, 30, 100, 300, 1000, 2000)
 SEEN = 10

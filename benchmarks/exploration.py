@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
-from sixthsense import frontier
 from sixthsense.campaign import CampaignError, load_campaign
 from sixthsense.campaign.folder import read_folder
 from sixthsense.config import Config, ExploreConfig, preset
-from sixthsense.coverage import visible_area
-from sixthsense.geometry import Array
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.coverage import visible_area
 from sixthsense.loop import run, warm_up
-from sixthsense.scene import load_scene
+from sixthsense.navigation import frontier
+from sixthsense.sources.scene import load_scene
 
 COLUMNS = ("coverage", "home_error_m", "path_length_m", "sim_time_s", "realtime_factor", "ate_rmse_m")
 CELL_M = 0.1

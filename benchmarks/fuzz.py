@@ -30,7 +30,7 @@ from bags import compile_once
 from parsers import PARSERS, Parser
 
 import sixthsense
-from sixthsense.errors import InputError
+from sixthsense.config.errors import InputError
 
 LONGEST_S = 10.0
 LONGEST_LINE = 2000  # characters of a complaint
@@ -193,7 +193,7 @@ def _work_with_atheris(parser: Parser, folder: Path, options: argparse.Namespace
     compiled = [name for file, name in sources.items() if "numba.njit" in file.read_text()]
     with atheris.instrument_imports(include=_INSTRUMENTED, exclude=compiled):
         for name in list(sys.modules):  # making the seeds has loaded some
-            if name.partition(".")[0] in _INSTRUMENTED and name not in ("sixthsense.errors", *compiled):
+            if name.partition(".")[0] in _INSTRUMENTED and name not in ("sixthsense.config.errors", *compiled):
                 del sys.modules[name]
         _read_all(parser, folder, seeds)
     corpus = folder / "corpus"

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from sixthsense.geometry import Array
+from sixthsense.core.geometry import Array
 
 T = TypeVar("T")
 Figures = dict[str, float]

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
-from sixthsense import metrics
 from sixthsense.config import Config, preset
-from sixthsense.estimators import ESTIMATORS
-from sixthsense.logs import open_log
-from sixthsense.logs.log import Log
-from sixthsense.logs.relations import Relations, read_relations
+from sixthsense.evaluation import metrics
 from sixthsense.loop import replay, warm_up
+from sixthsense.slam.estimators import ESTIMATORS
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.relations import Relations, read_relations
 
 ERRORS = ("relations_trans_m_mean", "relations_trans_m_std", "relations_rot_deg_mean", "relations_rot_deg_std")
 

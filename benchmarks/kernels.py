@@ -11,13 +11,13 @@ from harness import Figures, alternate, arguments, print_figures, single_threade
 from numpy.typing import NDArray
 
 from sixthsense.config import preset
-from sixthsense.coverage import visible_area
-from sixthsense.features import extract
-from sixthsense.geometry import Array, Pose, point_segment_distance
-from sixthsense.grid import Grid
-from sixthsense.laser import Scan, beam_bearings, cast_rays
-from sixthsense.planners.costtree import search
-from sixthsense.scene import Scene, load_scene
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.evaluation.coverage import visible_area
+from sixthsense.navigation.planners.costtree import search
+from sixthsense.slam.features import extract
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.sources.scene import Scene, load_scene
 
 REACH = {
     "raycast_speedup_numpy": ">= 4",

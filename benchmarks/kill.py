@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
 
 # The command itself, with a note of the last tick recorded and the last one flushed, in memory that outlives it.
 CHILD = """
 import mmap, struct, sys
-from sixthsense import bag, cli
+from sixthsense import cli
+from sixthsense.record import bag
 with open(sys.argv[1], "r+b") as file:
     notes = mmap.mmap(file.fileno(), 16)
 call, flush = bag.BagWriter.__call__, bag.BagWriter._flush

@@ -23,10 +23,10 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, single_threaded, write_json
 from tqdm import tqdm
 
-from sixthsense.estimators import ESTIMATORS
-from sixthsense.geometry import Array
-from sixthsense.metrics import nees_band, share_in_band
-from sixthsense.plot import CYCLE
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.metrics import nees_band, share_in_band
+from sixthsense.figures.plot import CYCLE
+from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.circle import STEP_S, STEPS, Track, follow, simulate
 
 DRAWN_STEPS = 20  # the curves' grain: a twelfth of a round

@@ -17,12 +17,12 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense.config import Config, preset
-from sixthsense.estimators import ESTIMATORS
-from sixthsense.geometry import Array
-from sixthsense.logs.mrclam import MrclamLog, read_mrclam
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.metrics import heading_rmse
 from sixthsense.loop import replay
-from sixthsense.metrics import heading_rmse
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
+from sixthsense.slam.estimators import ESTIMATORS
+from sixthsense.sources.logs.mrclam import MrclamLog, read_mrclam
 
 ROBOT = 3
 PUBLISHED = (("published, standard, mean of 5 robots", 0.111), ("published, invariant, mean of 5 robots", 0.103))

@@ -84,7 +84,7 @@ def _written(folder: Path, name: str, data: bytes) -> Path:
 
 def _scene(name: str) -> Callable[[Path, bytes], Any]:
     def read(folder: Path, data: bytes) -> Any:
-        from sixthsense.scene import load_scene
+        from sixthsense.sources.scene import load_scene
 
         return load_scene(_written(folder, name, data))
 
@@ -92,14 +92,14 @@ def _scene(name: str) -> Callable[[Path, bytes], Any]:
 
 
 def _map(folder: Path, data: bytes) -> Any:
-    from sixthsense.scene import load_scene
+    from sixthsense.sources.scene import load_scene
 
     _written(folder, "m.pgm", _pgm())
     return load_scene(_written(folder, "m.yaml", data))
 
 
 def _image(folder: Path, data: bytes) -> Any:
-    from sixthsense.scene import load_scene
+    from sixthsense.sources.scene import load_scene
 
     _written(folder, "m.pgm", data)
     return load_scene(_written(folder, "m.yaml", _MAP))
@@ -146,7 +146,7 @@ def _png_seeds(folder: Path) -> list[bytes]:
 
 def _log(name: str) -> Callable[[Path, bytes], Any]:
     def read(folder: Path, data: bytes) -> Any:
-        from sixthsense.logs import open_log
+        from sixthsense.sources.logs import open_log
 
         return _sound(open_log(_written(folder, name, data), LASER))
 
@@ -164,7 +164,7 @@ def _sound(log: Any) -> Any:
 
 
 def _relations(folder: Path, data: bytes) -> Any:
-    from sixthsense.logs.relations import read_relations
+    from sixthsense.sources.logs.relations import read_relations
 
     return read_relations(_written(folder, "some.relations", data))
 
@@ -191,7 +191,7 @@ def _words(folder: Path, data: bytes) -> Any:
 
 
 def _run_bag(folder: Path, data: bytes) -> Any:
-    from sixthsense.logs.runfolder import read_run
+    from sixthsense.sources.logs.runfolder import read_run
 
     (folder / "bag").mkdir(exist_ok=True)
     _written(folder, "bag/bag_0.mcap", data)

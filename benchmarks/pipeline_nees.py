@@ -4,7 +4,7 @@
 consistent): per second the mean over runs of that of the last key scan, then the mean over time. `share_in_band` is the
 share of seconds at which the mean over runs lies in the 95 % band for that many runs. Seconds are correlated, and so
 are `nees_position` (2) and `nees_heading` (1); `nees3_spread` is the standard deviation of the runs' means over time.
-A wrong match is one that the truth contradicts (`sixthsense.matches`).
+A wrong match is one that the truth contradicts (`sixthsense.evaluation.matches`).
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from tours import (
     tour,
 )
 
-from sixthsense.estimators import ESTIMATORS
-from sixthsense.metrics import nees_band, share_in_band
+from sixthsense.evaluation.metrics import nees_band, share_in_band
+from sixthsense.slam.estimators import ESTIMATORS
 
 # Column's head, key, its form, and what it should reach.
 COLUMNS = (

@@ -18,13 +18,13 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from sixthsense.config import GridConfig, LaserConfig, RobotConfig, RRTStarConfig
-from sixthsense.freespace import Bools, FreeSpace
-from sixthsense.geometry import Array, Pose, wrap_angle
-from sixthsense.grid import Grid
-from sixthsense.laser import Scan
-from sixthsense.planners import Plan, make_planner
-from sixthsense.planners.shortcut import path_is_free, shortcut
-from sixthsense.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.laser import Scan
+from sixthsense.navigation.planners import Plan, make_planner
+from sixthsense.navigation.planners.shortcut import path_is_free, shortcut
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene
 
 SCENES = ("apartment", "office", "loop")
 WILLOW = "willow-2010-02-18-0.10"

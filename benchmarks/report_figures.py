@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 
 from sixthsense import figures as fig
-from sixthsense import plot
 from sixthsense.cli import main as sixthsense
 from sixthsense.config import preset
-from sixthsense.features import Features
-from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, record, window
-from sixthsense.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.evaluation.metrics import true_landmarks
+from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, plot, record, window
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
 from sixthsense.loop import warm_up
-from sixthsense.metrics import true_landmarks
-from sixthsense.planners.shortcut import shortcut
-from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
+from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.slam.features import Features
 
 SCAN = 48  # key scan of the apartment in which much is to be seen: corridor, living room, bath, kitchen
 CORNERS = {"landmarks": "corners"}

@@ -17,15 +17,15 @@ from harness import Figures, arguments, machine, print_table, write_json
 from tqdm import tqdm
 
 from sixthsense.config import Config, load_config, preset
-from sixthsense.estimators import ESTIMATORS
-from sixthsense.geometry import Array
-from sixthsense.logs.log import Log
-from sixthsense.logs.runfolder import read_run
+from sixthsense.core.geometry import Array
+from sixthsense.core.source import Tick
+from sixthsense.evaluation.metrics import full_rank_from, nees_band, nees_world
+from sixthsense.figures.plot import CYCLE, new_figure, save
 from sixthsense.loop import replay, run, warm_up
-from sixthsense.metrics import full_rank_from, nees_band, nees_world
-from sixthsense.plot import CYCLE, new_figure, save
-from sixthsense.source import Tick
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
+from sixthsense.slam.estimators import ESTIMATORS
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.runfolder import read_run
 
 # Column's head and key in the run's metrics.
 COLUMNS = (

@@ -11,10 +11,10 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 
 from sixthsense.config import preset
-from sixthsense.estimators import ESTIMATORS
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, new_figure, save
 from sixthsense.loop import run, warm_up
-from sixthsense.plot import ESTIMATE, LANDMARK, new_figure, save
-from sixthsense.stopwatch import STAGES
+from sixthsense.record.stopwatch import STAGES
+from sixthsense.slam.estimators import ESTIMATORS
 
 BUDGET_MS = 16.7
 TENTHS = 10

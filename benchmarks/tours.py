@@ -20,13 +20,13 @@ from tqdm import tqdm
 
 from sixthsense.campaign.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
-from sixthsense.errors import InputError
-from sixthsense.geometry import Array
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.matches import judge_matches, true_identities
+from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.loop import mission, run, warm_up
-from sixthsense.matches import judge_matches, true_identities
-from sixthsense.metrics import full_rank_from, nees_invariant, nees_world
-from sixthsense.scene import load_scene
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
+from sixthsense.sources.scene import load_scene
 
 Row = dict[str, Any]
 

@@ -24,15 +24,15 @@ from gtsam.symbol_shorthand import L, X
 from harness import Figures, arguments, machine, print_table, single_threaded, write_json
 
 from sixthsense.config import ISAM2Config, preset
-from sixthsense.estimators import ESTIMATORS, Estimator, make_estimator
-from sixthsense.estimators.isam2 import ISAM2
-from sixthsense.estimators.solver import solver_parameters
-from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import LandmarkId, Sighting
-from sixthsense.logs.graph import read_graph
-from sixthsense.logs.log import Log
-from sixthsense.motion import STANDSTILL, Odometry
-from sixthsense.plot import CYCLE, ODOMETRY, new_figure, save
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.figures.plot import CYCLE, ODOMETRY, new_figure, save
+from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
+from sixthsense.slam.estimators.isam2 import ISAM2
+from sixthsense.slam.estimators.solver import solver_parameters
+from sixthsense.sources.logs.graph import read_graph
+from sixthsense.sources.logs.log import Log
 
 FILE = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
 FLOOR = 1e-6  # m, rad; what the smoother adds to every motion, so that an exactly known start is no singularity

@@ -9,7 +9,7 @@ import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 from tours import InputError, Row, add_tour_options, check_tour_options, nees_of, rows, seeded, tour
 
-from sixthsense.estimators import ESTIMATORS
+from sixthsense.slam.estimators import ESTIMATORS
 
 REACH = {
     ("block", "default"): (0.10, 0.20),

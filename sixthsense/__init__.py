@@ -5,6 +5,4 @@ The public names are flat; `__init__.pyi` lists them, and each is imported when 
 
 import lazy_loader
 
-__version__ = "0.1.0"
-
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, merge, preset
 from sixthsense.config.section import shown
-from sixthsense.progress import COMPILING, Progress, each, is_compiled
+from sixthsense.running.progress import COMPILING, Progress, each, is_compiled
 
 if TYPE_CHECKING:
-    from sixthsense.folder import RunFolder
-    from sixthsense.logs.log import Log
-    from sixthsense.logs.relations import Relations
     from sixthsense.loop import OnTick
-    from sixthsense.trace import Trace
+    from sixthsense.record.folder import RunFolder
+    from sixthsense.record.trace import Trace
+    from sixthsense.sources.logs.log import Log
+    from sixthsense.sources.logs.relations import Relations
 
 
 def run(
@@ -72,7 +72,7 @@ def run(
 
     """
     from sixthsense import loop
-    from sixthsense.scene import load_scene
+    from sixthsense.sources.scene import load_scene
 
     given = _named(fields)
     if isinstance(scene, Config):
@@ -148,8 +148,8 @@ def replay(
 
     """
     from sixthsense import loop
-    from sixthsense.logs.relations import read_relations
-    from sixthsense.recorded import base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.logs.relations import read_relations
+    from sixthsense.sources.recorded import base_of, check_options, check_out, open_recorded
 
     given = _named(fields)
     files: Mapping[str, str] = {}
@@ -194,7 +194,7 @@ def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Con
 
 def keep(folder: RunFolder, trace: Trace, title: str) -> dict[str, Any]:
     """Write a run that is over into its folder, its map included, and give it its name; returns the metrics."""
-    from sixthsense.plot import save_map
+    from sixthsense.figures.plot import save_map
 
     metrics = folder.write(trace)
     save_map(trace, folder.partial / "figures" / "map.png", title)
@@ -217,19 +217,19 @@ def _recorded(
     files: Mapping[str, str] | None,
 ) -> Trace:
     """What `go` makes of a run, called after each tick with the hooks that show, record and watch it."""
-    from sixthsense.finished import as_finished
+    from sixthsense.evaluation.finished import as_finished
 
     with ExitStack() as kept:
         folder: RunFolder | None = None
         if out is not None:
-            from sixthsense.folder import RunFolder
+            from sixthsense.record.folder import RunFolder
 
             folder = kept.enter_context(RunFolder(Path(out), config, overwrite, files or None))
         with ExitStack() as hooked:
             hooks: list[OnTick] = [hooked.enter_context(bar)]
             _warm_up(bar)
             if folder is not None:
-                from sixthsense.bag import BagWriter
+                from sixthsense.record.bag import BagWriter
 
                 hooks.insert(0, hooked.enter_context(BagWriter(folder.partial)))
             if on_tick is not None:
@@ -264,8 +264,8 @@ def _over(base: str | Config, given: Mapping[str, Any]) -> Config:
 
 def _named(fields: Mapping[str, Any]) -> dict[str, Any]:
     """The fields, with back ends and planners of one's own registered and named."""
-    from sixthsense.estimators import register_estimator
-    from sixthsense.planners import register_planner
+    from sixthsense.navigation.planners import register_planner
+    from sixthsense.slam.estimators import register_estimator
 
     given = dict(fields)
     registers: dict[str, Callable[[str, Any], None]] = {"estimator": register_estimator, "planner": register_planner}

@@ -10,28 +10,28 @@ from collections.abc import Callable
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from sixthsense.association import Associator
 from sixthsense.config import AssumedConfig, Config, KeyScanConfig, merge
-from sixthsense.deskew import Deskewer
-from sixthsense.estimators import make_estimator
-from sixthsense.explore import Explorer
-from sixthsense.features import extract
-from sixthsense.follow import Follower
-from sixthsense.geometry import Array, Pose
-from sixthsense.interrupt import deferred_interrupt
-from sixthsense.live import Live
-from sixthsense.logs.log import Log
-from sixthsense.logs.relations import Relations
-from sixthsense.mapper import Mapper
-from sixthsense.measure import measure
-from sixthsense.motion import STANDSTILL, Odometry, odometry
-from sixthsense.navigate import Driver, Navigator, Passenger
-from sixthsense.planners import make_planner
-from sixthsense.safety import Guard
-from sixthsense.scene import Scene, SceneError, check_placement, load_scene
-from sixthsense.source import Command, Source, Tick
-from sixthsense.trace import Trace
-from sixthsense.world import World
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.core.motion import STANDSTILL, Odometry, odometry
+from sixthsense.core.source import Command, Source, Tick
+from sixthsense.evaluation.measure import measure
+from sixthsense.navigation.explore import Explorer
+from sixthsense.navigation.follow import Follower
+from sixthsense.navigation.navigate import Driver, Navigator, Passenger
+from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.safety import Guard
+from sixthsense.record.live import Live
+from sixthsense.record.trace import Trace
+from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.estimators import make_estimator
+from sixthsense.slam.features import extract
+from sixthsense.slam.features.deskew import Deskewer
+from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Union
 
 from sixthsense.cli import COMMANDS, main
 from sixthsense.config import PRESETS, Config, Section, preset
-from sixthsense.results import QUANTITIES
+from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense import __version__
 from sixthsense.campaign.errors import CampaignError, needed
 from sixthsense.campaign.plan import PlannedRun, scene_digest
 from sixthsense.campaign.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
+from sixthsense.config.version import __version__
 
 REACH_S = 5.0
 """how long a scheduler, and then its first worker, may take to answer"""

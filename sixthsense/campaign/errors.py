@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from sixthsense.errors import InputError
+from sixthsense.config.errors import InputError
 
 EXTRA = "pip install 'sixthsense[campaign]'"
 

@@ -52,7 +52,7 @@ class Campaign:
         Raises ConfigError for a name or field that is not allowed, SceneError for a scene, start or goal.
         """
         from sixthsense.loop import mission
-        from sixthsense.scene import load_scene
+        from sixthsense.sources.scene import load_scene
 
         bases = [merge(preset(name), self.fields, "--") for name in self.presets]
         found = []
@@ -116,7 +116,7 @@ def _hash(table: Mapping[str, Any]) -> str:
 
 def scene_digest(scene: str) -> str:
     """16 hexadecimal digits of what a scene holds, whatever its file is called; raises SceneError."""
-    from sixthsense.scene import load_scene
+    from sixthsense.sources.scene import load_scene
 
     loaded = load_scene(scene)
     content = (loaded.walls.tolist(), loaded.start, loaded.radius, loaded.goal, loaded.tour, loaded.region)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.campaign.plan import AXES
-from sixthsense.geometry import Array
-from sixthsense.metrics import nees_band
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.metrics import nees_band
 
 if TYPE_CHECKING:
     import pandas as pd

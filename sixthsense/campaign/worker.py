@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
-from sixthsense import __version__
 from sixthsense.campaign.plan import config_hash, scene_digest
 from sixthsense.config import Config
+from sixthsense.config.version import __version__
 
 FAILED = "error"
 """the outcome of a run that raised"""

@@ -8,7 +8,7 @@ from importlib import import_module
 
 from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
-from sixthsense.errors import InputError
+from sixthsense.config.errors import InputError
 
 COMMANDS = ("run", "replay", "calibrate", "campaign", "report", "scenes")
 

@@ -39,7 +39,8 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--samples: found {options.samples!r}, allowed: a whole number")
     from tqdm import tqdm
 
-    from sixthsense.calibrate import calibrate, check_free, summary, write
+    from sixthsense.evaluation.calibrate import calibrate, check_free, summary
+    from sixthsense.figures.calibration import write_calibration
     from sixthsense.loop import warm_up
 
     config = options.settings
@@ -50,7 +51,9 @@ def command(args: list[str]) -> int:
     warm_up()
     with tqdm(total=options.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:
         found = calibrate(config, options.samples, bar.update)
-    write(found, config, options.out, f"calibration · {Path(config.scene).stem} · {config.preset} · seed {config.seed}")
+    write_calibration(
+        found, config, options.out, f"calibration · {Path(config.scene).stem} · {config.preset} · seed {config.seed}"
+    )
     print("\n".join(summary(found)))
     print(f"written to {options.out} and {options.out.with_suffix('.png')}")
     return DONE

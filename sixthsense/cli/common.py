@@ -15,13 +15,13 @@ import tyro
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import OrAlone, Table, parse
 from sixthsense.config import Config, load_config, merge, preset
-from sixthsense.progress import COMPILING, is_compiled
+from sixthsense.running.progress import COMPILING, is_compiled
 from sixthsense.view.viewer import PLACES, is_place
 
 if TYPE_CHECKING:
-    from sixthsense.folder import RunFolder
-    from sixthsense.navigate import Place
-    from sixthsense.trace import Trace
+    from sixthsense.navigation.navigate import Place
+    from sixthsense.record.folder import RunFolder
+    from sixthsense.record.trace import Trace
 
 C = TypeVar("C", bound="Common")
 
@@ -79,7 +79,7 @@ def wants_help(args: list[str]) -> bool:
 
 def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str, str] | None = None) -> RunFolder:
     """The folder that the options name, or a new one under runs/ that begins with `stem`."""
-    from sixthsense.folder import RunFolder
+    from sixthsense.record.folder import RunFolder
 
     if options.out is not None:
         return RunFolder(options.out, config, options.overwrite, replayed)

@@ -16,8 +16,8 @@ from types import UnionType
 from typing import Annotated, Any, Union
 
 from sixthsense.config import Config, Section
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import is_one_line, shown, shown_name
-from sixthsense.errors import InputError
 
 Table = dict[str, Any]
 

@@ -20,7 +20,7 @@ from sixthsense.cli.common import (
 )
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
-from sixthsense.progress import Progress, each
+from sixthsense.running.progress import Progress, each
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ def command(args: list[str]) -> int:
     """Replay a log."""
     if wants_help(args):
         return show_help(Replay, "replay", "intel")
-    from sixthsense.recorded import base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.recorded import base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, "log", base_of, args)
     check_options(options.log, flags, options.topic is not None, options.robot is not None, "--")
     if options.log is None:
         raise UsageError("log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run or of MRCLAM")
     check_out(options.log, options.out)
-    from sixthsense.bag import BagWriter
     from sixthsense.loop import replay, warm_up
+    from sixthsense.record.bag import BagWriter
 
     topics = options.topic.split(",") if options.topic else ()
     found = open_recorded(options.log, options.settings, options.relations, topics, options.robot)

@@ -10,7 +10,7 @@ from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 
 if TYPE_CHECKING:
-    from sixthsense.report import FinishedRun
+    from sixthsense.figures.report import FinishedRun
 
 USAGE = """\
 usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|FILE.gif]]
@@ -46,7 +46,7 @@ def command(args: list[str]) -> int:
     if out is not None and out.exists() and not given.get("overwrite", False):
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
     from sixthsense.figures.animation import check_film
-    from sixthsense.report import as_form, check_folders, compact, load_run, report, table
+    from sixthsense.figures.report import as_form, check_folders, compact, load_run, report, table
 
     form = as_form(given.get("figures", "png"))
     if "animate" in given:

@@ -20,7 +20,7 @@ from sixthsense.cli.common import (
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
-from sixthsense.progress import Progress, each
+from sixthsense.running.progress import Progress, each
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ def command(args: list[str]) -> int:
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
     from sixthsense.api import with_task
-    from sixthsense.bag import BagWriter
     from sixthsense.loop import mission, run, warm_up
-    from sixthsense.scene import load_scene
+    from sixthsense.record.bag import BagWriter
+    from sixthsense.sources.scene import load_scene
 
     config = with_task(config, flags, "--")
     scene = load_scene(config.scene)

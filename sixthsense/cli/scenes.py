@@ -14,7 +14,7 @@ def command(args: list[str]) -> int:
         return DONE
     if args:
         raise UsageError(f"scenes: found {args[0]!r}, allowed: no further words")
-    from sixthsense.scene import load_scene, shipped_scenes
+    from sixthsense.sources.scene import load_scene, shipped_scenes
 
     for name in shipped_scenes():
         scene = load_scene(name)

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sixthsense import __version__
 from sixthsense.config.presets import preset
 from sixthsense.config.section import ConfigError, as_table, merge
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
+from sixthsense.config.version import __version__
 
 _LONGEST = 1 << 23  # characters; no configuration comes near, and what never ends must
 

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.names import Names
-from sixthsense.errors import InputError
 
 C = TypeVar("C", bound="Section")
 

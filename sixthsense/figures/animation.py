@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import load_config
-from sixthsense.errors import InputError
-from sixthsense.frontier import frontier_points
-from sixthsense.geometry import Array, Pose
-from sixthsense.logs.runfolder import read_run
-from sixthsense.loop import replay
-from sixthsense.plot import (
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.source import Tick
+from sixthsense.figures.plot import (
     ESTIMATE,
     LANDMARK,
     ODOMETRY,
@@ -32,8 +30,10 @@ from sixthsense.plot import (
     map_height,
     new_figure,
 )
-from sixthsense.source import Tick
-from sixthsense.trace import Trace
+from sixthsense.loop import replay
+from sixthsense.navigation.frontier import frontier_points
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs.runfolder import read_run
 
 SUFFIXES = (".mp4", ".gif")
 """What a film can be written as."""

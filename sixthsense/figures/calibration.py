@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from sixthsense.geometry import Array
-from sixthsense.landmarks import Kind
-from sixthsense.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
-
-if TYPE_CHECKING:
-    from sixthsense.calibrate import Calibration
-    from sixthsense.noise import PropagationErrors
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import Kind
+from sixthsense.evaluation.calibrate import Calibration, as_partial_config, summary
+from sixthsense.evaluation.noise import CalibrationError, PropagationErrors
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
 
 _WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
 
@@ -68,3 +68,24 @@ def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize="small")
     figure.suptitle(title)
     save(figure, file)
+
+
+def write_calibration(found: Calibration, config: Config, file: Path, title: str) -> None:
+    """Write the partial configuration and, beside it, the figure; each file is the old one or the new one, whole.
+
+    Raises CalibrationError when nothing can be written there.
+    """
+    import tomli_w
+
+    head = [title, *summary(found)]
+    text = "".join(f"# {line}\n" for line in head) + "\n" + tomli_w.dumps(as_partial_config(found, config))
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{file.name}.", dir=file.parent) as aside:
+            drawn, written = Path(aside) / "figure.png", Path(aside) / "config.toml"
+            save_calibration(found, drawn, title)
+            written.write_text(text, encoding="utf-8")
+            drawn.replace(file.with_suffix(".png"))
+            written.replace(file)
+    except OSError as error:
+        raise CalibrationError(f"--out: {file} cannot be written ({error.strerror}), allowed: a new file") from None

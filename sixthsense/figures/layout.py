@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.geometry import Array
-from sixthsense.plot import draw_segments, label_plane, new_figure
-from sixthsense.scene import Scene
+from sixthsense.core.geometry import Array
+from sixthsense.figures.plot import draw_segments, label_plane, new_figure
+from sixthsense.sources.scene import Scene
 
 
 def new_axes(

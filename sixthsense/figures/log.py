@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.geometry import Array, Pose
-from sixthsense.plot import ESTIMATE, WALL, draw_segments, label_plane
-from sixthsense.trace import Trace
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.figures.plot import ESTIMATE, WALL, draw_segments, label_plane
+from sixthsense.record.trace import Trace
 
 
 def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = None, width: float = 0.9) -> None:

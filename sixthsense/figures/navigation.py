@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.freespace import Bools, FreeSpace
-from sixthsense.frontier import frontier_points
-from sixthsense.geometry import Array, Pose
-from sixthsense.grid import Grid
-from sixthsense.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, draw_segments, label_plane
-from sixthsense.trace import Trace
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, draw_segments, label_plane
+from sixthsense.navigation.frontier import frontier_points
+from sixthsense.record.trace import Trace
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
 
 _INFLATED = "#F6CFBF"
 

@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import chi2
 
-from sixthsense import metrics
-from sixthsense.coverage import coverage_over_time, visible_area
-from sixthsense.geometry import Array, wrap_angle
-from sixthsense.laser import beam_bearings
-from sixthsense.plot import CYCLE, ESTIMATE, TRUTH
-from sixthsense.stopwatch import STAGES
-from sixthsense.trace import Trace
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.laser import beam_bearings
+from sixthsense.evaluation import metrics
+from sixthsense.evaluation.coverage import coverage_over_time, visible_area
+from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
+from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.trace import Trace
 
 _BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
 

@@ -7,15 +7,15 @@ import html
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.errors import InputError
+from sixthsense.evaluation.finished import MOST_RUNS, FinishedRun, ReportError, distinct
+from sixthsense.evaluation.results import Metrics, html_table
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
-from sixthsense.finished import MOST_RUNS, FinishedRun, ReportError, distinct
-from sixthsense.picture import Picture
-from sixthsense.plot import CYCLE, draw_map, map_figure, map_height, new_figure
-from sixthsense.results import Metrics, html_table
-from sixthsense.trace import Trace
+from sixthsense.figures.picture import Picture
+from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height, new_figure
+from sixthsense.record.trace import Trace
 
 _WIDTH_IN = 11.0
 _TITLES = {

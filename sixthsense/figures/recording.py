@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.features import Features, extract
-from sixthsense.geometry import Array, Pose
-from sixthsense.grid import Grid
-from sixthsense.laser import Scan
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Tick
+from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.loop import run
-from sixthsense.metrics import true_landmarks
-from sixthsense.scene import Scene
-from sixthsense.source import Tick
-from sixthsense.trace import Trace
+from sixthsense.record.trace import Trace
+from sixthsense.slam.features import Features, extract
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.sources.scene import Scene
 
 
 @dataclass

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.features import Features
-from sixthsense.features.partition import Indices
-from sixthsense.geometry import Array, Pose
-from sixthsense.landmarks import Sighting
-from sixthsense.laser import Scan
-from sixthsense.plot import CYCLE, LANDMARK, SIGHTING, WALL_FOUND, draw_segments, ellipse, label_plane
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Sighting
+from sixthsense.core.laser import Scan
+from sixthsense.figures.plot import CYCLE, LANDMARK, SIGHTING, WALL_FOUND, draw_segments, ellipse, label_plane
+from sixthsense.slam.features import Features
+from sixthsense.slam.features.partition import Indices
 
 _RETURN = "#666666"
 _NORMAL_95 = 1.96  # sigmas

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.features import Features
-from sixthsense.geometry import Array, Pose, point_segment_distance
-from sixthsense.plot import LANDMARK, PLAN, SIGHTING, WALL_FOUND, draw_segments, label_plane
-from sixthsense.scene import Scene
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.figures.plot import LANDMARK, PLAN, SIGHTING, WALL_FOUND, draw_segments, label_plane
+from sixthsense.slam.features import Features
+from sixthsense.sources.scene import Scene
 
 SAME_POINT_M = 0.15
 """Two sightings this near each other are of one landmark."""

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.estimators import Estimator
-from sixthsense.geometry import Array, Pose
-from sixthsense.plot import CHI2_95, ESTIMATE, SIGHTING, ellipse, label_plane
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.figures.plot import CHI2_95, ESTIMATE, SIGHTING, ellipse, label_plane
+from sixthsense.slam.estimators import Estimator
 
 
 def draw_state(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import traceback
 
-from sixthsense.estimators import EstimatorFactory, register_estimator
+from sixthsense.slam.estimators import EstimatorFactory, register_estimator
 from sixthsense.testing import contract, edges
 
 

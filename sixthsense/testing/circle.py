@@ -15,11 +15,11 @@ from time import perf_counter
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.estimators import make_estimator
-from sixthsense.geometry import Array, Pose, wrap_angle
-from sixthsense.landmarks import Kind, LandmarkId, Sighting, predict_points
-from sixthsense.metrics import full_rank_from, nees_invariant, nees_world
-from sixthsense.motion import STANDSTILL, Odometry, arc_jacobian, rk4
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, predict_points
+from sixthsense.core.motion import STANDSTILL, Odometry, arc_jacobian, rk4
+from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
+from sixthsense.slam.estimators import make_estimator
 
 STEPS, STEP_S = 2500, 1.0
 SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from sixthsense.geometry import Pose, wrap_angle
-from sixthsense.landmarks import Kind, Sighting, predict_points
-from sixthsense.motion import Odometry
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.motion import Odometry
 from sixthsense.testing.estimation import (
     assert_same,
     driven,

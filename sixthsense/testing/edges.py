@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from sixthsense.geometry import Pose, wrap_angle
-from sixthsense.landmarks import Kind, Sighting
-from sixthsense.motion import STANDSTILL, Odometry
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.testing.estimation import (
     POINTS,
     START,

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.estimators import Estimate, Estimator, make_estimator
-from sixthsense.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.landmarks import Kind, LandmarkId, Sighting, born_point, predict_points
-from sixthsense.motion import Odometry
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, born_point, predict_points
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators import Estimate, Estimator, make_estimator
 
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 START = Pose(0.3, -0.2, 0.4)

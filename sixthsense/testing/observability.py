@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.estimators import Estimate, Estimator
-from sixthsense.geometry import Array
-from sixthsense.landmarks import turned
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import turned
+from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.testing.estimation import (
     START,
     START_COV,

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from sixthsense import metrics
-from sixthsense.frontier import frontier_points
-from sixthsense.geometry import Array, Pose
-from sixthsense.plot import ESTIMATE, LANDMARK, ODOMETRY, PLAN, SEEN, SIGHTING, TRUTH, WALL, WALL_FOUND, ellipse
-from sixthsense.source import Tick
-from sixthsense.stopwatch import STAGES
-from sixthsense.trace import Trace
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.source import Tick
+from sixthsense.evaluation import metrics
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, PLAN, SEEN, SIGHTING, TRUTH, WALL, WALL_FOUND, ellipse
+from sixthsense.navigation.frontier import frontier_points
+from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.trace import Trace
 
 _FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
 _THIN, _THICK = 1.0, 2.0  # of lines, pixels

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from sixthsense.source import Tick
-from sixthsense.trace import Trace
+from sixthsense.core.source import Tick
+from sixthsense.record.trace import Trace
 from sixthsense.view.drawing import Drawing
 from sixthsense.view.viewer import LOOPBACK, Viewer, check_place
 

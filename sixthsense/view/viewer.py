@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Literal
 from urllib.parse import quote
 
+from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.errors import InputError
 from sixthsense.view.relay import Relay
 
 LOOPBACK = "127.0.0.1"

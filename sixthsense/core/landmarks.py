@@ -1,0 +1,174 @@
+"""Landmarks and their sightings: what a landmark's two numbers mean, how it is predicted, and how it is born."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+
+LandmarkId = int
+
+
+class Kind(enum.IntEnum):
+    """What a landmark is: a point (x, y), or a wall, a line (alpha, d) with the points x cos alpha + y sin alpha = d.
+
+    Corners and loose ends are one family that may be matched with each other. A wall's normal points to the side it was
+    seen from, so that the two sides of a thin wall are two landmarks.
+    """
+
+    CORNER = 0
+    """Where two walls meet."""
+    END = 1
+    """Where a wall ends."""
+    WALL = 2
+    """A straight wall; its extent is the associator's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """One landmark as one scan saw it."""
+
+    kind: Kind
+    z: Array
+    """(2,) in the robot's frame: position, m (report eq. 5); of a wall alpha, rad, and d, m"""
+    cov: Array
+    """(2, 2) of z"""
+    extent: tuple[float, float] = (0.0, 0.0)
+    """of a wall: from where to where it was seen, m along (-sin alpha, cos alpha) from the robot"""
+
+    @property
+    def is_wall(self) -> bool:
+        """Whether z is a line."""
+        return self.kind == Kind.WALL
+
+    def bearing_range(self) -> tuple[float, float, Array]:
+        """The same sighting of a point in polar coordinates: bearing (rad), range (m) and their covariance (2, 2).
+
+        The mean of a range is longer than the range of the mean, by sigma_t^2 / 2 r for an error sigma_t across the
+        beam; that much is taken out (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993, to second order), and likewise what
+        a correlation of the errors along and across does to the bearing. For a point nearer than its own error none of
+        this holds: there the bearing's sigma is pi at most, and the range is some of the error, not zero.
+        """
+        x, y = float(self.z[0]), float(self.z[1])
+        r, bearing = math.hypot(x, y), math.atan2(y, x)
+        c, s = math.cos(bearing), math.sin(bearing)
+        to_polar = np.array([[-s, c], [c, s]])  # across the beam, along it
+        (across, mixed), (_, along) = to_polar @ self.cov @ to_polar.T
+        arm = max(r, math.sqrt(across) / math.pi)
+        cov = np.array([[across / arm**2, mixed / arm], [mixed / arm, along]])
+        return bearing + mixed / arm**2, max(r - 0.5 * across / arm, 0.5 * arm), cov
+
+
+def polar_sighting(distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0) -> Sighting:
+    """A sighting from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
+
+    On average a point whose bearing errs lies nearer than it is, by the factor exp(-variance / 2): the mean is freed of
+    that (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` gives range and bearing back.
+    """
+    reach = distance * math.exp(0.5 * variances[1])
+    turn = rotation(bearing)
+    cov = turn @ np.diag([variances[0], distance**2 * variances[1]]) @ turn.T
+    z = reach * turn[:, 0]
+    return Sighting(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
+
+
+def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
+    """Predict the sightings of m points from a pose (report eq. 5).
+
+    `landmarks` (m, 2) world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose (m, 2, 3) and by
+    the landmark (2, 2), the same for every point.
+    """
+    c, s = math.cos(pose.theta), math.sin(pose.theta)
+    world_to_robot = np.array([[c, s], [-s, c]])
+    z = (landmarks - pose.position) @ world_to_robot.T
+    by_pose = np.empty((len(landmarks), 2, 3))
+    by_pose[:, :, :2] = -world_to_robot
+    by_pose[:, 0, 2] = z[:, 1]
+    by_pose[:, 1, 2] = -z[:, 0]
+    return z, by_pose, world_to_robot
+
+
+def born_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
+    """Where a point sighted at z (2,) lies in the world, and its Jacobians by pose (2, 3) and by z (2, 2)."""
+    c, s = math.cos(pose.theta), math.sin(pose.theta)
+    by_z = np.array([[c, -s], [s, c]])
+    offset = by_z @ z
+    by_pose = np.array([[1.0, 0.0, -offset[1]], [0.0, 1.0, offset[0]]])
+    return pose.position + offset, by_pose, by_z
+
+
+def predict_walls(pose: Pose, walls: Array) -> tuple[Array, Array, Array]:
+    """Predict the sightings of m walls from a pose.
+
+    `walls` (m, 2) alpha, d in the world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose
+    (m, 2, 3) and by the wall (m, 2, 2).
+    """
+    normal, along = _axes(walls[:, 0])
+    z = np.column_stack([wrap_angle(walls[:, 0] - pose.theta), walls[:, 1] - normal @ pose.position])
+    by_pose = np.zeros((len(walls), 2, 3))
+    by_pose[:, 0, 2] = -1.0
+    by_pose[:, 1, :2] = -normal
+    by_wall = np.zeros((len(walls), 2, 2))
+    by_wall[:, 0, 0] = by_wall[:, 1, 1] = 1.0
+    by_wall[:, 1, 0] = -along @ pose.position
+    return z, by_pose, by_wall
+
+
+def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Predict the sightings of m landmarks (m, 2), of which those marked in `walls` (m,) are walls.
+
+    Returns z (m, 2) and its Jacobians by the pose (m, 2, 3) and by the landmark (m, 2, 2).
+    """
+    points = ~walls
+    z, by_pose, by_landmark = np.empty((len(walls), 2)), np.empty((len(walls), 2, 3)), np.empty((len(walls), 2, 2))
+    z[points], by_pose[points], by_landmark[points] = predict_points(pose, landmarks[points])
+    z[walls], by_pose[walls], by_landmark[walls] = predict_walls(pose, landmarks[walls])
+    return z, by_pose, by_landmark
+
+
+def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
+    """(..., 2) z - predicted; the angle of those marked in `walls` is wrapped."""
+    difference = z - predicted
+    difference[..., 0] = np.where(walls, wrap_angle(difference[..., 0]), difference[..., 0])
+    return np.asarray(difference)
+
+
+def born(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
+    """The landmark (2,) that a sighting from a pose shows, world frame; Jacobians by pose (2, 3) and by z (2, 2)."""
+    if not sighting.is_wall:
+        return born_point(pose, sighting.z)
+    alpha = wrap_angle(float(sighting.z[0]) + pose.theta)
+    c, s = math.cos(alpha), math.sin(alpha)
+    lever = -s * pose.x + c * pose.y
+    mean = np.array([alpha, float(sighting.z[1]) + c * pose.x + s * pose.y])
+    return mean, np.array([[0.0, 0.0, 1.0], [c, s, lever]]), np.array([[1.0, 0.0], [lever, 1.0]])
+
+
+def turned(landmarks: Array, walls: NDArray[np.bool_] | None = None) -> Array:
+    """How landmarks (m, 2) change when the world turns about its origin, per radian.
+
+    Points, or a single (2,), by a quarter turn of themselves; those marked in `walls` (m,) by their angle alone.
+    """
+    change = np.stack([-landmarks[..., 1], landmarks[..., 0]], axis=-1)
+    return change if walls is None else np.where(walls[:, None], np.array([1.0, 0.0]), change)
+
+
+def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[Array, Array]:
+    """Landmarks (m, 2) when the world moves by (2,), and the Jacobians (m, 2, 2) of that."""
+    moved, jacobian = landmarks + by, np.tile(np.eye(2), (len(landmarks), 1, 1))
+    normal, along = _axes(landmarks[walls, 0])
+    moved[walls, 0] = landmarks[walls, 0]
+    moved[walls, 1] = landmarks[walls, 1] + normal @ by
+    jacobian[walls, 1, 0] = along @ by
+    return moved, jacobian
+
+
+def _axes(alpha: Array) -> tuple[Array, Array]:
+    """(m, 2) normals of walls and (m, 2) their directions, a quarter turn on."""
+    c, s = np.cos(alpha), np.sin(alpha)
+    return np.column_stack([c, s]), np.column_stack([-s, c])

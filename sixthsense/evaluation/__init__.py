@@ -1,0 +1,1 @@
+"""What a run is worth, by the truth: errors, consistency, coverage, calibration."""

@@ -1,0 +1,246 @@
+"""How much of what could be seen was seen: the area in view from where the robot can go, and the share of it seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.laser import cast_rays
+
+Mask = NDArray[np.bool_]
+
+_BEAMS = 720
+_MOST_CELLS = 4_000_000
+_MOST_VIEWPOINTS = 3_000
+
+
+@dataclass(frozen=True, slots=True)
+class VisibleArea:
+    """The cells of a grid that a robot could see."""
+
+    mask: Mask
+    """(H, W), indexed [row = y, col = x]"""
+    origin: tuple[float, float]
+    """x, y of the outer corner of cell [0, 0], world frame, metres"""
+    cell_m: float
+    """side of a cell"""
+
+    @property
+    def square_metres(self) -> float:
+        """The size of the area."""
+        return float(np.count_nonzero(self.mask)) * self.cell_m**2
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _clearances(walls: Array, x0: float, y0: float, cell: float, reach: float, clearances: Array) -> None:
+    """Lower `clearances` (H, W) to the distance from cell centres to `walls` (M, 4), where that is below `reach`."""
+    height, width = clearances.shape
+    for j in range(walls.shape[0]):
+        ax, ay = walls[j, 0] - x0, walls[j, 1] - y0
+        ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+        length_sq = max(ex * ex + ey * ey, 1e-300)
+        first_col = max(math.floor((min(ax, ax + ex) - reach) / cell), 0)
+        last_col = min(math.floor((max(ax, ax + ex) + reach) / cell), width - 1)
+        first_row = max(math.floor((min(ay, ay + ey) - reach) / cell), 0)
+        last_row = min(math.floor((max(ay, ay + ey) + reach) / cell), height - 1)
+        for row in range(first_row, last_row + 1):
+            py = (row + 0.5) * cell - ay
+            for col in range(first_col, last_col + 1):
+                px = (col + 0.5) * cell - ax
+                s = min(max((px * ex + py * ey) / length_sq, 0.0), 1.0)
+                distance = math.hypot(px - s * ex, py - s * ey)
+                if distance < reach and distance < clearances[row, col]:
+                    clearances[row, col] = distance
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, seen: Mask) -> None:
+    """Set the cells of `seen` that beams (N,) from (x, y) cross; all lengths in cells (Amanatides and Woo 1987)."""
+    height, width = seen.shape
+    first_col, first_row = math.floor(x), math.floor(y)
+    for i in range(lengths.shape[0]):
+        col, row = first_col, first_row
+        end_x, end_y = x + lengths[i] * cos[i], y + lengths[i] * sin[i]
+        steps = abs(math.floor(end_x) - col) + abs(math.floor(end_y) - row)
+        step_x, step_y = (1 if cos[i] > 0.0 else -1), (1 if sin[i] > 0.0 else -1)
+        per_x, per_y = abs(1.0 / cos[i]), abs(1.0 / sin[i])  # inf along an axis
+        next_x = (col + 1 - x if cos[i] > 0.0 else x - col) * per_x if cos[i] != 0.0 else np.inf
+        next_y = (row + 1 - y if sin[i] > 0.0 else y - row) * per_y if sin[i] != 0.0 else np.inf
+        for _ in range(steps + 1):
+            if 0 <= row < height and 0 <= col < width:
+                seen[row, col] = True
+            if next_x < next_y:
+                col += step_x
+                next_x += per_x
+            else:
+                row += step_y
+                next_y += per_y
+
+
+def visible_area(
+    walls: Array,
+    region: tuple[float, float, float, float],
+    start: tuple[float, float],
+    radius: float,
+    laser_range: float,
+    cell_m: float = 0.05,
+    lattice_m: float = 0.3,
+) -> VisibleArea:
+    """The free area in the region that is clear of walls by a cell and in view from where the robot can get to.
+
+    `walls` (N, 2, 2); `region` x0 y0 x1 y1; `start` x y of a disc of `radius`; all in the world frame, metres. A pose
+    counts as reachable if the disc touches no wall there and it is connected to the start; a full circle of beams of
+    `laser_range` is cast from one such pose in each square of side `lattice_m`. The poses lie within the bounds of
+    region, walls and start. In a very large scene cells and squares are widened, to bound memory and time. Raises
+    ValueError for an empty region, or a start where the disc touches a wall.
+    """
+    low, high = np.array(region[:2]), np.array(region[2:])
+    if not (low < high).all():
+        raise ValueError(f"region: found {region}, allowed: x0 y0 x1 y1 with x0 < x1 and y0 < y1")
+    # Farther from the region than the laser reaches there is nothing to see, but perhaps the way to such a place.
+    corners = np.concatenate([walls.reshape(-1, 2), [low, high, start]])
+    bottom, top = corners.min(axis=0), corners.max(axis=0)
+    while np.prod(np.ceil((top - bottom) / cell_m) + 3) > _MOST_CELLS:
+        cell_m *= 2.0
+    # The region's corner falls on a corner of cells.
+    origin: Array = low - (np.ceil((low - bottom) / cell_m) + 1.0) * cell_m
+    width, height = np.ceil((top - origin) / cell_m).astype(np.int64) + 1
+    # A disc smaller than a cell must not slip from one cell to the next through a wall between their centres.
+    touching = (
+        point_segment_distance(np.asarray(start, dtype=np.float64), walls).min() < radius if len(walls) else False
+    )
+    radius = max(radius, 0.51 * cell_m)
+    clearances = np.full((height, width), np.inf)
+    flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
+    _clearances(flat, origin[0], origin[1], cell_m, max(radius, cell_m) + cell_m, clearances)
+    x = origin[0] + (np.arange(width) + 0.5) * cell_m
+    y = origin[1] + (np.arange(height) + 0.5) * cell_m
+
+    reachable = _connected(clearances >= radius, (np.asarray(start) - origin) / cell_m)
+    if reachable is None and not touching:
+        reachable = np.zeros((height, width), dtype=np.bool_)  # too tight a place for cells of this size to tell
+    if reachable is None:
+        raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
+    reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
+    reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
+
+    seen = np.zeros((height, width), dtype=np.bool_)
+    bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
+    for row, col in _viewpoints(reachable, max(1, round(lattice_m / cell_m))):
+        _sweep(Pose(x[col], y[row], 0.0), bearings, walls, laser_range, origin, cell_m, seen)
+    inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
+    mask = seen & inside & (clearances >= cell_m)
+    mask.flags.writeable = False
+    return VisibleArea(mask, (float(origin[0]), float(origin[1])), cell_m)
+
+
+def coverage(
+    area: VisibleArea,
+    poses: Array,
+    bearings: Array,
+    mount: tuple[float, float, float],
+    max_range: float,
+    walls: Array,
+) -> float:
+    """The share, 0 to 1, of the visible area's cells that a beam of a scan crossed; NaN if there is no such area.
+
+    `poses` (S, 3) true poses of the robot at its scans, `bearings` (N,) of the beams in the laser's frame, evenly
+    spaced, `mount` the laser's pose on the robot, `walls` (M, 2, 2), metres and radians. The beams are cast anew,
+    without noise. Scans taken where the one before was taken already are passed over.
+    """
+    if not area.mask.any():
+        return math.nan
+    seen = np.zeros(area.mask.shape, dtype=np.bool_)
+    for _ in _swept(area, poses, bearings, mount, max_range, walls, seen):
+        pass
+    return float(np.count_nonzero(seen & area.mask) / np.count_nonzero(area.mask))
+
+
+def coverage_over_time(
+    area: VisibleArea,
+    poses: Array,
+    bearings: Array,
+    mount: tuple[float, float, float],
+    max_range: float,
+    walls: Array,
+) -> Array:
+    """(S,) `coverage` after each scan, of the same arguments; NaN throughout if there is no such area."""
+    shares = np.full(len(poses), math.nan)
+    if not area.mask.any():
+        return shares
+    seen = np.zeros(area.mask.shape, dtype=np.bool_)
+    whole, share = np.count_nonzero(area.mask), 0.0
+    for k, is_new in enumerate(_swept(area, poses, bearings, mount, max_range, walls, seen)):
+        if is_new:
+            share = np.count_nonzero(seen & area.mask) / whole
+        shares[k] = share
+    return shares
+
+
+def _swept(
+    area: VisibleArea,
+    poses: Array,
+    bearings: Array,
+    mount: tuple[float, float, float],
+    max_range: float,
+    walls: Array,
+    seen: Mask,
+) -> Iterator[bool]:
+    """Mark what each scan's beams cross in `seen`, one scan a step; whether it was more than a repetition."""
+    T_robot_laser = Pose(*mount)
+    spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
+    origin = np.array(area.origin)
+    last: Pose | None = None
+    for row in poses:
+        pose = Pose.from_array(row)
+        if last is not None:
+            moved = math.hypot(pose.x - last.x, pose.y - last.y)
+            turned = abs((last.inverse() @ pose).theta)
+            if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
+                yield False
+                continue
+        last = pose
+        _sweep(pose @ T_robot_laser, bearings, walls, max_range, origin, area.cell_m, seen)
+        yield True
+
+
+def _sweep(
+    T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, origin: Array, cell_m: float, seen: Mask
+) -> None:
+    """Mark in `seen` the cells that a scan's beams cross."""
+    lengths = np.minimum(cast_rays(T_world_laser, bearings, walls, max_range), max_range) / cell_m
+    angles = bearings + T_world_laser.theta
+    x, y = (T_world_laser.position - origin) / cell_m
+    _mark(x, y, np.cos(angles), np.sin(angles), lengths, seen)
+
+
+def _connected(passable: Mask, start: Array) -> Mask | None:
+    """The part of `passable` that is connected to `start` (x, y in cells); None if the start is not in or beside it."""
+    rows, cols = np.nonzero(passable)
+    distances = np.hypot(cols + 0.5 - start[0], rows + 0.5 - start[1])
+    if len(distances) == 0 or distances.min() > 1.5:
+        return None
+    labels, _ = ndimage.label(passable)
+    nearest = np.argmin(distances)
+    return np.asarray(labels == labels[rows[nearest], cols[nearest]])
+
+
+def _viewpoints(reachable: Mask, step: int) -> NDArray[np.int64]:
+    """(K, 2) row and col of one cell of `reachable` in each square of `step` cells that has any: the most central."""
+    rows, cols = np.nonzero(reachable)
+    while True:
+        square = np.stack([rows // step, cols // step], axis=1)
+        keys = square[:, 0] * (reachable.shape[1] // step + 1) + square[:, 1]
+        off_centre = np.abs(rows % step - step // 2) + np.abs(cols % step - step // 2)
+        order = np.lexsort((off_centre, keys))
+        first = order[np.flatnonzero(np.diff(keys[order], prepend=-1))]
+        if len(first) <= _MOST_VIEWPOINTS:
+            return np.stack([rows[first], cols[first]], axis=1)
+        step = math.ceil(1.2 * step)

@@ -1,0 +1,137 @@
+"""What a run is worth: its errors, consistency, coverage and timing, from its record."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sixthsense.core.laser import beam_bearings
+from sixthsense.evaluation import metrics
+from sixthsense.evaluation.coverage import coverage, visible_area
+from sixthsense.evaluation.results import Metrics
+from sixthsense.record.stopwatch import STAGES
+from sixthsense.sources.scene import Scene
+
+if TYPE_CHECKING:
+    from sixthsense.record.trace import Trace
+
+
+def measure(trace: Trace) -> Metrics:
+    """Flat keys and numbers; what cannot be measured is left out."""
+    out = Metrics(outcome=trace.outcome)
+    if trace.truths:
+        out["collisions"] = int(trace.outcome == "collided")
+        out |= _goal_error(trace) | _home_error(trace)
+        out |= _errors(trace)
+        if trace.scene is not None:
+            out |= _coverage(trace, trace.scene)
+    out |= _consistency(trace)
+    out |= _relations(trace)
+    out["landmarks"] = len(trace.records)
+    out["landmarks_culled"] = trace.culled
+    out["walls_merged"] = trace.walls_merged
+    if trace.outcome.startswith("explored"):
+        out["places_left"] = len(trace.left)
+        out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
+    out["path_length_m"] = trace.path_length_m
+    out["plans"] = len(trace.plans)
+    if trace.plans_below_margin is not None and trace.guard_stops is not None:
+        out["plans_below_margin"], out["guard_stops"] = trace.plans_below_margin, trace.guard_stops
+    if trace.plans_by_astar is not None:
+        out["plans_by_astar"] = trace.plans_by_astar
+    sim_time_s = 1e-9 * (trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
+    out["sim_time_s"] = sim_time_s
+    out |= _timing(trace, sim_time_s)
+    return out
+
+
+def _goal_error(trace: Trace) -> dict[str, float]:
+    """How far from the goal the robot truly is: the outcome is judged by the estimate."""
+    goal = trace.config.goal or (trace.scene.goal if trace.scene is not None else None)
+    if goal is None or trace.config.task != "goal" or trace.last_position is None:
+        return {}
+    return {"goal_error_m": float(np.hypot(*(trace.last_position - np.array(goal))))}
+
+
+def _home_error(trace: Trace) -> dict[str, float]:
+    """How far from where it began the robot truly is after an exploration that was to end there."""
+    ended = trace.config.explore.return_home and trace.outcome.startswith("explored")
+    if not ended or trace.config.task != "explore" or trace.last_position is None:
+        return {}
+    return {"home_error_m": float(np.hypot(*(trace.last_position - trace.truths[0][:2])))}
+
+
+def _coverage(trace: Trace, scene: Scene) -> dict[str, float]:
+    laser = trace.config.laser
+    region = trace.config.region or scene.region
+    start = (float(trace.truths[0][0]), float(trace.truths[0][1]))
+    area = visible_area(scene.walls, region, start, trace.radius_m, laser.max_range)
+    poses = np.array(trace.truths)
+    share = coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, scene.walls)
+    return {"coverage": share} if np.isfinite(share) else {}
+
+
+def _relations(trace: Trace) -> dict[str, float]:
+    if trace.relations is None:
+        return {}
+    given = trace.relations
+    stamps = np.array(trace.log_stamps_s)
+    # A replay that ends early is measured by the relations it has reached.
+    reached = np.isin(np.round(given.stamps, 6), np.round(stamps, 6)).all(axis=1)
+    if not reached.any():
+        return {}
+    poses = trace.scan_poses()
+    translation, angle = metrics.relations_error(stamps, poses, given.stamps[reached], given.poses[reached])
+    return {
+        "relations_trans_m_mean": float(translation.mean()),
+        "relations_trans_m_std": float(translation.std()),
+        "relations_rot_deg_mean": float(np.degrees(angle).mean()),
+        "relations_rot_deg_std": float(np.degrees(angle).std()),
+    }
+
+
+def _errors(trace: Trace) -> dict[str, float]:
+    truth, estimate = np.array(trace.truths), np.array(trace.estimates)
+    rmse, worst = metrics.ate(estimate, truth)
+    dead_reckoning, _ = metrics.ate(np.array(trace.odometry), truth)
+    out = {
+        "ate_rmse_m": rmse,
+        "ate_max_m": worst,
+        "dead_reckoning_ate_rmse_m": dead_reckoning,
+        "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
+    }
+    if trace.scene is not None and not trace.final.walls.all():
+        corners = metrics.true_landmarks(trace.scene.walls)
+        rmse, matched = metrics.match_landmarks(trace.final.landmarks[~trace.final.walls], corners, 0.5)
+        if matched:
+            out["landmark_rmse_m"] = rmse
+    return out
+
+
+def _consistency(trace: Trace) -> dict[str, float]:
+    out: dict[str, float] = {}
+    covs = np.array([e.pose_cov for e in trace.key_estimates])
+    if trace.key_truths:
+        first = metrics.full_rank_from(covs)
+        poses = np.array([e.pose.array() for e in trace.key_estimates])[first:]
+        truth = np.array(trace.key_truths)[first:]
+        if len(poses):
+            errors = poses - truth
+            out["pose_nees_world_mean"] = float(np.mean(metrics.nees_world(errors, covs[first:])))
+            out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs[first:])))
+    dof = sum(a.dof for a in trace.associations)
+    if dof:
+        out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
+    return out
+
+
+def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:
+    out = {"wall_time_s": trace.wall_time_s}
+    if trace.wall_time_s > 0.0:
+        out["realtime_factor"] = sim_time_s / trace.wall_time_s
+    rows = trace.stopwatch.rows
+    if rows:
+        out |= metrics.scan_times(trace.stopwatch.key_scan_ms())
+        out |= {f"stage_ms_mean.{stage}": trace.stopwatch.totals[stage] / len(rows) for stage in STAGES}
+    return out

@@ -1,0 +1,188 @@
+"""How good a run was: plain functions of arrays, with no state and no opinion on where the arrays come from.
+
+Poses are rows (x, y, theta), metres and radians. The error of an estimate is estimate minus truth.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+from scipy.stats import chi2
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.sources.logs.relations import scan_rows
+
+
+def ate(estimate: Array, truth: Array) -> tuple[float, float]:
+    """Absolute trajectory error, unaligned: RMSE and maximum of the position error, metres.
+
+    `estimate`, `truth` (N, 3), or (N, 2), at the same instants, N at least 1.
+    """
+    errors = np.linalg.norm(estimate[:, :2] - truth[:, :2], axis=1)
+    return float(np.sqrt(np.mean(errors**2))), float(errors.max())
+
+
+def heading_rmse(estimate: Array, truth: Array) -> float:
+    """RMSE of the heading, radians, of (N, 3) poses at the same instants."""
+    return float(np.sqrt(np.mean(wrap_angle(estimate[:, 2] - truth[:, 2]) ** 2)))
+
+
+def nees_world(error: Array, cov: Array) -> Array:
+    """Normalised estimation error squared in world coordinates, (K,): 3 on average for a consistent filter.
+
+    `error` (K, 3) estimate minus truth, heading wrapped here; `cov` (K, 3, 3) of the same, full rank (LinAlgError, a
+    ValueError, if exactly singular). Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    """
+    e = np.column_stack([error[:, :2], wrap_angle(error[:, 2])])
+    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
+
+
+def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
+    """NEES of the right-invariant error, (K,): where a heading error bends positions, the bend is no surprise to it.
+
+    `estimate`, `truth` (K, 3); `cov_world` (K, 3, 3) of the world-frame error, full rank. With X = [R p; 0 1] in SE(2)
+    the right-invariant error is xi = log(X_hat X^-1) (Barrau and Bonnabel 2017). To first order
+    X_hat = exp(xi) X gives
+
+        p_hat - p = xi_p + xi_theta J p_hat,   theta_hat - theta = xi_theta,   J = [0 -1; 1 0],
+
+    so that e = A xi, with A = [I, J p_hat; 0, 1] at the estimate, turns xi into world-frame coordinates, the covariance
+    of xi is A^-1 cov A^-T, and the NEES xi^T (A^-1 cov A^-T)^-1 xi is (A xi)^T cov^-1 (A xi). A xi does not depend on
+    where the origin lies: put it at p_hat, and A = I. With d = theta_hat - theta the translation of X_hat X^-1 is then
+    R(d) (p_hat - p), and the V(d) of the exponential is R(d/2) sin(d/2) / (d/2), so that exactly
+
+        A xi = (R(d/2) (p_hat - p) (d/2) / sin(d/2), d).
+    """
+    turn = wrap_angle(estimate[:, 2] - truth[:, 2])
+    half = 0.5 * turn
+    c, s = np.cos(half), np.sin(half)
+    dx, dy = (estimate[:, :2] - truth[:, :2]).T
+    stretch = 1.0 / np.sinc(half / np.pi)  # numpy's sinc(x) is sin(pi x) / (pi x)
+    return nees_world(np.column_stack([stretch * (c * dx - s * dy), stretch * (s * dx + c * dy), turn]), cov_world)
+
+
+def full_rank_from(cov: Array) -> int:
+    """The first index at which `cov` (K, 3, 3) has full rank, K if it never has; NEES is reported from there.
+
+    Judged by the correlations, since metres and radians do not compare; a floor of a micrometre, which a smoother gives
+    a certain start, is no rank.
+    """
+    variances = np.einsum("kii->ki", cov)
+    positive = np.all(variances > 0.0, axis=1)
+    sigmas = np.sqrt(np.where(positive[:, None], variances, 1.0))
+    correlation = cov / (sigmas[:, :, None] * sigmas[:, None, :])
+    full = positive & (np.linalg.eigvalsh(correlation)[:, 0] > 1e-7)
+    return int(np.argmax(full)) if full.any() else len(cov)
+
+
+def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
+    """The two-sided band in which the mean of `runs` independent NEES of `dof` degrees of freedom lies.
+
+    2.02-4.16 for 20 runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    """
+    tail = 0.5 * (1.0 - confidence)
+    return float(chi2.ppf(tail, dof * runs)) / runs, float(chi2.ppf(1.0 - tail, dof * runs)) / runs
+
+
+def share_in_band(nees: Array, band: tuple[float, float]) -> float:
+    """The share, 0 to 1, of `nees` (K,), one mean over runs per step, that lies within `band`, ends included."""
+    return float(np.mean((nees >= band[0]) & (nees <= band[1])))
+
+
+def relations_error(
+    stamps_s: Array, poses: Array, relations_stamps: Array, relations_poses: Array
+) -> tuple[Array, Array]:
+    """Errors of a trajectory against relative poses known to be right: translations (R,), m, and rotations (R,), rad.
+
+    `stamps_s` (N,) seconds in any order and `poses` (N, 3), one per scan; `relations_stamps` (R, 2) and
+    `relations_poses` (R, 3), the robot at t2 seen from the robot at t1. Both errors are magnitudes. Raises ValueError
+    for a relation whose stamp no scan has to within a microsecond. Kümmerle et al., Autonomous Robots 27(4), 2009: the
+    error is inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
+    """
+    first, second = poses[scan_rows(stamps_s, relations_stamps)].transpose(1, 0, 2)
+    error = _between(relations_poses, _between(first, second))
+    return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+
+
+def _between(a: Array, b: Array) -> Array:
+    """inverse(a) ∘ b of (N, 3) poses, row by row."""
+    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
+    dx, dy = (b[:, :2] - a[:, :2]).T
+    return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(b[:, 2] - a[:, 2])], axis=1)
+
+
+def scan_times(ms: Array) -> dict[str, float]:
+    """Median, 99th percentile and maximum of (K,) processing times, milliseconds, under their keys; {} for none."""
+    if len(ms) == 0:
+        return {}
+    p50, p99 = np.percentile(ms, [50, 99])
+    return {"scan_ms_p50": float(p50), "scan_ms_p99": float(p99), "scan_ms_max": float(np.max(ms))}
+
+
+def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[float, int]:
+    """Match (N, 2) estimated to (M, 2) true points, metres, one to one: RMSE of the matched, and how many they are.
+
+    As many as possible within `radius` of each other are matched, then as closely as possible; the RMSE of no match is
+    NaN.
+    """
+    squared = np.sum((estimated[:, None] - truth[None]) ** 2, axis=2)  # (N, M)
+    # One pair out of reach costs more than all within it: each match made beats any gain in closeness.
+    out_of_reach = radius**2 * (1 + min(squared.shape))
+    rows, columns = linear_sum_assignment(np.where(squared <= radius**2, squared, out_of_reach))
+    matched = squared[rows, columns]
+    matched = matched[matched <= radius**2]
+    return (float(np.sqrt(matched.mean())) if len(matched) else math.nan), len(matched)
+
+
+def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
+    """The points (M, 2) that a perfect observer would call corners or loose ends of `walls` (N, 2, 2), metres.
+
+    Ends of walls, and where walls cross or meet; but not where a wall merely goes on straight, in one piece or in
+    another. Points nearer than `tolerance_m` are one.
+    """
+    lengths = np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1)
+    walls = walls[lengths > 2.0 * tolerance_m]
+    if len(walls) == 0:
+        return np.empty((0, 2))
+    candidates = np.concatenate([walls.reshape(-1, 2), *(_crossings(w, walls[i + 1 :]) for i, w in enumerate(walls))])
+    candidates = np.unique(candidates, axis=0)
+    twins = cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")
+    points = np.delete(candidates, twins.max(axis=1), axis=0)
+    ways: list[list[float]] = [[] for _ in points]  # directions in which a wall leaves each point
+    for start, end in walls:
+        along = end - start
+        length = float(np.linalg.norm(along))
+        along = along / length
+        offset = points - start
+        t = offset @ along
+        on_it = np.abs(offset @ np.array([-along[1], along[0]])) <= tolerance_m
+        angle = math.atan2(along[1], along[0])
+        for i in np.flatnonzero(on_it & (t >= -tolerance_m) & (t <= length + tolerance_m)):
+            if t[i] < length - tolerance_m:
+                ways[i].append(angle)
+            if t[i] > tolerance_m:
+                ways[i].append(angle + math.pi)
+    return points[[not _straight(np.array(angles)) for angles in ways]]
+
+
+def _crossings(wall: Array, others: Array) -> Array:
+    """(K, 2) points where a (2, 2) wall crosses the (N, 2, 2) others, parallel ones left out."""
+    d, e = wall[1] - wall[0], others[:, 1] - others[:, 0]
+    gap = others[:, 0] - wall[0]
+    cross = d[0] * e[:, 1] - d[1] * e[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (gap[:, 0] * e[:, 1] - gap[:, 1] * e[:, 0]) / cross
+        u = (gap[:, 0] * d[1] - gap[:, 1] * d[0]) / cross
+    parallel = np.abs(cross) <= 1e-9 * np.linalg.norm(d) * np.linalg.norm(e, axis=1)
+    hit = ~parallel & (t >= 0.0) & (t <= 1.0) & (u >= 0.0) & (u <= 1.0)
+    return np.asarray(wall[0] + t[hit, None] * d)
+
+
+def _straight(angles: Array) -> bool:
+    """Whether the (K,) directions are those of one straight line and nothing else."""
+    turns = np.abs(wrap_angle(angles - angles[0]))
+    ahead, behind = turns < 1e-3, turns > math.pi - 1e-3
+    return bool(np.all(ahead | behind) and behind.any())

@@ -1,0 +1,142 @@
+"""Several runs side by side: a table of their metrics, and their figures."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from sixthsense.config import Config, as_table
+from sixthsense.config.errors import InputError
+from sixthsense.config.extras import pandas
+from sixthsense.config.section import shown
+from sixthsense.evaluation.finished import FinishedRun, as_finished, distinct, load_run
+from sixthsense.evaluation.results import digits, html_table
+from sixthsense.figures.panels import figure
+from sixthsense.record.trace import Trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from sixthsense.figures.picture import Picture
+
+Run = Trace | str | Path
+
+_KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
+
+
+class ComparisonError(InputError):
+    """One line on what cannot be compared."""
+
+
+class Comparison:
+    """Runs side by side; `ss.compare` makes one."""
+
+    def __init__(self, runs: Sequence[FinishedRun]) -> None:
+        """Take at least one run, in the order in which they are shown."""
+        self.runs = tuple(runs)
+        self.names = distinct(self.runs)
+
+    def frame(self) -> pd.DataFrame:
+        """A row per run, index `run`, a column per metric, NaN where it was not measured; ExtraError without pandas."""
+        frame = pandas().DataFrame([dict(run.metrics) for run in self.runs], index=self.names)
+        frame.index.name = "run"
+        return frame
+
+    def plot(self, what: str = "map") -> Picture:
+        """Their figures side by side, by the names of `Trace.plot`, which says what is raised; of 12 runs at most."""
+        return figure(what, self.runs)
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __iter__(self) -> Iterator[Trace]:
+        return iter(run.trace for run in self.runs)
+
+    def __repr__(self) -> str:
+        rows = [["run", *_KEYS]]
+        rows += [
+            [name, *(digits(run.metrics.get(key, "")) for key in _KEYS)]
+            for name, run in zip(self.names, self.runs, strict=True)
+        ]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+
+    def _repr_html_(self) -> str:
+        title = f"<b>{len(self.runs)} run{'s' * (len(self.runs) > 1)}</b>"
+        titles = "".join(f"<div>{html.escape(run.title)}</div>" for run in self.runs)
+        table = html_table(["metric", *self.names], [run.metrics for run in self.runs])
+        return f"<div>{title}<details><summary>what they are</summary>{titles}</details>{table}</div>"
+
+
+def compare(runs: Iterable[Run] | Mapping[str, Run]) -> Comparison:
+    """Put runs side by side, whatever their scenes: a table (`.frame()`), and figures (`.plot("error")`).
+
+        ss.compare({name: ss.run("office", estimator=name) for name in ("ekf", "isam2")})
+
+    Parameters
+    ----------
+    runs
+        Runs, or folders of runs, in order; or a mapping from the name each shall have. Without one a folder is called
+        by its name, and a run by what its configuration has of its own among them.
+
+    Raises
+    ------
+    InputError
+        For no run at all, for what is none, and for a folder that is no run's.
+
+    """
+    if isinstance(runs, (Trace, str, Path)):
+        raise ComparisonError(f"runs: found {shown(runs)}, allowed: a list of runs or folders, or a mapping of them")
+    if isinstance(runs, Mapping):
+        given = [(str(name), run) for name, run in runs.items()]
+    else:
+        found = list(runs)
+        given = list(zip(_names(found), found, strict=True))
+    if not given:
+        raise ComparisonError("runs: found none, allowed: one or more")
+    return Comparison([_finished(name, run) for name, run in given])
+
+
+def _finished(name: str, run: Run) -> FinishedRun:
+    if isinstance(run, Trace):
+        return as_finished(run, name)
+    if not isinstance(run, (str, Path)):
+        raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, or folders of runs")
+    loaded = load_run(run)
+    return FinishedRun(name or loaded.name, loaded.trace, loaded.metrics)
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    """Of each run what tells it from the others; of folders nothing, since they have names."""
+    tables = []
+    for run in runs:
+        tables.append(_leaves(run.config) | {"name": run.name} if isinstance(run, Trace) else {})
+    traces = [table for table in tables if table]
+    # Where the name tells them apart, so does the scene's, which is the same.
+    keys = [key for key in dict.fromkeys(key for table in traces for key in table) if key != "scene"]
+    differing = [key for key in keys if len({repr(table.get(key)) for table in traces}) > 1]
+    words = [" · ".join(_word(key, table.get(key)) for key in differing[:4]) if table else "" for table in tables]
+    return [
+        word or (run.name or "run" if isinstance(run, Trace) else "") for word, run in zip(words, runs, strict=True)
+    ]
+
+
+def _word(key: str, value: Any) -> str:
+    return str(value) if key in ("name", "estimator", "planner", "preset", "task") else f"{key} {value}"
+
+
+def _leaves(config: Config) -> dict[str, Any]:
+    """The fields of a configuration by their dotted names."""
+    found: dict[str, Any] = {}
+
+    def walk(table: Mapping[str, Any], path: str) -> None:
+        for key, value in table.items():
+            if isinstance(value, Mapping):
+                walk(value, f"{path}{key}.")
+            else:
+                found[f"{path}{key}"] = value
+
+    walk(as_table(config), "")
+    return found

@@ -1,0 +1,186 @@
+"""Figures of a run; each function draws on the axes it is given."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.record.trace import Trace
+
+if TYPE_CHECKING:
+    from sixthsense.figures.picture import Picture
+
+# Okabe and Ito's palette: told apart by the colour-blind too.
+TRUTH = "#000000"
+ESTIMATE = "#0072B2"
+ODOMETRY = "#E69F00"
+LANDMARK = "#D55E00"
+PLAN = "#009E73"
+WALL = "#4D4D4D"
+WALL_FOUND = "#CC79A7"
+SIGHTING = "#56B4E9"
+SEEN = "#D3E9F7"
+CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, SIGHTING, TRUTH)
+"""For what differs in number alone: runs, partitions."""
+
+CHI2_95 = 5.991  # 2 degrees of freedom
+
+_WIDTH_IN, _LOW_IN, _HIGH_IN = 11.0, 1.5, 11.0
+_FRAME_IN = 1.0  # title, axis label and legend
+
+
+def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
+    """(points, 2) on the 95 % ellipse of a (2,) mean and a (2, 2) covariance."""
+    values, vectors = np.linalg.eigh(cov)
+    angle = np.linspace(0.0, 2.0 * math.pi, points)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(mean + circle * np.sqrt(CHI2_95 * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def draw_grid(ax: Any, trace: Trace) -> None:
+    """Draw what the grid holds: seen area light, obstacles dark."""
+    assert trace.grid is not None
+    occupancy = trace.grid.occupancy()
+    known = occupancy >= 0
+    if not known.any():
+        return
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+    shade = np.select([part == 100, part == 0], [0.7, 0.94], 1.0)
+    cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
+    extent = (
+        x0 + cols[0] * cell,
+        x0 + (cols[-1] + 1) * cell,
+        y0 + rows[0] * cell,
+        y0 + (rows[-1] + 1) * cell,
+    )
+    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+
+
+def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
+    """Draw (N, 2, 2) segments as one collection."""
+    from matplotlib.collections import LineCollection
+
+    ax.add_collection(LineCollection(list(segments), **style))
+
+
+def walls_found(trace: Trace) -> Array:
+    """(N, 2, 2) fitted walls of all key scans, placed by the final trajectory, world frame."""
+    placed = [Pose.from_array(pose) @ walls for pose, walls in zip(trace.trajectory, trace.walls_found, strict=True)]
+    return np.concatenate([np.zeros((0, 2, 2)), *placed])
+
+
+def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
+    """Draw the final landmarks with their 95 % ellipses, these so many times as large as they are."""
+    from matplotlib.collections import PolyCollection
+
+    points = np.flatnonzero(~trace.final.walls)
+    landmarks = trace.final.landmarks[points]
+    outlines = [
+        ellipse(mean, enlarged**2 * trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k])
+        for k, mean in zip(points, landmarks, strict=True)
+    ]
+    extents = [trace.records[i].extent for i in trace.final.ids[trace.final.walls].tolist()]
+    if extents:
+        draw_segments(ax, np.array(extents), colors=LANDMARK, linewidths=1.2, label="walls, estimated", zorder=4)
+    if len(points) == 0:
+        return
+    ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
+    label = "landmarks, 95 %" + (f", {enlarged:g} times enlarged" if enlarged != 1.0 else "")
+    ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
+
+
+def label_plane(ax: Any) -> None:
+    """Make axes a plane: metres on both, of one length."""
+    ax.set_aspect("equal")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+
+
+def draw_map(ax: Any, trace: Trace) -> None:
+    """Draw truth, estimate, landmarks with 95 % ellipses, walls found, and the path planned and driven."""
+    draw_grid(ax, trace)
+    if trace.scene is not None:
+        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="walls, true", zorder=1)
+    # Thousands of scans of one wall would hide all else: the more there are, the fainter each.
+    style = {"colors": WALL_FOUND, "linewidths": 0.7, "alpha": min(1.0, 15.0 / (1.0 + len(trace.trajectory)) ** 0.5)}
+    draw_segments(ax, walls_found(trace), label="walls found", zorder=2, **style)
+    for k, plan in enumerate(reversed(trace.plans)):
+        # Each plan was dropped for the next one: all but the last are there, but stay in the background.
+        style = (
+            {"linewidth": 1.0, "linestyle": "--", "label": "planned last"}
+            if k == 0
+            else {"linewidth": 0.4, "alpha": 0.25}
+        )
+        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
+    odometry = np.array(trace.odometry).reshape(-1, 3)
+    ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
+    estimates = np.array(trace.estimates).reshape(-1, 3)
+    if trace.truths:
+        truth = np.array(trace.truths)
+        ax.plot(
+            truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="driven, true", zorder=6
+        )
+    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=5)
+    landmarks = trace.final.landmarks[~trace.final.walls]
+    if len(trace.final.ids):
+        draw_landmarks(ax, trace)
+    if len(estimates):
+        style = {"color": ESTIMATE, "markersize": 7, "markeredgewidth": 1.6, "linestyle": "none", "zorder": 7}
+        ax.plot(*estimates[0, :2], marker="o", markerfacecolor="white", label="start", **style)
+        ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
+    label_plane(ax)
+    _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
+
+
+def _frame(ax: Any, points: list[Array]) -> None:
+    """Show what was mapped, whole, and of a dead reckoning that strays far from it no more than fits in."""
+    low, high = np.array(ax.dataLim.min), np.array(ax.dataLim.max)
+    inner = np.concatenate([np.zeros((0, 2)), *points])
+    if len(inner):
+        slack = 0.15 * (inner.max(axis=0) - inner.min(axis=0)).max() + 0.5
+        low, high = np.maximum(low, inner.min(axis=0) - slack), np.minimum(high, inner.max(axis=0) + slack)
+    margin = 0.02 * (high - low).max()
+    ax.set_xlim(low[0] - margin, high[0] + margin)
+    ax.set_ylim(low[1] - margin, high[1] + margin)
+
+
+def new_figure(width_in: float, height_in: float) -> Picture:
+    """An empty figure that asks for no window system and touches no global state, as pyplot's would."""
+    from sixthsense.figures.picture import Picture
+
+    return Picture(width_in, height_in)
+
+
+def save(figure: Any, file: Path | str) -> None:
+    """Write a figure as a PNG; the folder is made if it is missing."""
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    # Equal axes leave room that the layout has not foreseen; cut it off, and cut no title.
+    figure.savefig(file, dpi=130, bbox_inches="tight", pad_inches=0.12)
+
+
+def map_height(ax: Any, width_in: float) -> float:
+    """Inches that a map of a given width asks for, within reason, its frame and legend included."""
+    (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+    return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LOW_IN), _HIGH_IN) + _FRAME_IN)
+
+
+def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
+    """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
+    save(map_figure(trace, title if title is not None else trace.outcome), file)
+
+
+def map_figure(trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True) -> Picture:
+    """The map as a figure, as high as the map's shape asks for."""
+    figure = new_figure(width_in, width_in)
+    ax = figure.add_subplot()
+    draw_map(ax, trace)
+    figure.set_size_inches(width_in, map_height(ax, width_in))
+    ax.set_title(title)
+    if legend:
+        figure.legend(loc="outside lower center", ncols=5, frameon=False)
+    return figure

@@ -1,0 +1,79 @@
+"""A report on runs that are over: the figures of one, or of several side by side, and a table of their metrics."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, get_args
+
+from sixthsense.config.section import shown
+from sixthsense.evaluation.finished import FinishedRun, ReportError, check_folders, distinct, load_run
+from sixthsense.figures.panels import KINDS, figure_if_any
+from sixthsense.figures.plot import save
+from sixthsense.figures.report_page import page
+from sixthsense.figures.vectors import save_vectors
+
+__all__ = ["FinishedRun", "ReportError", "as_form", "check_folders", "compact", "load_run", "report", "table"]
+
+
+Form = Literal["png", "svg", "pdf"]
+
+
+def as_form(text: str) -> Form:
+    """The form of figures that has this name; ReportError, listing what there is, for any other."""
+    forms: tuple[Form, ...] = get_args(Form)
+    for form in forms:
+        if text == form:
+            return form
+    raise ReportError(f"--figures: found {shown(text)}, allowed: {', '.join(forms)}")
+
+
+def report(runs: Sequence[FinishedRun], out: Path | str, form: Form = "png") -> list[Path]:
+    """Write the figures of one run, or of several side by side with `metrics.csv`, into `out`, made if missing.
+
+    Beside them stands `report.html`, a page that holds them all. `form` "svg" or "pdf" adds each figure as vectors.
+    Returns the files written. A figure that no run can fill (errors without truth) is left out. Raises ReportError for
+    more than 12 runs, or none.
+    """
+    out = Path(out)
+    pictures: list[Path] = []
+    files: list[Path] = []
+    for kind in KINDS:
+        figure = figure_if_any(kind, runs)
+        if figure is not None:
+            pictures.append(out / f"{kind}.png")
+            save(figure, pictures[-1])
+            if form != "png":
+                files.append(out / f"{kind}.{form}")
+                save_vectors(figure, files[-1])
+    if len(runs) > 1:
+        files.append(out / "metrics.csv")
+        with files[-1].open("w", newline="", encoding="utf-8") as file:
+            csv.writer(file).writerows(table(runs))
+    files.append(out / "report.html")
+    files[-1].write_text(page(runs, pictures), encoding="utf-8")
+    return pictures + files
+
+
+def table(runs: Sequence[FinishedRun]) -> list[list[str]]:
+    """A head and one row per metric, one column per run, all digits; empty where a run has not measured it."""
+    keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
+    rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]
+    return [["metric", *distinct(runs)], *rows]
+
+
+def compact(rows: Sequence[Sequence[str]]) -> str:
+    """A table's rows as lines with columns, numbers to four digits."""
+    short = [[row[0], *map(_four_digits, row[1:])] for row in rows]
+    widths = [max(map(len, column)) for column in zip(*short, strict=True)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in short
+    )
+
+
+def _four_digits(cell: str) -> str:
+    try:
+        return cell if cell.lstrip("-").isdigit() else f"{float(cell):.4g}"
+    except ValueError:
+        return cell

@@ -1,0 +1,222 @@
+"""The page of a report: one HTML file that holds its figures and needs nothing else, no network and no script."""
+
+from __future__ import annotations
+
+import base64
+import html
+import platform
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sixthsense.config import Config
+from sixthsense.config.files import NOTES
+from sixthsense.config.section import as_table
+from sixthsense.config.toml import parse_toml
+from sixthsense.config.version import __version__
+from sixthsense.evaluation.finished import FinishedRun, distinct
+from sixthsense.evaluation.results import QUANTITIES, Metrics, digits
+
+_CAPTIONS = {
+    "map": "Map: the true walls, what was found of them, landmarks with 95 % ellipses, ways planned and driven.",
+    "error": "Error of the pose at key scans, and the three sigma within which the estimator puts it.",
+    "nees": "Consistency of the pose: its normalised estimation error squared, 3 on average if that is right.",
+    "nis": "Consistency of the matches: the normalised innovation squared per degree of freedom, 1 on average.",
+    "stages": "Where the time of a key scan goes.",
+    "coverage": "Share seen of what can be seen, over time.",
+    "exploration": "Exploration: the area seen, the frontiers left, and the plans, pale to dark over time.",
+}
+
+_STYLE = """
+:root { color-scheme: light; }
+* { box-sizing: border-box; }
+body { margin: 0 auto; padding: 1rem 1rem 3rem; max-width: 66rem; background: #fff; color: #1a1a1a;
+  font: 1rem/1.5 system-ui, sans-serif; overflow-wrap: anywhere; }
+h1 { font-size: 1.5rem; line-height: 1.25; margin: .5rem 0; }
+h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; padding-bottom: .2rem; border-bottom: 1px solid #ddd; }
+.outcome { font-size: 1.1rem; margin: .2rem 0; }
+.note { padding: .5rem .8rem; background: #fff4e5; border-left: .25rem solid #e69f00; }
+.quiet { color: #595959; }
+figure { margin: 1.2rem 0; }
+figure img { display: block; max-width: 100%; height: auto; }
+figcaption { color: #595959; font-size: .9rem; }
+.wide { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; vertical-align: top; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid #eee;
+  overflow-wrap: normal; }
+.value { text-align: right; white-space: nowrap; }
+th.group { padding-top: .9rem; color: #0072b2; }
+code, pre { font: .875rem/1.45 ui-monospace, monospace; }
+pre { background: #f6f6f6; padding: .6rem .8rem; overflow-x: auto; }
+summary { cursor: pointer; margin: .6rem 0; }
+@media (max-width: 30rem) {
+  h1 { font-size: 1.25rem; }
+  th, td { padding-right: .6rem; font-size: .9rem; white-space: nowrap; }
+  figure img { max-width: none; width: 40rem; }
+}
+"""
+
+
+def page(runs: Sequence[FinishedRun], figures: Sequence[Path]) -> str:
+    """The HTML of a report on one run, or on several side by side, with PNG `figures` in it; every value is escaped."""
+    shown = [_Shown(run, name, len(runs) > 1) for run, name in zip(runs, distinct(runs), strict=True)]
+    title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(one.name for one in shown)}"
+    parts = [f"<h1>{_text(title)}</h1>", *map(_ending, shown)]
+    first, rest = figures[:1], figures[1:]
+    parts += [_figure(file, title) for file in first]
+    parts += ["<h2>Metrics</h2>", _metrics(shown)]
+    parts += ["<h2>Figures</h2>" if rest else "", *(_figure(file, title) for file in rest)]
+    parts += ["<h2>Configuration</h2>", _configuration(shown)]
+    parts += ["<h2>To repeat it</h2>", *map(_repeat, shown)]
+    body = "\n".join(part for part in parts if part)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{_text(title)}</title>
+<style>{_STYLE}</style>
+</head>
+<body>
+{body}
+</body>
+</html>
+"""
+
+
+class _Shown:
+    """A run as the page tells of it."""
+
+    def __init__(self, run: FinishedRun, name: str, is_one_of_several: bool) -> None:
+        self.name, self.is_named = name, is_one_of_several
+        self.outcome, self.metrics, self.config, self.folder = run.outcome, run.metrics, run.trace.config, run.folder
+        self.is_killed = run.folder is not None and not (run.folder / "metrics.json").is_file()
+        self.notes = {} if run.folder is None else _notes(run.folder)
+
+
+def _notes(folder: Path) -> dict[str, dict[str, Any]]:
+    """The tables of a run's configuration file that are no settings; nothing of a file that has none."""
+    try:
+        table = parse_toml((folder / "config.toml").read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError):
+        return {}
+    return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
+
+
+def _text(value: Any) -> str:
+    return html.escape(str(value))
+
+
+def _ending(run: _Shown) -> str:
+    name = f"{_text(run.name)}: " if run.is_named else ""
+    line = f'<p class="outcome">{name}<strong>{_text(run.outcome)}</strong></p>'
+    if run.is_killed:
+        line += (
+            f'\n<p class="note">{name}the run was stopped before its end. What follows is what its folder had recorded '
+            "by then; the times of its stages are lost.</p>"
+        )
+    return line
+
+
+def _figure(file: Path, title: str) -> str:
+    kind = file.stem
+    data = base64.b64encode(file.read_bytes()).decode("ascii")
+    caption = _CAPTIONS.get(kind, kind)
+    return (
+        f'<figure><div class="wide"><img alt="{_text(f"{kind}: {title}")}" src="data:image/png;base64,{data}"></div>'
+        f"<figcaption>{_text(caption)}</figcaption></figure>"
+    )
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
+    """A table that scrolls sideways where it is too wide; a row of one cell is a heading.
+
+    So many columns after the first are `numbers`.
+    """
+    kinds = ["", *[' class="value"'] * numbers, *[""] * (len(head) - 1 - numbers)]
+    lines = [f"<tr>{''.join(f'<th{kind}>{_text(cell)}</th>' for kind, cell in zip(kinds, head, strict=True))}</tr>"]
+    for row in rows:
+        if len(row) == 1:
+            lines.append(f'<tr><th class="group" colspan="{len(head)}">{_text(row[0])}</th></tr>')
+            continue
+        cells = "".join(f"<td{kind}>{_text(cell)}</td>" for kind, cell in zip(kinds, row, strict=True))
+        lines.append(f"<tr>{cells}</tr>")
+    return f'<div class="wide"><table>\n{chr(10).join(lines)}\n</table></div>'
+
+
+def _metrics(runs: Sequence[_Shown]) -> str:
+    """What was measured, in groups, a column for each run."""
+    rows: list[list[str]] = []
+    for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run.metrics)).groups():
+        rows.append([group])
+        for key in keys:
+            quantity = QUANTITIES.get(key)
+            values = [digits(run.metrics[key]) if key in run.metrics else "" for run in runs]
+            unit, meaning = ("", "") if quantity is None else (quantity.unit.removesuffix("1"), quantity.meaning)
+            rows.append([key, *values, unit, meaning])
+    head = ["metric", *([run.name for run in runs] if len(runs) > 1 else ["value"]), "unit", "meaning"]
+    return _table(head, rows, len(runs))
+
+
+def _configuration(runs: Sequence[_Shown]) -> str:
+    """What is not the default, or of several what differs between them, and then all of it, each folded away."""
+    settings = [_flat(as_table(run.config)) for run in runs]
+    default = _flat(as_table(Config()))
+    names = list(dict.fromkeys(name for one in [*settings, default] for name in one))
+    alike = [default] if len(runs) == 1 else settings[1:]
+    changed = [name for name in names if any(settings[0].get(name) != other.get(name) for other in alike)]
+    if len(runs) == 1:
+        rows = [[name, settings[0].get(name, "none"), default.get(name, "none")] for name in changed]
+        parts = [_table(["what differs", "here", "by default"], rows) if rows else "<p>All of the default.</p>"]
+    else:
+        rows = [[name, *(one.get(name, "none") for one in settings)] for name in changed]
+        head = ["what differs", *(run.name for run in runs)]
+        parts = [_table(head, rows) if rows else "<p>The same of all.</p>"]
+    for run in runs:
+        of = f" of {_text(run.name)}" if len(runs) > 1 else ""
+        text = _text(_toml(run))
+        parts.append(f"<details><summary>All of it{of}, as config.toml has it</summary><pre>{text}</pre></details>")
+    return "\n".join(parts)
+
+
+def _toml(run: _Shown) -> str:
+    import tomli_w
+
+    return tomli_w.dumps({**as_table(run.config), **run.notes})
+
+
+def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, str]:
+    """Nested settings by dotted names, as the command line writes them."""
+    out: dict[str, str] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):
+            out |= _flat(value, f"{path}{name}.")
+        else:
+            out[path + name] = _word(value)
+    return out
+
+
+def _word(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return " ".join(map(_word, value)) if isinstance(value, (tuple, list)) else str(value)
+
+
+def _repeat(run: _Shown) -> str:
+    """The commands that repeat a run, and what ran it."""
+    parts = [f"<p><strong>{_text(run.name)}</strong></p>" if run.is_named else ""]
+    if run.folder is not None:
+        config = shlex.quote(str(run.folder / "config.toml"))
+        replayed = run.notes.get("replayed", {})
+        command = f"sixthsense run --config {config}"
+        if "log" in replayed:
+            more = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in replayed.items() if name != "log")
+            command = f"sixthsense replay {shlex.quote(str(replayed['log']))} --config {config}{more}"
+        again = f"sixthsense replay {shlex.quote(str(run.folder))}"
+        parts.append(f"<pre>{_text(command)}</pre>")
+        parts.append(f"<p>Or, from the evidence that it recorded:</p>\n<pre>{_text(again)}</pre>")
+    versions = run.notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
+    words = ", ".join(f"{name} {version}" for name, version in versions.items())
+    parts.append(f'<p class="quiet">Run by {_text(words)}.</p>')
+    return "\n".join(part for part in parts if part)

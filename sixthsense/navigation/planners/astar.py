@@ -1,0 +1,56 @@
+"""A* over the cells of a free space (report section 4.4), optimal among 8-connected paths that cut no corner."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sixthsense.navigation.planners.base import Plan, blocked_end, joined_path
+from sixthsense.navigation.planners.costtree import CostTree
+from sixthsense.slam.mapping.freespace import FreeSpace, as_point
+
+_REPAIRED = 0.1  # of all cells; when more have changed, a search from scratch is quicker
+
+
+class AStar:
+    """Shortest path from cell centre to cell centre, joined to the exact start and goal.
+
+    While goal and grid stay the same, a plan begins with what the last one found, so that a replan costs what has
+    changed, not what has not. Its path is as short as one from scratch; which one of several as short may differ.
+    """
+
+    def __init__(self) -> None:
+        """Begin with nothing known."""
+        self._tree: CostTree | None = None
+        self._place: tuple[tuple[float, float], float] | None = None
+
+    def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+        """Plan as `Planner` promises; the path is start, the centres of all its cells, goal."""
+        began = time.perf_counter()
+        start_world, goal_world = as_point("start", start), as_point("goal", goal)
+        space = space.covering(start_world, goal_world)
+        none = blocked_end(space, start_world, goal_world, began)
+        if none is not None:
+            return none
+        tree = self._tree_to(space, space.cell_of(goal_world))
+        cost, expanded = tree.reach(space.cell_of(start_world))
+        if cost == np.inf:
+            return Plan.without_path("no path", expanded, time.perf_counter() - began)
+        cells = tree.path(space.cell_of(start_world))
+        centres = np.array(space.origin) + (cells[:, ::-1] + 0.5) * space.cell_m
+        # Within one cell the straight line is free.
+        between = centres if len(cells) > 1 else np.empty((0, 2))
+        path_world = joined_path(start_world, between, goal_world)  # an end may be a centre itself
+        return Plan.along(path_world, expanded, time.perf_counter() - began)
+
+    def _tree_to(self, space: FreeSpace, goal: tuple[int, int]) -> CostTree:
+        """The tree of the last plan, brought up to date, or a new one."""
+        tree, place = self._tree, (space.origin, space.cell_m)
+        same = tree is not None and (tree.goal, self._place, tree.blocked.shape) == (goal, place, space.blocked.shape)
+        if tree is not None and same and tree.change(space.blocked, round(_REPAIRED * space.blocked.size)):
+            return tree
+        self._tree = None  # two of a large grid need not be in memory at once
+        self._tree, self._place = CostTree(space.blocked, goal), place
+        return self._tree

@@ -1,0 +1,91 @@
+"""The planners' seam: what every planner promises, and the plan it returns."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.mapping.freespace import FreeSpace
+
+Status = Literal["found", "start blocked", "goal blocked", "no path", "gave up"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """The outcome of one search; that there is no path is an outcome, too."""
+
+    status: Status
+    """"found", or why there is no path"""
+    path_world: Array
+    """(N, 2) metres, read-only: start, way points, goal, N at least 2; (0, 2) unless found"""
+    cost: float
+    """length of the path, metres; inf unless found"""
+    expanded: int
+    """nodes expanded (A*: this time) or drawn (sampling planners)"""
+    seconds: float
+    """wall-clock time it took"""
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a path."""
+        return self.status == "found"
+
+    @classmethod
+    def along(cls, path_world: Array, expanded: int, seconds: float) -> Plan:
+        """A plan that was found: (N, 2) way points in metres."""
+        path = np.array(path_world, dtype=np.float64)
+        path.flags.writeable = False
+        return cls("found", path, float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), expanded, seconds)
+
+    @classmethod
+    def without_path(cls, status: Status, expanded: int, seconds: float) -> Plan:
+        """A plan that was not found, and why."""
+        path = np.empty((0, 2))
+        path.flags.writeable = False
+        return cls(status, path, math.inf, expanded, seconds)
+
+
+def joined_path(start: Array, between: Array, goal: Array) -> Array:
+    """(N, 2) start, the way points (K, 2) between, goal; of points that repeat the one before the first is kept."""
+    path = np.concatenate([start[None], between, goal[None]])
+    if len(path) == 2:
+        return path
+    repeated = (np.diff(path, axis=0) == 0.0).all(axis=1)
+    return np.asarray(path[np.concatenate([[True], ~repeated])])
+
+
+def blocked_end(space: FreeSpace, start: Array, goal: Array, began: float) -> Plan | None:
+    """The plan that there is not, if start or goal (2,) is blocked; `began` as `time.perf_counter` had it."""
+    for name, point in (("start", start), ("goal", goal)):
+        if space.is_blocked(point):
+            status: Status = "start blocked" if name == "start" else "goal blocked"
+            return Plan.without_path(status, 0, time.perf_counter() - began)
+    return None
+
+
+class Planner(Protocol):
+    """Finds a path of the robot's centre from start to goal that touches no blocked cell.
+
+    Contract, tested for every planner:
+
+    1. `path_world` begins exactly at `start` and ends exactly at `goal`; it is read-only and has at least two rows.
+    2. No segment of it touches a blocked cell, not even at a corner.
+    3. `cost` is the length of `path_world` in metres.
+    4. Unknown cells are free: start and goal may lie outside `space`, which is then extended to cover them. The path
+       stays within; the free rim of `Grid.free_space` makes sure that no way round, nor a shorter one, is lost.
+    5. Without a path, `status` says why, the path is (0, 2) and the cost inf: "start blocked" comes before "goal
+       blocked"; "no path" means there is none within, "gave up" that none was found within the planner's budget.
+    6. The same questions in the same order (and seed, if it draws) give the same paths, and the same question again the
+       same path. A planner may remember the last question: what it says is then found sooner, and no longer.
+    7. A start or goal of another shape than (2,), or not finite, raises ValueError.
+    """
+
+    def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+        """Plan from `start` to `goal`, (2,) points in the world, metres."""
+        ...

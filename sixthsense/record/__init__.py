@@ -1,0 +1,1 @@
+"""A run's data: in memory, in its folder, in its bag."""

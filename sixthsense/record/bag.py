@@ -1,0 +1,273 @@
+"""The recorder: a run's evidence and results as a ROS 2 bag with MCAP storage, written as the run goes."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import math
+import time
+from collections import Counter
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.laser import sweep_ns
+from sixthsense.core.source import Tick
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs.cloud import CLOUD, FIELDS, POINT_BYTES, increment_covariance, spatial, to_bytes
+
+TOPICS = {
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/odom": "nav_msgs/msg/Odometry",
+    "/truth": "geometry_msgs/msg/PoseStamped",
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/estimate": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "/plan": "nav_msgs/msg/Path",
+}
+"""What is recorded, in the order of one tick."""
+SIGHTINGS = "/sightings"
+"""Beside these, of a log whose landmarks have names: what was seen, in the robot's frame."""
+WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
+"""Names of the frames."""
+
+_FILE = "bag_0.mcap"
+_CHUNK_S = 0.5  # of wall time: what a killed run loses at most
+_CHUNK_BYTES = 1 << 20
+_LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
+_NUDGES = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in last digits
+# Whoever comes late still gets the mount: reliable, transient local.
+_LATCHED = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class BagWriter:
+    """Writes `FOLDER/bag/`; call it after every tick, as the loop's `on_tick`, and leave its `with` block to close it.
+
+    A message's record time is the tick's stamp; a scan's header has the log's own stamp, where there is one, else that
+    of its first beam, as ROS has it: before the tick's where the scan took time. A chunk ends with a tick and is
+    flushed twice a second of wall time, so that a killed run loses no more than its last one.
+    Where a log states how well the motion since its last tick is known, that covariance stands in the odometry's
+    pose.covariance (axes of the robot before, and z, roll, pitch 1e6), which is zero otherwise.
+    Raises OSError, naming the file, when it cannot be written.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Begin a bag in the run's `folder`."""
+        from mcap.writer import Writer
+        from rosbags.typesys import Stores, get_typestore
+
+        self._store = get_typestore(Stores.ROS2_HUMBLE)
+        self._types = self._store.types
+        self._bag = folder / "bag"
+        self._bag.mkdir()
+        self._file = self._bag / _FILE
+        self._stream = self._file.open("wb")
+        # Chunks end where `_flush` says, never in the middle of a tick.
+        self._writer = Writer(self._stream, chunk_size=1 << 62)
+        self._writer.start("ros2")
+        self._names = dict(TOPICS)
+        self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
+        self._counts: Counter[str] = Counter()
+        self._first_ns = self._last_ns = 0
+        self._pending = self._key_scans = self._plans = 0
+        self._flushed = -math.inf  # the first tick is flushed at once
+        self._failed = False
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close the bag, unless writing it has failed: then what was flushed stays as it is."""
+        if self._failed:
+            with contextlib.suppress(OSError):
+                self._stream.close()
+            return
+        self.close()
+
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        """Record one tick and whatever the trace has gained since the last."""
+        try:
+            self._record(tick, trace)
+            if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
+                self._flush()
+        except OSError as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Write the bag's summary and its metadata."""
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            self._stream.close()
+            self._write_metadata()
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                self._stream.close()
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self._failed = True
+        error.filename = str(self._file)
+        raise error
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._pending = 0
+        self._flushed = time.monotonic()
+
+    def _record(self, tick: Tick, trace: Trace) -> None:
+        stamp = tick.stamp_ns
+        if not self._counts:
+            self._first_ns = stamp
+            self._write("/tf_static", stamp, self._mount(stamp, Pose(*trace.config.laser.mount)))
+        self._last_ns = stamp
+        self._write("/odom", stamp, self._odometry(stamp, tick))
+        if tick.truth is not None:
+            self._write("/truth", stamp, self._pose_stamped(stamp, tick.truth))
+        if tick.scan is not None:
+            scan, message = tick.scan, self._types["sensor_msgs/msg/LaserScan"]
+            begin = max(stamp + sweep_ns(len(scan.ranges), scan.time_increment), 0)
+            own = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
+            first, step = scan.angle_min, scan.angle_increment
+            last = np.float32(first + step * (len(scan.ranges) - 1))
+            none = np.zeros(0, dtype=np.float32)
+            header = self._header(own, LASER)
+            lag = scan.time_increment
+            content = (header, first, last, step, lag, 0, 0, scan.max_range, scan.ranges, none)
+            self._write("/scan", stamp, message(*content))
+        if tick.sightings is not None:
+            if SIGHTINGS not in self._channels:
+                self._names[SIGHTINGS] = CLOUD
+                self._channels[SIGHTINGS] = self._register(SIGHTINGS, CLOUD)
+            self._write(SIGHTINGS, stamp, self._cloud(stamp, tick.sightings))
+        for estimate in trace.key_estimates[self._key_scans :]:
+            self._write("/estimate", stamp, self._estimate(stamp, estimate.pose, estimate.pose_cov))
+        self._key_scans = len(trace.key_estimates)
+        for path in trace.plans[self._plans :]:
+            poses = [self._pose_stamped(stamp, Pose(x, y)) for x, y in path.tolist()]
+            self._write("/plan", stamp, self._types[TOPICS["/plan"]](self._header(stamp, WORLD), poses))
+        self._plans = len(trace.plans)
+
+    def _register(self, topic: str, name: str) -> int:
+        definition = self._store.generate_msgdef(name, ros_version=2)[0]
+        schema: int = self._writer.register_schema(name, "ros2msg", definition.encode())
+        return int(self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": _qos(topic)}))
+
+    def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
+        data = bytes(self._store.serialize_cdr(message, self._names[topic]))
+        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._counts[topic])
+        self._counts[topic] += 1
+        self._pending += len(data)
+
+    def _header(self, stamp_ns: int, frame: str) -> Any:
+        seconds, nanoseconds = divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
+        return self._types["std_msgs/msg/Header"](
+            self._types["builtin_interfaces/msg/Time"](seconds, nanoseconds), frame
+        )
+
+    def _pose(self, pose: Pose) -> Any:
+        z, w = quaternion(pose.theta)
+        return self._types["geometry_msgs/msg/Pose"](
+            self._types["geometry_msgs/msg/Point"](pose.x, pose.y, 0.0),
+            self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, z, w),
+        )
+
+    def _pose_stamped(self, stamp_ns: int, pose: Pose) -> Any:
+        return self._types["geometry_msgs/msg/PoseStamped"](self._header(stamp_ns, WORLD), self._pose(pose))
+
+    def _odometry(self, stamp_ns: int, tick: Tick) -> Any:
+        zero = self._types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
+        unknown = np.zeros(36)
+        return self._types["nav_msgs/msg/Odometry"](
+            self._header(stamp_ns, ODOM),
+            ROBOT,
+            self._types["geometry_msgs/msg/PoseWithCovariance"](
+                self._pose(tick.odometry), increment_covariance(tick.increment_cov)
+            ),
+            self._types["geometry_msgs/msg/TwistWithCovariance"](
+                self._types["geometry_msgs/msg/Twist"](zero, zero), unknown
+            ),
+        )
+
+    def _estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
+        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), spatial(cov).ravel())
+        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), spread)
+
+    def _cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:
+        data = to_bytes(sightings)
+        field = self._types["sensor_msgs/msg/PointField"]
+        fields = [field(name, offset, kind, 1) for name, offset, kind in FIELDS]
+        header = self._header(stamp_ns, ROBOT)
+        return self._types[CLOUD](header, 1, len(sightings), fields, False, POINT_BYTES, len(data), data, True)
+
+    def _mount(self, stamp_ns: int, mount: Pose) -> Any:
+        z, w = quaternion(mount.theta)
+        transform = self._types["geometry_msgs/msg/Transform"](
+            self._types["geometry_msgs/msg/Vector3"](mount.x, mount.y, 0.0),
+            self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, z, w),
+        )
+        stamped = self._types["geometry_msgs/msg/TransformStamped"](self._header(stamp_ns, ROBOT), LASER, transform)
+        return self._types["tf2_msgs/msg/TFMessage"]([stamped])
+
+    def _write_metadata(self) -> None:
+        import yaml
+
+        count = sum(self._counts.values())
+        start = {"nanoseconds_since_epoch": self._first_ns}
+        duration = {"nanoseconds": self._last_ns - self._first_ns}
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": topic,
+                    "type": name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": _qos(topic),
+                },
+                "message_count": self._counts[topic],
+            }
+            for topic, name in self._names.items()
+        ]
+        table = {
+            "version": 5,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [_FILE],
+            "duration": duration,
+            "starting_time": start,
+            "message_count": count,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": _FILE, "starting_time": start, "duration": duration, "message_count": count}],
+        }
+        text = yaml.safe_dump({"rosbag2_bagfile_information": table}, sort_keys=False)
+        (self._bag / "metadata.yaml").write_text(text, encoding="utf-8")
+
+
+def quaternion(theta: float) -> tuple[float, float]:
+    """Z and w of a turn by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) is `theta` to the last bit.
+
+    (Angles below 1e-300 aside.) Plain sine and cosine lose that bit, and with it the very choice of key scans.
+    """
+    sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
+    for i, j in _NUDGES:
+        z, w = sin + i * math.ulp(sin), cos + j * math.ulp(cos)
+        if 2.0 * math.atan2(z, w) == theta:
+            return z, w
+    return sin, cos
+
+
+def _qos(topic: str) -> str:
+    return _LATCHED if topic == "/tf_static" else ""

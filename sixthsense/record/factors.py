@@ -1,0 +1,117 @@
+"""The factor graph of a run, for GTSAM and g2o: what was measured, between which poses and landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.motion import Odometry
+from sixthsense.record.trace import Trace
+
+_FLOOR = 1e-6  # sigma, m and rad, of a motion that is certain: an information matrix has no infinity
+
+
+@dataclass(frozen=True, slots=True)
+class FactorGraph:
+    """Key poses, the odometry between them, and sightings of the landmarks that the run has kept."""
+
+    poses: Array
+    """(K, 3) final pose at each key scan, world frame"""
+    landmark_ids: NDArray[np.int64]
+    """(n,)"""
+    landmarks: Array
+    """(n, 2) final means, world frame, m"""
+    motions: Array
+    """(K - 1, 3) odometry from each key pose to the next, frame of the former"""
+    motion_covs: Array
+    """(K - 1, 3, 3) of the same, axes of the frame after"""
+    sighting_of: NDArray[np.int64]
+    """(M, 2) index of the key pose, index of the landmark"""
+    sightings: Array
+    """(M, 2) position in the robot's frame, m"""
+    sighting_covs: Array
+    """(M, 2, 2) of the same"""
+    bearing_range: Array
+    """(M, 2) the same sightings in polar coordinates, as the smoother takes them; rad, m"""
+    bearing_range_covs: Array
+    """(M, 2, 2) of the same"""
+    wall_ids: NDArray[np.int64]
+    """(w,)"""
+    walls: Array
+    """(w, 2) final means: alpha, rad, and d, m, world frame"""
+    wall_sighting_of: NDArray[np.int64]
+    """(L, 2) index of the key pose, index of the wall"""
+    wall_sightings: Array
+    """(L, 2) alpha and d in the robot's frame"""
+    wall_sighting_covs: Array
+    """(L, 2, 2) of the same"""
+
+
+def factor_graph(trace: Trace) -> FactorGraph:
+    """Gather the graph of a run that is over, whatever estimator it had."""
+    walls = trace.final.walls
+    seen = _seen(trace, trace.final.ids[~walls].tolist())
+    lines = _seen(trace, trace.final.ids[walls].tolist())
+    polar = [sighting.bearing_range() for _, _, sighting in seen]
+    motions = trace.key_odometry[1:]
+    return FactorGraph(
+        trace.trajectory.copy(),
+        trace.final.ids[~walls],
+        trace.final.landmarks[~walls],
+        np.array([m.motion.array() for m in motions]).reshape(-1, 3),
+        np.array([_floored(m) for m in motions]).reshape(-1, 3, 3),
+        np.array([(k, j) for k, j, _ in seen], dtype=np.int64).reshape(-1, 2),
+        np.array([s.z for _, _, s in seen]).reshape(-1, 2),
+        np.array([s.cov for _, _, s in seen]).reshape(-1, 2, 2),
+        np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
+        np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
+        trace.final.ids[walls],
+        trace.final.landmarks[walls],
+        np.array([(k, j) for k, j, _ in lines], dtype=np.int64).reshape(-1, 2),
+        np.array([s.z for _, _, s in lines]).reshape(-1, 2),
+        np.array([s.cov for _, _, s in lines]).reshape(-1, 2, 2),
+    )
+
+
+def _seen(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
+    """Sightings of the landmarks `ids`: index of the key scan, index of the landmark, sighting."""
+    column = {i: k for k, i in enumerate(ids)}
+    return [
+        (k, column[i], sighting)
+        for k, association in enumerate(trace.associations)
+        for i, sighting in association.sightings.items()
+        if i in column
+    ]
+
+
+def _floored(odometry: Odometry) -> Array:
+    return odometry.cov_after() + _FLOOR**2 * np.eye(3)
+
+
+def write_graph(folder: Path, graph: FactorGraph) -> None:
+    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz` with what that format cannot hold, as walls.
+
+    In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and a
+    sighting `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of the two. The first
+    pose is where the run began; the file has no tag for a prior. Vertices share their numbers: poses come first.
+    """
+    first = len(graph.poses)
+    lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph.poses)]
+    lines += [f"VERTEX_XY {first + j} {_row(xy)}" for j, xy in enumerate(graph.landmarks)]
+    upper = np.triu_indices(3)
+    for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
+        lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
+    rows = zip(graph.sighting_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
+    for (k, j), polar, cov in rows:
+        lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
+    (folder / "graph.g2o").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    np.savez(folder / "graph.npz", **{name: getattr(graph, name) for name in FactorGraph.__slots__})
+
+
+def _row(values: Array) -> str:
+    return " ".join(f"{value:.17g}" for value in values)

@@ -1,0 +1,176 @@
+"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when all of it is there."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import Config, save_config
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+from sixthsense.record.factors import factor_graph, write_graph
+from sixthsense.record.trace import Trace
+
+
+class FolderError(InputError):
+    """One line that names the folder and what is wrong with it."""
+
+
+class RunFolder:
+    """Reserves a folder before the run and fills it after; an existing one stays whole until its successor is."""
+
+    def __init__(
+        self, out: Path, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+    ) -> None:
+        """Create `OUT.partial` with the configuration in it, and of a replay what was `replayed`.
+
+        Raises FolderError when `out` exists and may not be overwritten, or when nothing can be written there.
+        """
+        if out.name in ("", ".."):
+            raise FolderError(f"--out: found {str(out)!r}, allowed: a path that ends in a name")
+        self.out = out
+        self.partial = out.with_name(out.name + ".partial")
+        try:
+            if out.exists() and not overwrite:
+                raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
+            for folder in (out, self.partial):
+                if folder.exists() and not (folder / "config.toml").is_file():
+                    raise FolderError(f"--out: {folder} is no run's folder, allowed: a new one, or a run's")
+            if self.partial.exists():
+                shutil.rmtree(self.partial)
+            self._made = [parent for parent in self.partial.parents if not parent.exists()]
+            self.partial.mkdir(parents=True)
+            save_config(config, self.partial / "config.toml", replayed)
+        except OSError as error:
+            raise FolderError(
+                f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
+            ) from None
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Leave nothing behind of a run that bad input has stopped; any other end keeps what there is."""
+        if kind is not None and issubclass(kind, InputError):
+            shutil.rmtree(self.partial, ignore_errors=True)
+            for parent in self._made:
+                parent.rmdir()
+
+    def write(self, trace: Trace) -> dict[str, Any]:
+        """Write everything of a finished run but its figures; returns the metrics.
+
+        Raises OSError, naming a file or the folder, when it cannot be written.
+        """
+        try:
+            return self._write(trace)
+        except OSError as error:
+            error.filename = error.filename or str(self.partial)  # a full disk names none
+            raise
+
+    def _write(self, trace: Trace) -> dict[str, Any]:
+        origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
+        write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
+        write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
+        if trace.truths:
+            write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
+        write_landmarks(self.partial, trace)
+        write_graph(self.partial, factor_graph(trace))
+        if trace.grid is not None:
+            write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
+        if trace.outcome.startswith("explored"):
+            write_places_left(self.partial / "places_left.csv", trace)
+        values = trace.metrics
+        (self.partial / "metrics.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        return values
+
+    def finish(self) -> None:
+        """Give the folder its name."""
+        if self.out.exists():
+            # Renames, then a deletion: at no moment is there neither the old run nor the new one.
+            aside = Path(tempfile.mkdtemp(prefix=f".{self.out.name}.", dir=self.out.parent))
+            self.out.rename(aside / self.out.name)
+            self.partial.rename(self.out)
+            shutil.rmtree(aside)
+        else:
+            self.partial.rename(self.out)
+
+
+def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
+
+    Since the run began, because a double cannot tell two stamps of a log apart that are 1 ns apart in 1970's seconds.
+    """
+    with file.open("w", encoding="utf-8") as out:
+        for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
+            seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
+            half = 0.5 * theta
+            out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
+
+
+def write_places_left(file: Path, trace: Trace) -> None:
+    """Write what an exploration has left unseen, the largest place first: x, y and area in metres, and the reason."""
+    with file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["x", "y", "area_m2", "reason"])
+        writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
+
+
+LANDMARK_COLUMNS = (
+    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
+)  # fmt: skip
+
+
+def write_landmarks(folder: Path, trace: Trace) -> None:
+    """Write the landmarks for people (CSV) and the joint mean and covariance for the next run (NPZ)."""
+    estimate, records = trace.final, trace.records
+    with (folder / "landmarks.csv").open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "sightings", "from_x", "from_y", "to_x", "to_y"])
+        for k, i in enumerate(estimate.ids.tolist()):
+            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
+            record = records[i]
+            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
+            # A point's columns are x and y, a wall's alpha and d, and what was seen of it is its extent.
+            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
+            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
+            writer.writerow([i, record.kind.name.lower(), *columns, record.sightings, *extent])
+    np.savez(
+        folder / "landmarks.npz",
+        ids=estimate.ids,
+        kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
+        mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
+        covariance=trace.joint_cov,
+    )
+
+
+def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
+    """Write (H, W) occupancy, -1 unknown, 0 free, 100 occupied, as map_server's PGM and YAML, cropped to the known."""
+    import yaml
+    from PIL import Image
+
+    known = occupancy >= 0
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if len(rows) == 0:
+        return
+    r0, c0 = int(rows[0]), int(cols[0])
+    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
+    grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
+    Image.fromarray(np.flipud(grey)).save(folder / "map.pgm")  # an image's first row is the map's top
+    meta = {
+        "image": "map.pgm",
+        "mode": "trinary",
+        "resolution": cell_m,
+        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    (folder / "map.yaml").write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")

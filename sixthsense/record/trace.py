@@ -1,0 +1,231 @@
+"""The record of a run: what the loop saw, believed and did, tick by tick, and how it shows itself."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
+from sixthsense.evaluation.measure import measure
+from sixthsense.evaluation.results import Metrics
+from sixthsense.navigation.navigate import Place, as_reason
+from sixthsense.record.live import Live
+from sixthsense.record.stopwatch import Stopwatch
+from sixthsense.slam.association.associator import Association, Record
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.scene import Scene
+
+if TYPE_CHECKING:
+    from sixthsense.figures.picture import Picture
+
+NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+
+
+@dataclass(slots=True, repr=False)
+class Trace:
+    """Everything a run leaves behind; rows are appended by the loop. `ss.run`, `ss.replay` and `load` make one.
+
+    Poses are (x, y, theta), world frame, metres and radians; stamps are nanoseconds. In a notebook it shows its map and
+    the metrics that matter most.
+    """
+
+    config: Config
+    scene: Scene | None
+    """the truth, for the record; none for a log"""
+    radius_m: float
+    """of the robot"""
+    stamps_ns: list[int] = field(default_factory=list)
+    """per scan: record time"""
+    log_stamps_s: list[float] = field(default_factory=list)
+    """per scan: the log's own stamp, NaN in a simulated world"""
+    estimates: list[Array] = field(default_factory=list)
+    """per scan: (3,) pose believed then"""
+    odometry: list[Array] = field(default_factory=list)
+    """per scan: (3,) dead-reckoned pose, world frame"""
+    truths: list[Array] = field(default_factory=list)
+    """per scan: (3,) true pose; none in a log"""
+    last_key: list[int] = field(default_factory=list)
+    """per scan: index of the last key scan, itself included"""
+    since_key: list[Array] = field(default_factory=list)
+    """per scan: (3,) motion since that key scan, by odometry"""
+    key_stamps_ns: list[int] = field(default_factory=list)
+    """per key scan: record time"""
+    key_odometry: list[Odometry] = field(default_factory=list)
+    """per key scan: motion since the one before"""
+    key_estimates: list[Estimate] = field(default_factory=list)
+    """per key scan: after its update"""
+    key_truths: list[Array] = field(default_factory=list)
+    """per key scan: (3,) true pose; none in a log"""
+    associations: list[Association] = field(default_factory=list)
+    """per key scan"""
+    walls_found: list[Array] = field(default_factory=list)
+    """per key scan: (W, 2, 2) segments, robot's frame"""
+    stopwatch: Stopwatch = field(default_factory=Stopwatch)
+    """per key scan: stage times"""
+    outcome: str = ""
+    """why the run ended"""
+    path_length_m: float = 0.0
+    """true way, or by odometry in a log"""
+    wall_time_s: float = 0.0
+    """of the loop"""
+    plans: list[Array] = field(default_factory=list)
+    """planned paths"""
+    plans_below_margin: int | None = None
+    """of these, that keep less from obstacles than was wanted; none in a log"""
+    plans_by_astar: int | None = None
+    """of these, that are A*'s because the planner found none; none in a log, and of A* itself"""
+    guard_stops: int | None = None
+    """times the guard stopped the moving robot; none in a log"""
+    left: list[Place] = field(default_factory=list)
+    """what an exploration has not seen"""
+    trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(K, 3) final pose at each key scan"""
+    final: Estimate = field(default_factory=lambda: NOTHING)
+    """at the end of the run"""
+    joint_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3 + 2n, 3 + 2n) of the final estimate"""
+    records: dict[LandmarkId, Record] = field(default_factory=dict)
+    """of the landmarks in the final estimate"""
+    culled: int = 0
+    """landmarks removed"""
+    walls_merged: int = 0
+    """walls that have turned out to be others"""
+    relations: Relations | None = None
+    """hand-checked relations to measure the trajectory against"""
+    grid: Grid | None = None
+    """the map"""
+    rebuilds: int = 0
+    """times it was drawn anew, because key poses had moved"""
+    name: str = ""
+    """of what was driven in or replayed: the scene's, the log's or the folder's"""
+    live: Live | None = None
+    """what the loop works with, while it runs"""
+    last_position: Array | None = None
+    """(2,) of the robot at the last tick, world frame: true, or by odometry in a log"""
+    _measured: Metrics | None = field(default=None, init=False, repr=False, compare=False)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Trace:
+        """Read the folder of a run, or the `.partial` that a killed run has left, back into a Trace.
+
+        The estimates are made anew from the recorded evidence with the folder's configuration, which repeats the run
+        exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one), what was left
+        unseen from `places_left.csv`. The times are those of the repetition. Raises InputError for a folder that is no
+        run's, or has recorded nothing.
+        """
+        from sixthsense.config import load_config
+        from sixthsense.loop import replay
+        from sixthsense.sources.logs.runfolder import read_run
+
+        path = Path(folder)
+        config = load_config(path / "config.toml")
+        log = read_run(path, config.laser)
+        trace = replay(log, config)
+        trace.name = path.resolve().name.removesuffix(".partial")
+        trace.plans = list(log.plans)
+        trace.outcome = _outcome(path / "metrics.json")
+        trace.left = _places_left(path / "places_left.csv")
+        return trace
+
+    def add_tick(self, tick: Tick, odometry: Pose) -> None:
+        """Record the way made; `odometry` is the dead-reckoned pose in the world frame."""
+        position = (tick.truth or odometry).position
+        if self.last_position is not None:
+            self.path_length_m += float(np.hypot(*(position - self.last_position)))
+        self.last_position = position
+
+    def add_scan(self, tick: Tick, pose: Pose, odometry: Pose, since_key: Pose) -> None:
+        """Record one scan, after whatever the loop made of it."""
+        self.stamps_ns.append(tick.stamp_ns)
+        self.log_stamps_s.append(np.nan if tick.log_stamp_s is None else tick.log_stamp_s)
+        self.estimates.append(pose.array())
+        self.odometry.append(odometry.array())
+        if tick.truth is not None:
+            self.truths.append(tick.truth.array())
+        self.last_key.append(len(self.key_stamps_ns) - 1)
+        self.since_key.append(since_key.array())
+
+    def add_key_scan(
+        self, tick: Tick, motion: Odometry, estimate: Estimate, association: Association, walls: Array
+    ) -> None:
+        """Record one key scan after its update; `motion` is that since the one before."""
+        self.key_odometry.append(motion)
+        self.key_stamps_ns.append(tick.stamp_ns)
+        self.key_estimates.append(estimate)
+        if tick.truth is not None:
+            self.key_truths.append(tick.truth.array())
+        self.associations.append(association)
+        self.walls_found.append(walls)
+
+    def scan_poses(self) -> Array:
+        """(S, 3) final pose of every scan: its last key scan's, and the odometry since."""
+        rows = [
+            (Pose.from_array(self.trajectory[k]) @ Pose.from_array(motion)).array()
+            for k, motion in zip(self.last_key, self.since_key, strict=True)
+        ]
+        return np.array(rows).reshape(-1, 3)
+
+    @property
+    def metrics(self) -> Metrics:
+        """Errors, consistency, coverage and timing by flat keys, with units; what cannot be measured is left out.
+
+        A dictionary that shows itself as a table; `metrics.frame()` is one of pandas. Of a run that has ended they are
+        computed once.
+        """
+        measured = self._measured or measure(self)
+        if self.outcome:
+            self._measured = measured
+        return Metrics(measured)
+
+    def plot(self, what: str = "map") -> Picture:
+        """A figure of the run: "map", "error", "nees", "nis", "stages", "coverage" or "exploration".
+
+        It is one of matplotlib's, shows itself at the end of a notebook's cell, and is written by `.savefig(file)`.
+        Raises FigureError, listing what there is, for any other name, and for a figure that this run cannot fill, as
+        errors without truth.
+        """
+        from sixthsense.evaluation.finished import as_finished
+        from sixthsense.figures.panels import figure
+
+        return figure(what, [as_finished(self)])
+
+    def __repr__(self) -> str:
+        of = f"{self.name or 'a run'}, {self.config.estimator}, {self.config.preset}, seed {self.config.seed}"
+        return f"<Trace of {of}: {self.outcome or 'running'}, {len(self.stamps_ns)} scans>"
+
+    def _repr_html_(self) -> str:
+        from sixthsense.evaluation.finished import as_finished
+        from sixthsense.figures.panels import card
+
+        return card(as_finished(self))
+
+
+def _outcome(file: Path) -> str:
+    """Why a run ended, from its metrics; a run without them was stopped."""
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["outcome"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return "interrupted"
+
+
+def _places_left(file: Path) -> list[Place]:
+    """What an exploration left unseen, from its table; nothing of a run without one."""
+    try:
+        with file.open(newline="", encoding="utf-8") as rows:
+            return [
+                Place(float(row["x"]), float(row["y"]), float(row["area_m2"]), as_reason(row["reason"]))
+                for row in csv.DictReader(rows)
+            ]
+    except (OSError, ValueError, LookupError, TypeError):
+        return []

@@ -1,0 +1,1 @@
+"""One run with its folder, bag, progress bar and view."""

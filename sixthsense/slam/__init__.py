@@ -1,0 +1,1 @@
+"""From odometry and scans to an estimate and a map: features, association, estimators, mapping."""

@@ -1,0 +1,1 @@
+"""Which sighting is of which landmark."""

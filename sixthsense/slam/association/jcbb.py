@@ -1,0 +1,99 @@
+"""Joint compatibility branch and bound: the matches that agree with each other, not each with the map alone.
+
+Neira and Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics and
+Automation 17(6), 2001.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.stats import chi2
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.association.matching import Indices, Innovations, stacked_jacobian
+
+_MOST_NODES = 5_000  # of a tree that a room full of lookalikes would make endless; the best so far is taken then
+
+Pair = tuple[int, int]
+
+
+def jointly_compatible(
+    innovation: Innovations, joint: Array, noise: Array, gate: float, probability: float
+) -> tuple[Indices, Indices]:
+    """The largest set of matches inside a joint chi-square gate, of those the one with the least NIS.
+
+    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks, `noise` (m, 2, 2) of the sightings; each match must pass
+    the single `gate`, too. Returns rows (sightings) and columns (landmarks).
+    """
+    H = stacked_jacobian(innovation.by_pose, innovation.by_landmark)
+    predicted = H @ joint @ H.T
+    inside = innovation.squared < gate
+    options = [np.flatnonzero(row)[np.argsort(innovation.squared[i, row])] for i, row in enumerate(inside)]
+    order = sorted((i for i in range(len(options)) if len(options[i])), key=lambda i: len(options[i]))
+    gates: Array = np.asarray(chi2.ppf(probability, 2 * np.arange(1, len(order) + 1)), dtype=np.float64)
+    search = _Search(innovation.values, predicted, noise, options, order, gates)
+    search.descend(0, _Hypothesis())
+    rows = np.array([i for i, _ in search.best.pairs], dtype=np.int64)
+    cols = np.array([j for _, j in search.best.pairs], dtype=np.int64)
+    return rows, cols
+
+
+@dataclass(frozen=True, slots=True)
+class _Hypothesis:
+    """Some matches, their joint NIS, and the Cholesky factor of their innovations' covariance that it came from."""
+
+    pairs: tuple[Pair, ...] = ()
+    nis: float = 0.0
+    factor: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    whitened: Array = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(slots=True)
+class _Search:
+    values: Array
+    predicted: Array
+    noise: Array
+    options: list[Indices]
+    order: list[int]
+    gates: Array
+    best: _Hypothesis = field(default_factory=_Hypothesis)
+    nodes: int = 0
+
+    def descend(self, level: int, hypothesis: _Hypothesis) -> None:
+        """Try every landmark for the sighting at `level`, then none; whatever cannot beat the best is left out."""
+        self.nodes += 1
+        count, most = len(hypothesis.pairs), len(self.best.pairs)
+        if count > most or (count == most and hypothesis.nis < self.best.nis):
+            self.best, most = hypothesis, count
+        if level == len(self.order) or self.nodes > _MOST_NODES:
+            return
+        left = len(self.order) - level
+        i, taken = self.order[level], {j for _, j in hypothesis.pairs}
+        for j in self.options[i].tolist():
+            if j in taken:
+                continue
+            grown = self._with(hypothesis, i, j)
+            if grown.nis <= self.gates[count] and self._may_win(count + left, grown.nis):
+                self.descend(level + 1, grown)
+        if self._may_win(count + left - 1, hypothesis.nis):
+            self.descend(level + 1, hypothesis)
+
+    def _may_win(self, at_most: int, nis: float) -> bool:
+        most = len(self.best.pairs)
+        return at_most > most or (at_most == most and nis < self.best.nis)
+
+    def _with(self, hypothesis: _Hypothesis, i: int, j: int) -> _Hypothesis:
+        """One match more; the factor of the covariance grows by two rows."""
+        index = np.array([(2 * k, 2 * k + 1) for _, k in hypothesis.pairs], dtype=np.int64).ravel()
+        mine = slice(2 * j, 2 * j + 2)
+        n = len(index)
+        cross = solve_triangular(hypothesis.factor, self.predicted[index, mine], lower=True) if n else np.zeros((0, 2))
+        corner = np.linalg.cholesky(self.predicted[mine, mine] + self.noise[i] - cross.T @ cross)
+        own = solve_triangular(corner, self.values[i, j] - cross.T @ hypothesis.whitened, lower=True)
+        factor = np.zeros((n + 2, n + 2))
+        factor[:n, :n], factor[n:, :n], factor[n:, n:] = hypothesis.factor, cross.T, corner
+        whitened = np.concatenate([hypothesis.whitened, own])
+        return _Hypothesis((*hypothesis.pairs, (i, j)), hypothesis.nis + float(own @ own), factor, whitened)

@@ -1,0 +1,86 @@
+"""How far walls reach: their extents, which are no part of any estimator's state, and how near two of them are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmarks import Sighting
+
+_PARALLEL_RAD = 0.15  # walls that differ by more in direction are two
+
+
+@dataclass(frozen=True, slots=True)
+class Nearness:
+    """How m sighted walls lie to n landmarks; rows are sightings."""
+
+    angle: Array
+    """(m, n) rad, between the normals"""
+    offset: Array
+    """(m, n) m, of the middle of what was sighted, off the landmark's line"""
+    gap: Array
+    """(m, n) m along the landmark between what was sighted and what is known of it; negative where they overlap"""
+
+
+def ends(pose: Pose, sighting: Sighting) -> Array:
+    """(2, 2) where a sighted wall begins and ends in the world, seen from `pose`."""
+    c, s = np.cos(sighting.z[0]), np.sin(sighting.z[0])
+    foot, along = sighting.z[1] * np.array([c, s]), np.array([-s, c])
+    return np.asarray(pose @ (foot + np.outer(sighting.extent, along)))
+
+
+def nearness(sighted: Array, alphas: Array, landmarks: Array, extents: Array) -> Nearness:
+    """Compare sighted walls, (m, 2, 2) ends and (m,) alphas, with landmarks (n, 2), whose extents are (n, 2, 2)."""
+    c, s = np.cos(landmarks[:, 0]), np.sin(landmarks[:, 0])
+    normal, along = np.column_stack([c, s]), np.column_stack([-s, c])
+    middle = sighted.mean(axis=1)
+    mine = np.einsum("mek,nk->mne", sighted, along)
+    theirs = np.einsum("nek,nk->ne", extents, along)
+    low = np.maximum(mine.min(axis=2), theirs.min(axis=1))
+    high = np.minimum(mine.max(axis=2), theirs.max(axis=1))
+    angle = wrap_angle(alphas[:, None] - landmarks[None, :, 0])
+    return Nearness(angle, middle @ normal.T - landmarks[:, 1], low - high)
+
+
+def in_line(
+    landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
+) -> list[tuple[int, int]]:
+    """Pairs of walls (n, 2) of which one is `recent` (n,) and that may be one by direction, offset and extent."""
+    pairs: list[tuple[int, int]] = []
+    mine = np.flatnonzero(recent)
+    if not len(mine):
+        return pairs
+    near = nearness(extents[mine], landmarks[mine, 0], landmarks, extents)
+    close = (np.abs(near.angle) < _PARALLEL_RAD) & (np.abs(near.offset) <= offset_m) & (near.gap < gap_m)
+    for j, k in zip(*np.nonzero(close), strict=True):
+        first, second = int(mine[j]), int(k)
+        if first != second and not (recent[second] and second < first):
+            pairs.append((first, second))
+    return pairs
+
+
+def disagreement(first: Array, second: Array, cov: Array) -> float:
+    """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
+    gap = np.array([wrap_angle(float(first[0] - second[0])), first[1] - second[1]])
+    return float(gap @ np.linalg.solve(cov, gap))
+
+
+def joined(landmark: Array, *extents: Array) -> Array:
+    """(2, 2) ends, on a landmark (2,), of all that several extents (2, 2) cover together."""
+    c, s = np.cos(landmark[0]), np.sin(landmark[0])
+    normal, along = np.array([c, s]), np.array([-s, c])
+    reach = np.concatenate([extent @ along for extent in extents])
+    return np.asarray(landmark[1] * normal + np.outer([reach.min(), reach.max()], along))
+
+
+def fused(first: Sighting, second: Sighting) -> Sighting:
+    """One sighting of a wall from two pieces of it in the same scan, whose errors are independent."""
+    gap = second.z - first.z
+    gap[0] = wrap_angle(float(gap[0]))
+    gain = first.cov @ np.linalg.inv(first.cov + second.cov)
+    cov = first.cov - gain @ first.cov
+    extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
+    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent)

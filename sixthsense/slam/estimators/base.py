@@ -1,0 +1,112 @@
+"""The estimators' seam: what every back end offers the loop, and the promises it keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.motion import Odometry
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """What an estimator believes now; arrays are copies."""
+
+    pose: Pose
+    """`T_world_robot`"""
+    pose_cov: Array
+    """(3, 3) of (x, y, theta), world frame; m, rad"""
+    ids: NDArray[np.int64]
+    """(n,) of the landmarks, in the order of `landmarks`"""
+    landmarks: Array
+    """(n, 2) means, world frame: a point's x, y, m; a wall's alpha, d, rad and m"""
+    walls: NDArray[np.bool_]
+    """(n,) which of them are walls"""
+
+
+class Estimator(Protocol):
+    """Simultaneous localisation and mapping from odometry and sightings with known association.
+
+    1. `predict` never shrinks the joint covariance; many may precede an update.
+    2. `update` takes each sighting as independent; an unknown id, a forgotten one too, is a new landmark, augmented
+       after all updates.
+    3. An empty update leaves the covariance alone.
+    4. `joint_covariance` is symmetric and positive semi-definite, begins with `pose_cov` and follows the order asked.
+    5. What is returned is a copy.
+    6. The same calls give the same bits.
+    7. A covariance that is none (not finite, not symmetric, indefinite; of a sighting, not positive definite) is a
+       ValueError that names it, and the state stays as it was. An odometry's and the start's may be zero.
+    """
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move by an increment in the robot's frame."""
+        ...
+
+    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Take in what one key scan saw."""
+        ...
+
+    def forget(self, ids: Collection[LandmarkId]) -> None:
+        """Remove landmarks; KeyError for one that is not known."""
+        ...
+
+    def estimate(self) -> Estimate:
+        """The present pose with its covariance, and the landmarks' means."""
+        ...
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the k landmarks, world frame, in the order asked; KeyError if unknown."""
+        ...
+
+    def trajectory(self) -> Array:
+        """(K, 3), the pose at each update so far, smoothed if the estimator smooths."""
+        ...
+
+
+class Trajectory:
+    """Poses, one after the other, handed out as an array without a loop over them."""
+
+    def __init__(self) -> None:
+        self._rows = np.empty((64, 3))
+        self._count = 0
+
+    def append(self, pose: Pose) -> None:
+        """Add a pose at the end."""
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._rows[self._count] = (pose.x, pose.y, pose.theta)
+        self._count += 1
+
+    def rows(self) -> Array:
+        """(K, 3), a copy."""
+        return self._rows[: self._count].copy()
+
+
+def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
+    """Raise ValueError, naming the landmark, for a sighting that is not finite or whose covariance is none."""
+    if not sightings:
+        return
+    for i, s in sightings.items():
+        if np.shape(s.z) != (2,) or np.shape(s.cov) != (2, 2):
+            got = f"{np.shape(s.z)} and {np.shape(s.cov)}"
+            raise ValueError(f"sighting of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
+    z = np.array([s.z for s in sightings.values()], dtype=np.float64)
+    cov = np.array([s.cov for s in sightings.values()], dtype=np.float64)
+    if not np.isfinite(z).all():
+        k = int(np.flatnonzero(~np.isfinite(z).all(axis=1))[0])
+        raise ValueError(f"sighting of landmark {list(sightings)[k]}: found z {z[k]}, allowed: finite numbers")
+    det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
+    slack = COVARIANCE_SLACK * np.abs(cov).max(axis=(1, 2))
+    good = (np.abs(cov[:, 0, 1] - cov[:, 1, 0]) <= slack) & (cov[:, 0, 0] > 0.0) & (det > 0.0) & np.isfinite(det)
+    if not good.all():
+        k = int(np.flatnonzero(~good)[0])
+        fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
+        found = f"sighting of landmark {list(sightings)[k]}: found {fault}"
+        raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")

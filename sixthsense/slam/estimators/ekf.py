@@ -1,0 +1,201 @@
+"""The report's EKF-SLAM: one joint Gaussian over the pose and all landmarks (Smith, Self and Cheeseman 1990)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg.blas import dsyrk
+
+from sixthsense.core.covariance import check_covariance
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmarks import LandmarkId, Sighting, born, innovations, predict, translated, turned
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.slam.estimators.base import Estimate, Trajectory, check_sightings
+
+
+class EKF:
+    """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
+
+    State: x, y, theta of the robot, then the two numbers of each landmark. Within, the world's origin is where the
+    robot started: a wall's (alpha, d) about a far origin linearises badly. The linearised system loses a direction that
+    cannot be observed, the heading of the whole map, so that it is overconfident once the robot turns
+    (Huang, Mourikis and Roumeliotis 2010); the variants override the methods named `_on_...` and `_linearised_at`.
+    """
+
+    def __init__(self, start: Pose, start_cov: Array) -> None:
+        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero; ValueError if it is none."""
+        cov = check_covariance("start_cov", start_cov)
+        self._origin = start.position
+        self._pose = Pose(0.0, 0.0, start.theta)
+        self._means = np.zeros((0, 2))
+        self._walls = np.zeros(0, dtype=np.bool_)
+        # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
+        self._cov = np.array(cov, order="F")
+        self._slots: dict[LandmarkId, int] = {}
+        self._pending = STANDSTILL
+        self._trajectory = Trajectory()
+
+    def predict(self, odometry: Odometry) -> None:
+        """Move by an increment; the covariance follows at the next call that needs it.
+
+        Folding increments first is exact: the Jacobians of composed motions multiply.
+        """
+        check_covariance("odometry", odometry.cov)
+        if odometry.is_standstill():
+            return
+        self._pending = self._pending.then(odometry)
+
+    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
+        check_sightings(sightings)
+        self._propagate()
+        known = [i for i in sightings if i in self._slots]
+        if known:
+            slots = np.array([self._slots[i] for i in known], dtype=np.int64)
+            self._on_seen(slots, self._correct(slots, [sightings[i] for i in known]))
+        self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
+        self._trajectory.append(self._world(self._pose))
+
+    def forget(self, ids: Collection[LandmarkId]) -> None:
+        """Marginalise landmarks out: their rows and columns go, all else stays as it was."""
+        gone = {self._slots[i] for i in ids}
+        if not gone:
+            return
+        keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
+        slots = np.array([slot for _, slot in keep], dtype=np.int64)
+        self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
+        self._means, self._walls = self._means[slots], self._walls[slots]
+        self._on_kept(slots)
+        self._slots = {i: k for k, (i, _) in enumerate(keep)}
+
+    def estimate(self) -> Estimate:
+        """The pose with all motion so far, its covariance, and the landmarks' means."""
+        self._propagate()
+        pose_cov = self._symmetric(np.arange(3))
+        landmarks, _ = translated(self._means, self._walls, self._origin)
+        ids = np.array(list(self._slots), dtype=np.int64)
+        return Estimate(self._world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
+        self._propagate()
+        slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
+        joint = self._symmetric(_state_index(slots))
+        _, jacobian = translated(self._means[slots], self._walls[slots], self._origin)
+        for k in np.flatnonzero(self._walls[slots]):
+            at = slice(3 + 2 * k, 5 + 2 * k)
+            joint[at] = jacobian[k] @ joint[at]
+            joint[:, at] = joint[:, at] @ jacobian[k].T
+        return joint
+
+    def trajectory(self) -> Array:
+        """(K, 3), the filtered pose at each update."""
+        return self._trajectory.rows()
+
+    def _on_moved(self, moved: Array) -> Array:
+        """The way (2,) with which the heading's error turns into one of position, as the robot has `moved` (2,)."""
+        return moved
+
+    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The robot's position (2,) and the landmarks (m, 2) at which sightings are linearised."""
+        return self._pose.position, self._means[slots]
+
+    def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
+        """Take the correction in that sightings of known landmarks bring: add `shift` (3 + 2n,) to the state."""
+        self._pose = Pose.from_array(self._pose.array() + shift[:3])
+        self._means += shift[3:].reshape(-1, 2)
+        self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
+
+    def _on_born(self, sightings: Collection[Sighting]) -> None:
+        """Landmarks were added, of these sightings."""
+
+    def _world(self, pose: Pose) -> Pose:
+        return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
+
+    def _on_kept(self, slots: NDArray[np.int64]) -> None:
+        """Of the landmarks only those in `slots` are left, in that order."""
+
+    @property
+    def _size(self) -> int:
+        return 3 + 2 * len(self._slots)
+
+    def _symmetric(self, index: NDArray[np.int64]) -> Array:
+        rows, cols = index[:, None], index[None, :]
+        return self._cov[np.maximum(rows, cols), np.minimum(rows, cols)]
+
+    def _propagate(self) -> None:
+        """Sigma = Phi Sigma Phi^T + G Q G^T, what the report's eq. 8-9 should say; touches the pose's columns only."""
+        if self._pending is STANDSTILL:
+            return
+        pose = self._pose @ self._pending.motion
+        phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        phi[:2, 2] = turned(self._on_moved(pose.position - self._pose.position))
+        pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
+        self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
+        self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
+        self._pose = pose
+        self._pending = STANDSTILL
+
+    def _correct(self, slots: NDArray[np.int64], sightings: list[Sighting]) -> Array:
+        """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle.
+
+        Returns the correction (3 + 2n,) of the state, which is still to be made.
+        """
+        n, m = self._size, len(slots)
+        walls = self._walls[slots]
+        predicted, _, _ = predict(self._pose, self._means[slots], walls)
+        position, landmarks = self._linearised_at(slots)
+        _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), landmarks, walls)
+        innovation = innovations(np.array([s.z for s in sightings]), predicted, walls).ravel()  # (2m,)
+        index = _state_index(slots)  # (3 + 2m,)
+        H = np.zeros((2 * m, 3 + 2 * m))  # the columns of H that are not zero
+        for k in range(m):
+            H[2 * k : 2 * k + 2, :3] = by_pose[k]
+            H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
+        columns = np.empty((n, len(index)), order="F")  # Sigma[:, index], from the lower triangle
+        for k, i in enumerate(index):
+            columns[i:, k] = self._cov[i:, i]
+            columns[:i, k] = self._cov[i, :i]
+        cross = columns @ H.T  # Sigma H^T, (n, 2m)
+        S = H @ cross[index]
+        for k, s in enumerate(sightings):
+            S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += s.cov
+        root = cholesky(0.5 * (S + S.T), lower=True, check_finite=False)
+        W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
+        self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+        return np.asarray(W @ solve_triangular(root, innovation, lower=True, check_finite=False))
+
+    def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+        """Append the landmarks that were born at the pose of this update."""
+        if not sightings:
+            return
+        n, k = self._size, len(sightings)
+        larger = np.empty((n + 2 * k, n + 2 * k), order="F")
+        larger[:n, :n] = self._cov
+        means, rows, noise = [], [], []
+        position, _ = self._linearised_at(np.zeros(0, dtype=np.int64))
+        at = Pose(position[0], position[1], self._pose.theta)
+        for sighting in sightings.values():
+            mean, _, by_z = born(self._pose, sighting)
+            _, by_pose, _ = born(at, sighting)
+            means.append(mean)
+            rows.append(by_pose)
+            noise.append(by_z @ sighting.cov @ by_z.T)
+        G = np.vstack(rows)  # (2k, 3)
+        pose_cov = self._symmetric(np.arange(3))
+        larger[n:, :n] = G @ np.vstack([pose_cov, self._cov[3:, :3]]).T
+        own = G @ pose_cov @ G.T + block_diag(*noise)
+        larger[n:, n:] = 0.5 * (own + own.T)
+        self._cov = larger
+        self._means = np.vstack([self._means, *means])
+        self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
+        self._on_born(sightings.values())
+        self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
+
+
+def _state_index(slots: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(3 + 2k,) places in the state of the pose and of the landmarks in `slots`."""
+    return np.concatenate([np.arange(3), (3 + 2 * slots[:, None] + np.arange(2)).ravel()])

@@ -1,0 +1,69 @@
+"""EKF-SLAM with first-estimates Jacobians (Huang, Mourikis and Roumeliotis, ICRA 2008; IJRR 29(5), 2010)."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Sighting, born, turned
+from sixthsense.slam.estimators.base import Estimate
+from sixthsense.slam.estimators.ekf import EKF
+
+
+class AnchoredEKF(EKF):
+    """An EKF whose Jacobians are taken at points that keep the unobservable directions: three, as in truth.
+
+    Turning the whole world is invisible if each Jacobian has the same null vector: `turned` of the robot's point of
+    linearisation, which moves with the robot, 1, and `turned` of each landmark's anchor, which never moves. So the
+    levers are anchors less that point (Huang et al. 2010, eq. 20-23); the variants choose the point.
+
+    The filter's covariance is that of errors about these points: what an error of the heading does to a position is
+    taken there. What is handed out is turned into that of errors about the estimates, which have moved on since.
+    """
+
+    def __init__(self, start: Pose, start_cov: Array) -> None:
+        super().__init__(start, start_cov)
+        self._point = np.zeros(2)
+        """(2,) the robot's point of linearisation"""
+        self._anchors = np.zeros((0, 2))
+        """(n, 2) the landmarks'"""
+
+    def estimate(self) -> Estimate:
+        """The pose with all motion so far, its covariance, and the landmarks' means."""
+        return dataclasses.replace(super().estimate(), pose_cov=self.joint_covariance([]))
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order, about their estimates."""
+        joint = super().joint_covariance(ids)
+        slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
+        walls = self._walls[slots]
+        robot = turned(self._pose.position - self._point)
+        moved = turned(self._means[slots], walls) - turned(self._anchors[slots], walls)
+        u = np.concatenate([robot, [0.0], moved.ravel()])
+        # T joint T^T with T = I + u e_theta^T: from the null vector at the points to that at the estimates
+        half = np.outer(u, joint[:, 2] + 0.5 * joint[2, 2] * u)
+        return np.asarray(joint + (half + half.T))
+
+    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+        return self._point, self._anchors[slots]
+
+    def _on_born(self, sightings: Collection[Sighting]) -> None:
+        at = Pose(self._point[0], self._point[1], self._pose.theta)
+        self._anchors = np.vstack([self._anchors, *(born(at, sighting)[0] for sighting in sightings)])
+
+    def _on_kept(self, slots: NDArray[np.int64]) -> None:
+        self._anchors = self._anchors[slots]
+
+
+class FirstEstimatesEKF(AnchoredEKF):
+    """The robot's point of linearisation is its predicted position, which later corrections leave alone."""
+
+    def _on_moved(self, moved: Array) -> Array:
+        # From prediction to prediction (Huang et al. 2008, eq. 26), where the standard filter starts at the corrected.
+        way = self._pose.position + moved - self._point
+        self._point = self._point + way
+        return np.asarray(way)

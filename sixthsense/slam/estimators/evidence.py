@@ -1,0 +1,66 @@
+"""What was sighted in a factor graph, and which of it everything else contradicts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.landmarks import LandmarkId, Sighting
+
+_FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("birth", np.bool_),
+           ("z", np.float64, (2,)), ("information", np.float64, (2, 2)))  # fmt: skip
+
+
+class Evidence:
+    """Sightings by the place of their factors in the graph."""
+
+    def __init__(self) -> None:
+        self._rows = np.zeros(256, dtype=list(_FIELDS))
+        self._count = 0
+
+    def add(self, pose: int, i: LandmarkId, place: int, sighting: Sighting, is_birth: bool) -> None:
+        """Keep a sighting of landmark `i` from the pose of that index, whose factor has that place."""
+        if self._count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+        information = np.linalg.inv(sighting.cov)
+        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_birth, sighting.z, information)
+        self._count += 1
+
+    def places(self, ids: Collection[LandmarkId]) -> list[int]:
+        """Places of the factors of some landmarks, ascending."""
+        rows = self._rows[: self._count]
+        return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
+
+    def drop(self, places: Collection[int]) -> None:
+        """Forget the sightings whose factors have these places."""
+        rows = self._rows[: self._count]
+        kept = rows[~np.isin(rows["place"], list(places))]
+        self._rows[: len(kept)] = kept
+        self._count = len(kept)
+
+    def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
+        """Give the factors new places: those at `before`, ascending, are now at `after`."""
+        place = self._rows["place"][: self._count]
+        place[:] = np.asarray(after)[np.searchsorted(before, place)]
+
+    def squared_residuals(self, poses: Array, ids: NDArray[np.int64], landmarks: Array) -> tuple[Array, Array]:
+        """Squared Mahalanobis distance of each sighting that is no birth, and the places of their factors.
+
+        `poses` (K, 3) world frame; `landmarks` (n, 2) are those of `ids` (n,).
+        """
+        rows = self._rows[: self._count]
+        rows = rows[~rows["birth"]]
+        pose = poses[rows["pose"]]
+        order = np.argsort(ids)
+        landmark = landmarks[order[np.searchsorted(ids, rows["id"], sorter=order)]]
+        c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        gap = landmark - pose[:, :2]
+        points = np.column_stack([c * gap[:, 0] + s * gap[:, 1], -s * gap[:, 0] + c * gap[:, 1]])
+        foot = np.cos(landmark[:, 0]) * pose[:, 0] + np.sin(landmark[:, 0]) * pose[:, 1]
+        walls = np.column_stack([wrap_angle(landmark[:, 0] - pose[:, 2]), landmark[:, 1] - foot])
+        off = rows["z"] - np.where(rows["wall"][:, None], walls, points)
+        off[:, 0] = np.where(rows["wall"], wrap_angle(off[:, 0]), off[:, 0])
+        return np.einsum("ni,nij,nj->n", off, rows["information"], off), rows["place"]

@@ -1,0 +1,216 @@
+"""Line fitting: RANSAC (Fischler and Bolles 1981), then orthogonal least squares with the line's covariance.
+
+A line is (alpha, d): the points with x cos(alpha) + y sin(alpha) = d, d >= 0, seen from the laser.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.features.partition import Indices
+
+_NEVER_FLATTER = 0.02  # cosine: a wall met flatter than 1.1 degrees says nothing exact
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _next_random(state: int) -> tuple[int, int]:
+    """One step of a 31-bit multiplicative congruential generator (Park and Miller 1988)."""
+    state = (48271 * state) % 2147483647
+    return state, state
+
+
+@numba.njit(cache=True, error_model="numpy")
+def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations: int, seed: int) -> Array:
+    """The line through two of the free points that has most free points within `threshold`.
+
+    `points` (N, 2) metres, `free` (N,) marks the points taking part, `seed` in [1, 2^31 - 1). Returns (3,): alpha, d
+    and the number of inliers; stops early once every free point is one.
+    """
+    index = np.flatnonzero(free)
+    n = len(index)
+    best = np.zeros(3)
+    if n < 2:
+        return best
+    state = seed
+    for _ in range(iterations):
+        state, u = _next_random(state)
+        state, w = _next_random(state)
+        a, b = u % n, w % (n - 1)
+        if b >= a:
+            b += 1
+        p, q = points[index[a]], points[index[b]]
+        length = math.hypot(q[0] - p[0], q[1] - p[1])
+        if length < 1e-9:
+            continue
+        nx, ny = (q[1] - p[1]) / length, -(q[0] - p[0]) / length
+        d = nx * p[0] + ny * p[1]
+        inliers = 0
+        for i in index:
+            if abs(nx * points[i, 0] + ny * points[i, 1] - d) <= threshold:
+                inliers += 1
+        if inliers > best[2]:
+            best[0], best[1], best[2] = math.atan2(ny, nx), d, inliers
+            if inliers == n:
+                break
+    if best[1] < 0.0:
+        best[0] += math.pi
+        best[1] = -best[1]
+    return best
+
+
+@numba.njit(cache=True, error_model="numpy")
+def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: float) -> Array:
+    """Fit a line to laser returns and say how well it is known.
+
+    `points` (N, 2) metres in the laser's frame, of which those at `index` take part; sigmas in metres and radians.
+    Returns (5,): alpha, d and the entries aa, ad, dd of its covariance. Orthogonal least squares (Arras and Siegwart
+    1997) gives the first answer; two Gauss-Newton steps then weigh each return by its noise across the line and take
+    the lever arms from the fitted line, not from the noisy returns, which would bias the angle.
+    """
+    n = len(index)
+    mx = my = sxx = syy = sxy = 0.0
+    for i in index:
+        mx += points[i, 0] / n
+        my += points[i, 1] / n
+    for i in index:
+        dx, dy = points[i, 0] - mx, points[i, 1] - my
+        sxx += dx * dx
+        syy += dy * dy
+        sxy += dx * dy
+    alpha = 0.5 * math.atan2(-2.0 * sxy, syy - sxx)
+    d = mx * math.cos(alpha) + my * math.sin(alpha)
+    if d < 0.0:
+        alpha, d = alpha + math.pi, -d
+    aa = ad = dd = 0.0
+    for _ in range(2):
+        c, s = math.cos(alpha), math.sin(alpha)
+        i_aa = i_ad = i_dd = b_a = b_d = 0.0
+        for i in index:
+            x, y = points[i, 0], points[i, 1]
+            r = math.hypot(x, y)
+            cosine = max((x * c + y * s) / r, _NEVER_FLATTER)  # of the angle between beam and normal
+            sine = (y * c - x * s) / r
+            arm = min(d / cosine, 2.0 * r) * sine
+            across_sq = (sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2
+            weight = 1.0 / max(across_sq, 1e-18)
+            e = x * c + y * s - d
+            # de/dalpha = arm, de/dd = -1
+            i_aa += weight * arm * arm
+            i_ad -= weight * arm
+            i_dd += weight
+            b_a -= weight * arm * e
+            b_d += weight * e
+        det = i_aa * i_dd - i_ad * i_ad
+        aa, ad, dd = i_dd / det, -i_ad / det, i_aa / det
+        alpha += aa * b_a + ad * b_d
+        d += ad * b_a + dd * b_d
+    if d < 0.0:
+        alpha, d, ad = alpha + math.pi, -d, -ad
+    return np.array([alpha, d, aa, ad, dd])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float, sigma_bearing: float) -> Array:
+    """The line through the returns at `index` that is parallel to a fitted `line`; arguments and result as `fit_line`.
+
+    Its distance is the weighted mean of the returns', its direction and the error of that are the given line's.
+    """
+    c, s = math.cos(line[0]), math.sin(line[0])
+    total = offset = along = 0.0
+    for i in index:
+        x, y = points[i, 0], points[i, 1]
+        r = math.hypot(x, y)
+        cosine = max((x * c + y * s) / r, _NEVER_FLATTER)
+        arm = min(line[1] / cosine, 2.0 * r) * (y * c - x * s) / r
+        weight = 1.0 / max((sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2, 1e-18)
+        total += weight
+        offset += weight * (x * c + y * s)
+        along += weight * arm
+    arm = along / total
+    aa = line[2]
+    return np.array([line[0], offset / total, aa, arm * aa, arm * arm * aa + 1.0 / total])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _one_line(
+    points: Array,
+    free: NDArray[np.bool_],
+    use_ransac: bool,
+    threshold: float,
+    iterations: int,
+    least_squares: bool,
+    sigma_range: float,
+    sigma_bearing: float,
+    seed: int,
+) -> tuple[Array, Indices]:
+    """One line through the free points, as `fit_line` returns it, and the points it was fitted to."""
+    if not use_ransac:
+        index = np.flatnonzero(free)
+        return fit_line(points, index, sigma_range, sigma_bearing), index
+    line = ransac(points, free, threshold, iterations, seed)
+    c, s = math.cos(line[0]), math.sin(line[0])
+    near = np.abs(points[:, 0] * c + points[:, 1] * s - line[1]) <= threshold
+    index = np.flatnonzero(free & near)
+    if len(index) < 2:
+        return np.zeros(5), index[:0]
+    fit = fit_line(points, index, sigma_range, sigma_bearing)
+    if not least_squares:
+        fit[0], fit[1] = line[0], line[1]
+    return fit, index
+
+
+@numba.njit(cache=True, error_model="numpy")
+def fit_lines(
+    points: Array,
+    spans: Indices,
+    use_ransac: bool,
+    threshold: float,
+    iterations: int,
+    least_squares: bool,
+    min_points: int,
+    min_length: float,
+    sigma_range: float,
+    sigma_bearing: float,
+    seed: int,
+) -> tuple[Array, Indices, Indices]:
+    """Fit lines to each span of the scan, one after the other until too few points are left (report section 4.2).
+
+    `points` (N, 2) in the laser's frame; `spans` (S, 2) first and past-last index; lengths in metres. Returns the lines
+    (L, 5) as `fit_line` does, in the order of their first return; (L, 3) span, first and last inlier of each; and (N,)
+    the line that owns each return, -1 for none.
+    """
+    n = points.shape[0]
+    lines = np.empty((n, 5))
+    where = np.empty((n, 3), np.int64)
+    owner = np.full(n, -1, np.int64)
+    found = 0
+    for k in range(spans.shape[0]):
+        free = np.zeros(n, np.bool_)
+        free[spans[k, 0] : spans[k, 1]] = True
+        while np.sum(free) >= min_points:
+            seed = 1 + (seed * 69621) % 2147483645
+            fit, index = _one_line(
+                points, free, use_ransac, threshold, iterations, least_squares, sigma_range, sigma_bearing, seed
+            )
+            if len(index) < min_points:
+                break
+            free[index] = False
+            a, b = points[index[0]], points[index[-1]]
+            along = (b[1] - a[1]) * math.cos(fit[0]) - (b[0] - a[0]) * math.sin(fit[0])
+            if abs(along) >= min_length:
+                owner[index] = found
+                lines[found] = fit
+                where[found] = (k, index[0], index[-1])
+                found += 1
+    order = np.argsort(where[:found, 1])
+    rank = np.empty(found + 1, np.int64)
+    rank[order] = np.arange(found)
+    rank[found] = -1
+    for i in range(n):
+        owner[i] = rank[owner[i]]
+    return lines[order], where[order], owner

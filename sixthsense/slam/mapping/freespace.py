@@ -1,0 +1,187 @@
+"""Where the robot's centre may be: a snapshot of the inflated grid, and the questions that planning asks of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+
+MAX_CELLS = 100_000_000
+"""More than these are a mistake: a wild pose or range, or a cell that is too small."""
+TOUCH = 1e-9
+"""Slack of geometric tests, in cells: a corner that is just touched counts as touched."""
+
+Bools = NDArray[np.bool_]
+
+
+def as_point(name: str, value: ArrayLike) -> Array:
+    """`value` as a (2,) float64 array; ValueError naming it for another shape, NaN or infinity."""
+    point = np.array(value, dtype=np.float64)
+    if point.shape != (2,):
+        raise ValueError(f"{name}: expected shape (2,), got {point.shape}")
+    if not (math.isfinite(point[0]) and math.isfinite(point[1])):
+        raise ValueError(f"{name}: found ({point[0]}, {point[1]}), allowed: finite numbers")
+    return point
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeSpace:
+    """A snapshot of where the robot's centre may be; what it does not cover is unknown, and unknown is free."""
+
+    blocked: Bools
+    """(H, W), read-only: a robot at the cell's centre would touch an obstacle"""
+    seen: Bools
+    """(H, W), read-only: a beam has crossed the cell"""
+    origin: tuple[float, float]
+    """world x, y of the lower left corner of cell (0, 0), metres"""
+    cell_m: float
+    """side of a cell, metres"""
+
+    def __post_init__(self) -> None:
+        for name in ("blocked", "seen"):
+            array = np.array(getattr(self, name), dtype=np.bool_)
+            if array.ndim != 2 or array.shape != np.shape(self.blocked):
+                raise ValueError(f"{name}: expected shape (H, W) alike in blocked and seen, got {array.shape}")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def cell_of(self, point_world: ArrayLike) -> tuple[int, int]:
+        """The (row, col) of the cell that holds a (2,) point, which may lie outside the grid."""
+        x, y = self._in_cells("point", point_world)
+        return math.floor(y), math.floor(x)
+
+    def centre(self, row: int, col: int) -> Array:
+        """(2,) world coordinates of a cell's centre, metres."""
+        return np.array([self.origin[0] + (col + 0.5) * self.cell_m, self.origin[1] + (row + 0.5) * self.cell_m])
+
+    def contains(self, point_world: ArrayLike) -> bool:
+        """Whether the grid covers a (2,) point."""
+        row, col = self.cell_of(point_world)
+        height, width = self.blocked.shape
+        return bool(0 <= row < height and 0 <= col < width)
+
+    def is_blocked(self, point_world: ArrayLike) -> bool:
+        """Whether a (2,) point lies in a blocked cell."""
+        row, col = self.cell_of(point_world)
+        height, width = self.blocked.shape
+        return bool(0 <= row < height and 0 <= col < width and self.blocked[row, col])
+
+    def line_is_free(self, a_world: ArrayLike, b_world: ArrayLike) -> bool:
+        """Whether no blocked cell is touched, not even at a corner, by the segment between two (2,) points.
+
+        A segment within one cell touches that one alone: a point on an edge lies where `cell_of` says.
+        """
+        x0, y0 = self._in_cells("a", a_world)
+        x1, y1 = self._in_cells("b", b_world)
+        return not bool(line_touches(self.blocked, x0, y0, x1, y1))
+
+    def window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Bools:
+        """(R, C) whether the cells of these rows and columns are blocked; those outside the grid are not."""
+        height, width = self.blocked.shape
+        inside_rows, inside_cols = (rows >= 0) & (rows < height), (cols >= 0) & (cols < width)
+        blocked = np.zeros((len(rows), len(cols)), dtype=np.bool_)
+        blocked[np.ix_(inside_rows, inside_cols)] = self.blocked[np.ix_(rows[inside_rows], cols[inside_cols])]
+        return blocked
+
+    def nearest_free(self, point_world: ArrayLike, within_m: float) -> Array | None:
+        """The point itself if free, else the nearest free cell's centre at most `within_m` away, else None."""
+        point = as_point("point", point_world)
+        if not self.is_blocked(point):
+            return point
+        height, width = self.blocked.shape
+        row, col = self.cell_of(point)
+        reach = math.ceil(min(within_m / self.cell_m, max(height, width))) + 1
+        rows, cols = np.arange(row - reach, row + reach + 1), np.arange(col - reach, col + reach + 1)
+        blocked = self.window(rows, cols)
+        x = self.origin[0] + (cols + 0.5) * self.cell_m - point[0]
+        y = self.origin[1] + (rows + 0.5) * self.cell_m - point[1]
+        distance = np.where(blocked, np.inf, np.hypot(x[None, :], y[:, None]))
+        i, j = np.unravel_index(np.argmin(distance), distance.shape)
+        return self.centre(int(rows[i]), int(cols[j])) if distance[i, j] <= within_m else None
+
+    def covering(self, *points_world: ArrayLike) -> FreeSpace:
+        """Extend by unknown cells where needed, so that all of some (2,) points are covered.
+
+        Raises ValueError when that would take more than 100 million cells.
+        """
+        points = [as_point("point", point) for point in points_world]
+        if not points or (self.blocked.size and all(self.contains(point) for point in points)):
+            return self
+        cells = np.floor((np.array(points) - self.origin) / self.cell_m)[:, ::-1]
+        low, high = cells.min(axis=0) - 1.0, cells.max(axis=0) + 2.0
+        if self.blocked.size:
+            low, high = np.minimum(low, 0.0), np.maximum(high, self.blocked.shape)
+        (row, col), (height, width) = cell_box(low, high)
+        blocked, seen = (np.zeros((height, width), dtype=np.bool_) for _ in range(2))
+        place = slice(-row, -row + self.blocked.shape[0]), slice(-col, -col + self.blocked.shape[1])
+        if self.blocked.size:
+            blocked[place], seen[place] = self.blocked, self.seen
+        origin = self.origin[0] + col * self.cell_m, self.origin[1] + row * self.cell_m
+        return FreeSpace(blocked, seen, origin, self.cell_m)
+
+    def between(self, a_world: ArrayLike, b_world: ArrayLike, length_m: float) -> FreeSpace:
+        """The same with what no way of `length_m` from one (2,) point to the other can reach blocked: an ellipse."""
+        (ax, ay), (bx, by) = self._in_cells("a", a_world), self._in_cells("b", b_world)
+        blocked = self.blocked.copy()
+        _block_beyond(blocked, ax, ay, bx, by, length_m / self.cell_m + 2.0)
+        return FreeSpace(blocked, self.seen, self.origin, self.cell_m)
+
+    def _in_cells(self, name: str, point_world: ArrayLike) -> tuple[float, float]:
+        """X and y of a point in cells from the grid's corner."""
+        x, y = as_point(name, point_world)
+        return float((x - self.origin[0]) / self.cell_m), float((y - self.origin[1]) / self.cell_m)
+
+
+def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive, whole numbers both.
+
+    Raises InputError when they are more than `MAX_CELLS`, or so far out that floats no longer tell them apart.
+    """
+    height, width = high - low
+    if not (height * width <= MAX_CELLS and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
+        raise InputError(
+            f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
+            f"allowed: at most {MAX_CELLS:,} cells, within 2^48 of the origin"
+        )
+    return (int(low[0]), int(low[1])), (int(height), int(width))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _block_beyond(blocked: Bools, ax: float, ay: float, bx: float, by: float, length: float) -> None:
+    """Block the cells whose centres' distances from two points add up to more than `length`; all in cells."""
+    height, width = blocked.shape
+    for row in range(height):
+        down_a, down_b = row + 0.5 - ay, row + 0.5 - by
+        for col in range(width):
+            if not blocked[row, col]:
+                x = col + 0.5
+                far = math.sqrt(down_a * down_a + (x - ax) ** 2) + math.sqrt(down_b * down_b + (x - bx) ** 2)
+                blocked[row, col] = far > length
+
+
+@numba.njit(cache=True, error_model="numpy")
+def line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> bool:
+    """Supercover walk: column by column, all rows that the part of the segment within the column reaches."""
+    height, width = grid.shape
+    if x1 < x0:
+        x0, y0, x1, y1 = x1, y1, x0, y0
+    # Within one cell nothing else is touched, even along its edge: so a point on an edge is where `cell_of` says.
+    touch = 0.0 if np.floor(x0) == np.floor(x1) and np.floor(y0) == np.floor(y1) else TOUCH
+    first, last = min(max(np.floor(x0 - touch), 0.0), width), max(min(np.floor(x1 + touch), width - 1.0), -1.0)
+    for col in range(int(first), int(last) + 1):
+        enter, leave = 0.0, 1.0
+        if x1 > x0:
+            enter = min(max((col - touch - x0) / (x1 - x0), 0.0), 1.0)
+            leave = min(max((col + 1 + touch - x0) / (x1 - x0), 0.0), 1.0)
+        ya, yb = y0 + enter * (y1 - y0), y0 + leave * (y1 - y0)
+        low, high = np.floor(min(ya, yb) - touch), np.floor(max(ya, yb) + touch)
+        for row in range(int(min(max(low, 0.0), height)), int(max(min(high, height - 1.0), -1.0)) + 1):
+            if grid[row, col]:
+                return True
+    return False

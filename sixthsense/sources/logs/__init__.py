@@ -1,0 +1,104 @@
+"""Recorded logs: each reader makes a `Source` of a file, so that a log drives the same loop as the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sixthsense.config.errors import InputError
+
+if TYPE_CHECKING:
+    from sixthsense.config import AssumedConfig, LaserConfig
+    from sixthsense.sources.logs.log import Log
+
+_CARMEN = (".log", ".clf", ".carmen")
+_COMPRESSED = (".gz", ".bz2")
+_BAGS = (".bag", ".mcap", ".db3")
+_GRAPHS = (".graph", ".g2o", ".toro")
+
+
+class LogError(InputError):
+    """One line that names the file and line, what was found and what is allowed."""
+
+
+def open_log(
+    file: str | Path,
+    laser: LaserConfig,
+    topics: Sequence[str] = (),
+    robot: int | None = None,
+    assumed: AssumedConfig | None = None,
+) -> Log:
+    """Open a log with the reader of its kind, which the name tells: a file, or a folder of a bag, a run or MRCLAM.
+
+    `laser` describes the scanner that recorded it, as far as the log does not; `topics` chooses among a bag's, `robot`
+    among a MRCLAM folder's, whose ranges and bearings have the noise of `assumed.laser`, or else of the preset mrclam.
+    Raises LogError for a kind that is not known, listing those that are, and for a file that the reader cannot make
+    sense of.
+    """
+    path = Path(file)
+    suffix = _suffix(path)
+    if suffix in _CARMEN and not path.is_dir():
+        from sixthsense.sources.logs.carmen import read_carmen
+
+        return read_carmen(path, laser)
+    if is_graph(path):
+        from sixthsense.sources.logs.graph import read_graph
+
+        return read_graph(path)
+    if not path.exists():
+        raise LogError(f"{path}: no such file")
+    if is_run_folder(path):
+        from sixthsense.sources.logs.runfolder import read_run
+
+        return read_run(path, laser)
+    if is_bag(path):
+        from sixthsense.sources.logs.rosbag import read_bag
+
+        return read_bag(path, laser, topics)
+    if is_mrclam(path):
+        from sixthsense.config import preset
+        from sixthsense.sources.logs.mrclam import read_mrclam
+
+        return read_mrclam(path, assumed or preset("mrclam").assumed, robot)
+    compressed = f"also with {' or '.join(_COMPRESSED)}"
+    kinds = (
+        f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}, or .txt), "
+        f"ROS bag ({', '.join(_BAGS)}, or a folder with metadata.yaml), folder of a run, folder of MRCLAM"
+    )
+    raise LogError(f"{path}: found no known kind of log, allowed: {kinds}")
+
+
+def _suffix(path: Path) -> str:
+    """The last suffix but that of compression, in small letters."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    if suffixes and suffixes[-1] in _COMPRESSED:
+        suffixes.pop()
+    return suffixes[-1] if suffixes else ""
+
+
+def is_run_folder(path: Path) -> bool:
+    """Whether a path is the folder of a run, finished or not."""
+    return (path / "config.toml").is_file()
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is, by its name, a bag of ROS."""
+    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in _BAGS
+
+
+def is_graph(path: Path) -> bool:
+    """Whether a path is a graph of poses and landmarks: by its name, or a .txt by the tag it begins with."""
+    if path.is_dir():
+        return False
+    if _suffix(path) == ".txt":
+        from sixthsense.sources.logs.graph import begins_as_graph
+
+        return begins_as_graph(path)
+    return _suffix(path) in _GRAPHS
+
+
+def is_mrclam(path: Path) -> bool:
+    """Whether a path is a folder with files of MRCLAM, if not all of them."""
+    names = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
+    return path.is_dir() and any(next(path.glob(name), None) is not None for name in names)

@@ -1,0 +1,77 @@
+"""What logs of landmarks know beyond poses, as ROS has it, to the bit: sightings by name, how good a motion is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sixthsense.core.covariance import check_covariance
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+NOT_MEASURED = 1e6
+"""Variance of z, roll and pitch where a motion's covariance is stated, as is the custom for robots on a floor."""
+
+_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
+
+_INT32, _UINT8, _FLOAT64 = 5, 2, 8  # of sensor_msgs/PointField
+_POINT = np.dtype(
+    [*((name, "<f8") for name in ("x", "y", "z", "cov_xx", "cov_xy", "cov_yy")), ("id", "<i4"), ("kind", "u1")]
+)
+_TYPES = {"<f8": _FLOAT64, "<i4": _INT32, "|u1": _UINT8}
+FIELDS = tuple((name, offset, _TYPES[kind.str]) for name, (kind, offset) in _POINT.fields.items())  # type: ignore[union-attr, misc]
+"""Name, offset in bytes and ROS's number of the type, of each field of a point; z is 0, for those who draw it."""
+POINT_BYTES = _POINT.itemsize
+
+
+def to_bytes(sightings: Mapping[LandmarkId, Sighting]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """(len(sightings) * POINT_BYTES,): positions in the robot's frame, m, their covariances, ids and kinds."""
+    points = np.zeros(len(sightings), dtype=_POINT)
+    for point, (i, s) in zip(points, sightings.items(), strict=True):
+        point["x"], point["y"] = s.z
+        point["cov_xx"], point["cov_xy"], point["cov_yy"] = s.cov[0, 0], s.cov[0, 1], s.cov[1, 1]
+        point["id"], point["kind"] = i, int(s.kind)
+    return points.view(np.uint8).ravel()
+
+
+def from_cloud(message: Any) -> dict[LandmarkId, Sighting]:
+    """The sightings of a PointCloud2 that `to_bytes` has filled; ValueError for any other and for bad numbers."""
+    found = tuple((f.name, f.offset, f.datatype) for f in message.fields)
+    if found != FIELDS or message.point_step != POINT_BYTES or message.is_bigendian:
+        raise ValueError(f"found a cloud of {[name for name, *_ in found][:9]}, allowed: {[f[0] for f in FIELDS]}")
+    if len(message.data) % POINT_BYTES:
+        raise ValueError(f"found a cloud of {len(message.data)} bytes, allowed: {POINT_BYTES} a point")
+    out: dict[LandmarkId, Sighting] = {}
+    for point in np.asarray(message.data, dtype=np.uint8).copy().view(_POINT):
+        x, y, xx, xy, yy = (float(point[name]) for name in ("x", "y", "cov_xx", "cov_xy", "cov_yy"))
+        if not np.isfinite([x, y, xx, xy, yy]).all() or not (xx > 0.0 and xx * yy - xy * xy > 0.0):
+            raise ValueError(f"found a sighting at {x}, {y} of covariance {xx}, {xy}, {yy}, allowed: finite, positive")
+        if int(point["id"]) in out:
+            raise ValueError(f"found landmark {point['id']} twice in one cloud, allowed: once")
+        out[int(point["id"])] = Sighting(Kind(int(point["kind"])), np.array([x, y]), np.array([[xx, xy], [xy, yy]]))
+    return out
+
+
+def spatial(cov: Array) -> Array:
+    """(6, 6) of x y z roll pitch yaw from (3, 3) of x, y, theta; zero elsewhere."""
+    whole = np.zeros((6, 6))
+    whole[_PLANE] = cov
+    return whole
+
+
+def increment_covariance(cov: Array | None) -> Array:
+    """(36,) for an odometry's pose.covariance: of the motion since the last one, or zero where no log states it."""
+    if cov is None:
+        return np.zeros(36)
+    whole = spatial(cov)
+    whole[2, 2] = whole[3, 3] = whole[4, 4] = NOT_MEASURED
+    return whole.ravel()
+
+
+def stated_covariance(message: Any) -> Array | None:
+    """(3, 3) from what `increment_covariance` has written; ValueError for numbers that are no covariance."""
+    whole = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    return check_covariance("increment", whole[_PLANE]) if whole[2, 2] > 0.0 else None

@@ -1,0 +1,250 @@
+"""Graphs of poses and landmarks as text: what GTSAM, TORO and g2o write, replayed pose by pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, polar_sighting
+from sixthsense.core.source import Tick
+from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.text import Record, lines, shown
+
+_STEP_NS = 1_000_000_000
+_FARTHEST = 1e6
+_LARGEST_ID = (1 << 31) - 1
+_LARGEST_ENTRY = 1e12
+"""of a covariance or an information"""
+_SLACK = 1e-12
+"""what an eigenvalue must differ from 0 by, in terms of the largest entry, for rounding not to be the reason"""
+
+# Where the upper triangle's numbers stand in a matrix, in the order of the file.
+_BY_ROWS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_TORO = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
+_PLANE = ((0, 0), (0, 1), (1, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How the covariance of an edge is written."""
+
+    order: tuple[tuple[int, int], ...]
+    """places of the numbers in the matrix"""
+    is_information: bool
+    """or else a covariance"""
+
+
+_MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE2": _Form(_TORO, True), b"EDGE_SE2": _Form(_BY_ROWS, True)}
+_POINTS = {b"LANDMARK": _Form(_PLANE, False), b"EDGE_SE2_XY": _Form(_PLANE, True)}
+_POSES = (b"VERTEX2", b"VERTEX_SE2")
+_TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
+
+
+def begins_as_graph(file: Path) -> bool:
+    """Whether the first line with anything in it begins with a tag of a graph."""
+    try:
+        words = (line.split() for _, line in lines(file))
+        first = next((fields[0] for fields in words if fields and not fields[0].startswith(b"#")), b"")
+    except LogError:
+        return False
+    return first in _TAGS
+
+
+def read_graph(file: str | Path) -> Log:
+    """Read a graph of consecutive poses and of landmarks seen from them; plain, gzip or bzip2.
+
+    A line is a tag and numbers; metres, radians. Edges between poses lead from the newest pose, i, to a new one, j:
+
+        ODOMETRY i j x y theta  xx xy xt yy yt tt     GTSAM: the upper triangle of the COVARIANCE, by rows
+        EDGE_SE2 i j x y theta  xx xy xt yy yt tt     g2o: the upper triangle of the INFORMATION, by rows
+        EDGE2    i j x y theta  xx xy yy tt xt yt     TORO: of the INFORMATION, in TORO's own order
+
+    (x y theta) is pose j seen from pose i, and its error has the axes of j, as GTSAM and g2o define it. Landmarks:
+
+        LANDMARK    i l x y  xx xy yy                 GTSAM: landmark l seen from pose i; COVARIANCE of x, y
+        EDGE_SE2_XY i l x y  xx xy yy                 g2o: the same with INFORMATION
+        BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m
+
+    Guesses of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are passed over. Poses and landmarks share one space
+    of ids. A pose is a tick, one second after the one before; it carries the motion's covariance and the sightings, and
+    odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge between poses that does
+    not lead from the newest one, or to a pose that there is; a landmark that is seen before its pose, or twice from
+    one, or has a pose's id; numbers that are none; a covariance that is none.
+
+    In GTSAM's `victoria_park.txt` the six and three numbers are covariances: GTSAM's load2D takes them so (sigmas of
+    0.01 m, 0.002 m, 0.002 rad, and of 0.63 m). As information 0.0001 would mean an error of 100 m on a step of some
+    centimetres; the reduced copy of the same graph that comes with GTSAM has 100, 500, 500 and 1.581, which are the
+    roots of the information that belongs to these covariances. (load2D makes bearing and range of a LANDMARK, with
+    the bearing's sigma as if it were 10 m away; here x and y keep the covariance that the file gives them.) Ids there
+    count poses and landmarks as they first appear.
+    """
+    path = Path(file)
+    graph = _Graph()
+    for number, line in lines(path):
+        fields = line.split()
+        if not fields or fields[0].startswith(b"#"):
+            continue
+        record = Record(path, number, fields)
+        tag = fields[0]
+        if tag not in _TAGS:
+            record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
+        _READERS[tag](graph, record)
+    if len(graph.poses) < 2:
+        raise LogError(f"{path}: found no edge between poses, allowed: a graph with {b', '.join(_MOTIONS).decode()}")
+    return Log([pose.tick(k) for k, pose in enumerate(graph.poses.values())])
+
+
+@dataclass(slots=True)
+class _Node:
+    """A pose of the graph."""
+
+    odometry: Pose
+    increment_cov: Array | None
+    sightings: dict[LandmarkId, Sighting] = field(default_factory=dict)
+
+    def tick(self, index: int) -> Tick:
+        return Tick(index * _STEP_NS, self.odometry, sightings=self.sightings, increment_cov=self.increment_cov)
+
+
+@dataclass(slots=True)
+class _Graph:
+    """What has been read."""
+
+    poses: dict[int, _Node] = field(default_factory=dict)
+    """by id, in their order"""
+    newest: int = -1
+    landmarks: set[int] = field(default_factory=set)
+    guessed: set[int] = field(default_factory=set)
+    """poses that a VERTEX has announced"""
+    guessed_landmarks: set[int] = field(default_factory=set)
+
+    def begin(self, pose: int) -> None:
+        self.poses[pose] = _Node(Pose(), None)
+        self.newest = pose
+
+    def check_pose(self, record: Record, pose: int) -> None:
+        """Fail for a pose with a landmark's id."""
+        if pose in self.landmarks or pose in self.guessed_landmarks:
+            record.fail(f"found pose {pose}, allowed: an id that no landmark has")
+
+    def check_landmark(self, record: Record, landmark: int) -> None:
+        """Fail for a landmark with a pose's id."""
+        if landmark in self.poses or landmark in self.guessed:
+            record.fail(f"found landmark {landmark}, allowed: an id that no pose has")
+
+
+def _read_motion(graph: _Graph, record: Record) -> None:
+    form = _MOTIONS[record.fields[0]]
+    before, after = _ids(record, 5 + len(form.order))
+    motion = _bounded(record, record.numbers(record.fields[3:6]))
+    cov = _covariance(record, form, record.fields[6:], definite=False)
+    for pose in (before, after):
+        graph.check_pose(record, pose)
+    if not graph.poses:
+        graph.begin(before)
+    if after in graph.poses:
+        record.fail(f"found pose {after} again, allowed: a new one")
+    if before != graph.newest:
+        record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {graph.newest}")
+    step = Pose.from_array(motion)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(step.theta)  # axes of the pose after, to axes of the pose before
+    graph.poses[after] = _Node(graph.poses[before].odometry @ step, _symmetric(turn @ cov @ turn.T))
+    graph.newest = after
+
+
+def _read_landmark(graph: _Graph, record: Record) -> None:
+    tag = record.fields[0]
+    form = _POINTS.get(tag)
+    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order))
+    first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
+    if form is None:
+        sigmas = record.numbers(record.fields[5:7])
+        if not (np.all(sigmas > 1e-9) and second > 0.0):
+            record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
+        _bounded(record, sigmas)
+        sighting = polar_sighting(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
+    else:
+        cov = _covariance(record, form, record.fields[5:], definite=True)
+        sighting = Sighting(Kind.CORNER, np.array([first, second]), cov)
+    graph.check_landmark(record, landmark)
+    if not graph.poses and (not graph.guessed or pose in graph.guessed):
+        graph.begin(pose)
+    if pose not in graph.poses:
+        record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose that an edge led to before")
+    seen = graph.poses[pose].sightings
+    if landmark in seen:
+        record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
+    graph.landmarks.add(landmark)
+    seen[landmark] = sighting
+
+
+def _read_vertex(graph: _Graph, record: Record) -> None:
+    is_pose = record.fields[0] in _POSES
+    _expect(record, 4 if is_pose else 3)
+    vertex = _id(record, 1)
+    record.numbers(record.fields[2:])
+    known = graph.guessed if is_pose else graph.guessed_landmarks
+    if vertex in known:
+        record.fail(f"found {'pose' if is_pose else 'landmark'} {vertex} again, allowed: a new one")
+    (graph.check_pose if is_pose else graph.check_landmark)(record, vertex)
+    known.add(vertex)
+
+
+_READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
+    **dict.fromkeys(_MOTIONS, _read_motion),
+    **dict.fromkeys((*_POINTS, b"BR"), _read_landmark),
+    **dict.fromkeys((*_POSES, b"VERTEX_XY"), _read_vertex),
+}
+
+
+def _expect(record: Record, count: int) -> None:
+    """Fail unless a tag and `count` numbers are there."""
+    if len(record.fields) != count + 1:
+        tag = record.fields[0].decode()
+        record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
+
+
+def _ids(record: Record, count: int) -> tuple[int, int]:
+    _expect(record, count)
+    return _id(record, 1), _id(record, 2)
+
+
+def _id(record: Record, column: int) -> int:
+    text = record.fields[column]
+    if not text.isdigit() or len(text) > 10 or int(text) > _LARGEST_ID:
+        record.fail(f"found id {shown(text)}, allowed: a whole number, 0 to {_LARGEST_ID}")
+    return int(text)
+
+
+def _bounded(record: Record, values: Array) -> Array:
+    if np.abs(values).max() > _FARTHEST:
+        record.fail(f"found {values[np.abs(values).argmax()]:g}, allowed: up to {_FARTHEST:g} either way")
+    return values
+
+
+def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
+    """(n, n) covariance; all its eigenvalues are above 0 if it must be `definite`, as an information's must."""
+    values = record.numbers(fields)
+    size = 1 + max(row for row, _ in form.order)
+    matrix = np.zeros((size, size))
+    for (row, column), value in zip(form.order, values, strict=True):
+        matrix[row, column] = matrix[column, row] = value
+    definite = definite or form.is_information
+    largest = float(np.abs(matrix).max())
+    fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY
+    if not fits or np.linalg.eigvalsh(matrix)[0] < (_SLACK if definite else -_SLACK) * largest:
+        kind = "an information matrix" if form.is_information else "a covariance"
+        found = b" ".join(fields)[:80].decode("ascii", "backslashreplace")
+        bounds = f"eigenvalues {'above' if definite else 'at least'} 0, entries up to {_LARGEST_ENTRY:g}"
+        record.fail(f"found {found}, allowed: {kind} with {bounds}")
+    return _symmetric(np.asarray(np.linalg.inv(matrix), dtype=np.float64)) if form.is_information else matrix
+
+
+def _symmetric(matrix: Array) -> Array:
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,63 @@
+"""Hand-checked relations between the poses of a log, which judge a run on it (Kümmerle et al. 2009)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.text import Record, lines
+
+_STAMP_SLACK_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """Relative poses of a robot at pairs of stamps, checked by hand (Kümmerle et al., Autonomous Robots 2009)."""
+
+    stamps: Array
+    """(R, 2) seconds: the scans' own stamps, t1 and t2"""
+    poses: Array
+    """(R, 3) metres, radians: the robot at t2 seen from the robot at t1"""
+
+
+def read_relations(file: str | Path) -> Relations:
+    """Read relations, lines of `t1 t2 dx dy dz roll pitch yaw`; blank lines and lines that begin with # are skipped.
+
+    Seconds, metres, radians; the motion is planar, so dz, roll and pitch are not used. Raises LogError for a file that
+    cannot be read, a line that is not eight finite numbers, or a file without a relation.
+    """
+    path = Path(file)
+    rows: list[Array] = []
+    for number, line in lines(path):
+        fields = line.split()
+        if not fields or fields[0].startswith(b"#"):
+            continue
+        record = Record(path, number, fields)
+        if len(fields) != 8:
+            record.fail(f"found {len(fields)} fields, allowed: 8 (t1 t2 dx dy dz roll pitch yaw)")
+        rows.append(record.numbers(fields))
+    if not rows:
+        raise LogError(f"{path}: found no relation, allowed: lines of t1 t2 dx dy dz roll pitch yaw")
+    table = np.stack(rows)
+    poses = np.stack([table[:, 2], table[:, 3], wrap_angle(table[:, 7])], axis=1)
+    return Relations(table[:, :2].copy(), poses)
+
+
+def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
+    """(R, 2) rows of the scans that relations name; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
+
+    Raises ValueError for a relation whose stamp no scan has to within a microsecond.
+    """
+    order = np.argsort(stamps_s, kind="stable")
+    ordered = stamps_s[order]
+    place = np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)  # (R, 2): the first stamp not before
+    found = np.append(ordered, np.inf)[place] <= relations_stamps + _STAMP_SLACK_S
+    if not found.all():
+        row, column = np.argwhere(~found)[0]
+        raise ValueError(f"relation {row + 1} names {relations_stamps[row, column]:.6f}: no scan has that stamp")
+    return order[place]

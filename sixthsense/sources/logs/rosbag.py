@@ -1,0 +1,279 @@
+"""Bags of ROS 1 and ROS 2, with a laser's scans and a robot's odometry."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from sixthsense.config import LaserConfig
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import shown_name
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan, sweep_ns
+from sixthsense.core.source import Tick
+from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.inflate import bounded, check_regular
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
+"""Whole nanoseconds fit into 64 bits."""
+
+
+class BagLog(Log):
+    """A `Source` that replays a bag."""
+
+    laser: LaserConfig
+    """The scanner, as the bag describes it."""
+    plans: tuple[Array, ...] = ()
+    """Paths that were planned, (N, 2) each; of a run of ours."""
+    plan_stamps_ns: tuple[int, ...] = ()
+    """When they were, record time."""
+    cut_short: bool = False
+    """The bag ends where its writer was stopped."""
+
+    def __init__(self, ticks: Sequence[Tick], laser: LaserConfig) -> None:
+        super().__init__(ticks)
+        self.laser = laser
+
+
+@dataclass(slots=True)
+class _Recording:
+    """What a bag holds, in the order of its records."""
+
+    odometry: list[tuple[int, Pose]] = field(default_factory=list)
+    """own stamp, ns; T_odom_robot"""
+    scans: list[tuple[int, Any]] = field(default_factory=list)
+    """own stamp, ns; message"""
+    order: list[tuple[bool, int]] = field(default_factory=list)
+    """whether a scan, and which"""
+    transforms: dict[str, tuple[str, Array]] = field(default_factory=dict)
+    """per frame: its parent, and its place there, (4, 4)"""
+    robot_frame: str = ""
+    laser_frame: str = ""
+
+
+def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -> BagLog:
+    """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
+
+    Scans and odometry are the topics of type LaserScan and Odometry, chosen by `topics` where there are several. Beams
+    and ranges are the messages'. The mount is `laser.mount` if that is not zero, else what /tf_static says. Messages
+    are put into the order of their own stamps where each topic's ascend, else kept in that of the file; the clock is
+    the stamp, or 1 ns after the tick before if that is later. A scan's odometry is interpolated at its stamp; the stamp
+    of a scan that took time, which is that of its first beam, is moved to its last.
+    Raises LogError for a bag that cannot be read, is damaged or cut short, or lacks one topic of either type.
+    """
+    path = Path(file)
+    # All of it: a bag may define a type of a known name without the fields that are looked for.
+    with _damage_in_one_line(path):
+        check_regular(path)
+        _check_first_line(path)
+        return _read_log(path, laser, topics)
+
+
+def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str]) -> BagLog:
+    recording = _read(path, topics)
+    if not recording.scans or not recording.odometry:
+        missing = "LaserScan" if not recording.scans else "Odometry"
+        raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
+    place, upside_down = _mount(path, recording, laser)
+    scans = []
+    for number, (_, message) in enumerate(recording.scans, start=1):
+        try:
+            scans.append(scan(message, place, upside_down))
+        except ValueError as error:
+            raise LogError(f"{path} scan {number}: {error}") from None
+    ticks = _ticks(path, recording, scans)
+    return BagLog(ticks, _describe(scans[0], laser))
+
+
+@contextmanager
+def _damage_in_one_line(path: Path) -> Iterator[None]:
+    """Whatever a reader trips over in a damaged file, anywhere inside, becomes a LogError."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if len(reason) > 160:
+            reason = reason[:160] + "..."
+        raise LogError(
+            f"{path}: cannot be read as a bag ({reason}), allowed: ROS 1 .bag, ROS 2 folder or file"
+        ) from None
+
+
+def _check_first_line(path: Path) -> None:
+    """Raise ValueError for a ROS 1 bag whose first line, which the reader takes as a whole, does not end."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        with path.open("rb") as stream:
+            if not stream.readline(32).endswith(b"\n"):
+                raise ValueError("File magic is invalid.")
+
+
+def _read(path: Path, topics: Sequence[str]) -> _Recording:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    recording = _Recording()
+    with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        wanted = _choose(path, reader, topics)
+        known = [c for c in reader.connections if c.topic in wanted.values() or c.topic.endswith("tf_static")]
+        for connection, record_ns, raw in reader.messages(connections=known):
+            if connection.msgtype in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
+                message: Any = reader.deserialize(raw, connection.msgtype)
+                for link in message.transforms:
+                    parent, child = _frame(link.header.frame_id), _frame(link.child_frame_id)
+                    recording.transforms[child] = (parent, transform(link.transform))
+            elif connection.topic == wanted.get(connection.msgtype):
+                message = reader.deserialize(raw, connection.msgtype)
+                _take(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
+    return recording
+
+
+def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, str]:
+    """The topic of each type; LogError, listing them, unless there is one or one is named."""
+    types = {c.topic: c.msgtype for c in reader.connections}
+    fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
+    for topic in topics:
+        if types.get(topic) not in fitting:
+            found = (
+                f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else f"{topic!r}, no topic of {path}"
+            )
+            offered = sorted(itertools.chain(*fitting.values()))
+            raise LogError(
+                f"--topic: found {found}, allowed: {', '.join(map(shown_name, offered)) or 'none in this bag'}"
+            )
+    wanted = {}
+    for kind, names in fitting.items():
+        short = kind.rpartition("/")[2]
+        if not names:
+            held = (
+                ", ".join(f"{shown_name(t)} ({shown_name(n.rpartition('/')[2])})" for t, n in sorted(types.items())[:8])
+                or "no topic at all"
+            )
+            raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
+        left = [name for name in names if name in topics] or names
+        if len(left) > 1:
+            either = " or ".join(map(shown_name, left))
+            raise LogError(f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {either}")
+        wanted[kind] = left[0]
+    return wanted
+
+
+def _take(path: Path, recording: _Recording, message: Any, record_ns: int, is_scan: bool) -> None:
+    own = stamp_ns(message) or record_ns  # drivers that set no stamp leave zero
+    number = len(recording.scans if is_scan else recording.odometry)
+    if not 0 <= own <= LARGEST_STAMP_NS:
+        raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
+    if is_scan:
+        recording.laser_frame = recording.laser_frame or _frame(message.header.frame_id)
+        recording.scans.append((own, message))
+    else:
+        recording.robot_frame = recording.robot_frame or _frame(message.child_frame_id)
+        try:
+            pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+        except ValueError as error:
+            raise LogError(f"{path} odometry {number + 1}: {error}") from None
+        recording.odometry.append((own, pose))
+    recording.order.append((is_scan, number))
+
+
+def _frame(name: str) -> str:
+    return str(name).lstrip("/")
+
+
+def _mount(path: Path, recording: _Recording, laser: LaserConfig) -> tuple[Pose, bool]:
+    """The laser's place on the robot, and whether it hangs upside down."""
+    robot, T_root_robot = _root(path, recording, recording.robot_frame)
+    root, T_root_laser = _root(path, recording, recording.laser_frame)
+    upside_down, place = False, Pose()
+    if robot == root:
+        try:
+            place, upside_down = mount(np.linalg.inv(T_root_robot) @ T_root_laser)
+        except ValueError as error:
+            raise LogError(f"{path} /tf_static: {error}") from None
+    return (Pose(*laser.mount) if any(laser.mount) else place), upside_down
+
+
+def _root(path: Path, recording: _Recording, frame: str) -> tuple[str, Array]:
+    """The frame that all of a frame's static transforms end at, and (4, 4) the frame seen from there."""
+    T_root_frame = np.eye(4)
+    for _ in range(len(recording.transforms) + 1):
+        if frame not in recording.transforms:
+            return frame, T_root_frame
+        frame, link = recording.transforms[frame]
+        T_root_frame = link @ T_root_frame
+    raise LogError(f"{path} /tf_static: found frames in a circle at {frame!r}, allowed: a tree")
+
+
+def _describe(first: Scan, laser: LaserConfig) -> LaserConfig:
+    """The scanner as a configuration: what a scan of it says."""
+    step, count = float(first.angle_increment), len(first.ranges)
+    fov = 2.0 * math.pi if first.closed else min(step * (count - 1), 2.0 * math.pi)
+    place = first.T_robot_laser
+    return replace(laser, beams=count, fov=fov, max_range=first.max_range, mount=(place.x, place.y, place.theta))
+
+
+def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tick]:
+    """One tick per message, or one for odometry and scan of one stamp, from the first odometry on."""
+    odometry = recording.odometry
+
+    ends = [own - sweep_ns(len(s.ranges), s.time_increment) for (own, _), s in zip(recording.scans, scans, strict=True)]
+
+    def stamp(entry: tuple[bool, int]) -> int:
+        return ends[entry[1]] if entry[0] else odometry[entry[1]][0]
+
+    order = recording.order
+    if _ascends(recording.scans) and _ascends(odometry):
+        if recording.scans[0][0] > odometry[-1][0] or recording.scans[-1][0] < odometry[0][0]:
+            spans = [f"{s[0][0] * 1e-9:.3f} to {s[-1][0] * 1e-9:.3f} s" for s in (recording.scans, odometry)]
+            raise LogError(f"{path}: found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
+        order = sorted(order, key=lambda entry: (stamp(entry), entry[0]))
+    ticks: list[Tick] = []
+    clock, last = -1, -1
+    for entry in order:
+        is_scan, number = entry
+        own = stamp(entry)
+        if not is_scan:
+            last = number
+        if last < 0:
+            continue  # nobody knows where the robot was
+        if is_scan:
+            log_stamp_s = recording.scans[number][0] / 1e9
+            if ticks and ticks[-1].scan is None and own == odometry[last][0]:
+                ticks[-1] = replace(ticks[-1], scan=scans[number], log_stamp_s=log_stamp_s)
+                continue
+            clock = max(own, clock + 1)
+            pose = _interpolate(odometry, last, own)
+            ticks.append(Tick(clock, pose, scans[number], log_stamp_s=log_stamp_s))
+        else:
+            clock = max(own, clock + 1)
+            ticks.append(Tick(clock, odometry[number][1]))
+    if not any(tick.scan is not None for tick in ticks):
+        raise LogError(f"{path}: found no scan after the first odometry, allowed: a log with both")
+    return ticks
+
+
+def _ascends(stamped: Sequence[tuple[int, Any]]) -> bool:
+    return all(a[0] <= b[0] for a, b in itertools.pairwise(stamped))
+
+
+def _interpolate(odometry: Sequence[tuple[int, Pose]], last: int, at_ns: int) -> Pose:
+    """The odometry at a stamp between message `last` and the next; that of `last` if it does not lie between them."""
+    before_ns, before = odometry[last]
+    after_ns, after = odometry[min(last + 1, len(odometry) - 1)]
+    if not before_ns < at_ns < after_ns:
+        return before
+    way, share = before.inverse() @ after, (at_ns - before_ns) / (after_ns - before_ns)
+    return before @ Pose(share * way.x, share * way.y, share * way.theta)

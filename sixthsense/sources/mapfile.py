@@ -1,0 +1,268 @@
+"""ROS maps (map_server's `.yaml` beside an image): occupied cells become wall segments along their outlines."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.section import shown
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.sources.scenefields import SceneError, check_keys, read_name, read_text
+
+MAX_PIXELS = 100_000_000
+TOLERANCE_CELLS = 0.5
+"""No corner of the cells' outline ends up farther than this from the simplified one."""
+_REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
+_FORMATS = ("PPM", "PNG", "BMP", "JPEG")
+_LONGEST = 1 << 16  # characters
+_LONGEST_NAME = 1000
+_LONGEST_REASON = 300
+_DEEPEST = 20  # lists in one another, over which a parser of YAML takes its time
+# A segment costs 1 and this much for each squared cell by which an outline corner lies off it. Above 2, so that
+# cutting off the end of a wall one cell thick (two corners off by half a cell for one segment less) does not pay;
+# below 4, so that one line does for a staircase (two corners off by half a cell for each two segments).
+_DEVIATION_COST = 3.0
+# Bounds the time on huge maps; a segment seldom spans more than some hundred corners.
+_LOOK_AHEAD = 2000
+
+
+def read_map(file: Path) -> Array:
+    """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left.
+
+    Cells whose occupancy is above `occupied_thresh` are solid; the pixel's value is the mean over the image's
+    channels, alpha included in mode trinary, as in map_server. Raises SceneError, without the map file's name, for
+    a field that is missing, unknown or not allowed, and an image that is missing, broken, huge or free everywhere.
+
+    Unknown cells are no walls. A map whose walls are too faint to be occupied (Willow Garage's, shrunk to 0.1 m, is
+    one) gets walls from an `occupied_thresh` of 0.196, which makes its unknown grey (205) solid; it stays open only
+    where free space runs off the image.
+    """
+    table = _read_yaml(file)
+    check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
+    name = read_name("image", table["image"])
+    if len(name) > _LONGEST_NAME:
+        raise SceneError(f"image: found a name of {len(name)} characters, allowed: the name of a file")
+    resolution = _number("resolution", table["resolution"])
+    if not 1e-4 <= resolution <= 100.0:
+        raise SceneError(f"resolution: found {resolution:g}, allowed: 0.0001 to 100 metres a cell")
+    origin = table["origin"]
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise SceneError(f"origin: found {shown(origin)}, allowed: [x, y, yaw]")
+    T_world_map = Pose(*(_number(f"origin, entry {k}", value) for k, value in enumerate(origin, 1)))
+    negate = str(table["negate"]).lower()
+    if negate not in ("0", "1", "false", "true"):
+        raise SceneError(f"negate: found {shown(table['negate'])}, allowed: 0 or 1")
+    occupied_threshold = _fraction("occupied_thresh", table["occupied_thresh"])
+    _fraction("free_thresh", table["free_thresh"])
+    mode = table.get("mode", "trinary")
+    if mode not in ("trinary", "scale"):
+        raise SceneError(f"mode: found {shown(mode)}, allowed: trinary, scale")
+
+    image = file.parent / name
+    values = _read_image(image, with_alpha=mode == "trinary")  # (H, W, channels)
+    total = values.sum(axis=2, dtype=np.uint16)
+    shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # every sum's mean, 0 black to 1 white
+    occupancy = shade if negate in ("1", "true") else 1.0 - shade
+    occupied = (occupancy > occupied_threshold)[total]
+    if not occupied.any():
+        raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
+    loops = [simplify(loop) for loop in outlines(occupied[::-1])]  # the image's first row is the map's top
+    corners_map = np.concatenate(loops) * resolution
+    ends_map = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops]) * resolution
+    return np.stack([T_world_map @ corners_map, T_world_map @ ends_map], axis=1)
+
+
+def outlines(occupied: NDArray[np.bool_]) -> list[Array]:
+    """The closed outlines of the occupied cells, the image's border included.
+
+    `occupied` (H, W), row 0 at the bottom. Returns for each outline its corners (K, 2), x and y in cells from the
+    lower left corner of the grid, occupied cells on the left: counter-clockwise around a solid, clockwise around
+    a hole. Cells that touch diagonally belong together, so that no ray passes between them.
+    """
+    corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
+    return [loop.astype(np.float64) for loop in np.split(corners, ends[:-1])] if len(ends) else []
+
+
+def simplify(loop: Array) -> Array:
+    """A closed outline (K, 2) of cells, in cells, drawn with fewer corners (M, 2), M <= K.
+
+    Of all polygons through corners and middles of the outline's sides that stay within half a cell of every
+    corner, the one with the least cost: its segments, plus the squares of the distances at which it passes the
+    corners. The middles matter: a slanted wall is a staircase, and the line through it passes its steps' middles.
+    The shortest path over candidate points and the wedges that test a segment follow Imai and Iri, "Polygonal
+    approximations of a curve" (1988).
+    """
+    middles = (loop + np.roll(loop, -1, axis=0)) / 2
+    points = np.stack([loop, middles], axis=1).reshape(-1, 2)
+    return points[_cheapest(np.concatenate([points, points[:1]]), TOLERANCE_CELLS, _DEVIATION_COST)]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Corners (K, 2) of all outlines one after the other, and where each ends; `cells` has a free border."""
+    rows, columns = cells.shape
+    count = 0
+    for y in range(1, rows):
+        for x in range(1, columns):
+            a, b, c, d = cells[y - 1, x - 1], cells[y - 1, x], cells[y, x - 1], cells[y, x]
+            total = a + b + c + d
+            if total == 1 or total == 3:
+                count += 1
+            elif total == 2 and a == d:
+                count += 2
+    corners = np.empty((count, 2), np.int32)
+    ends = np.empty(count // 4 + 1, np.int64)
+    seen = np.zeros(cells.shape, np.uint8)
+    filled, loops = 0, 0
+    for y0 in range(1, rows - 1):
+        for x0 in range(1, columns - 1):
+            # Every outline has a side that runs right, below an occupied cell, and the scan meets it first at
+            # that side's left end, which is a corner.
+            if cells[y0, x0] == 0 or cells[y0 - 1, x0] != 0 or seen[y0, x0] != 0:
+                continue
+            y, x, dy, dx = y0, x0, 0, 1
+            corners[filled, 0], corners[filled, 1] = x - 1, y - 1
+            filled += 1
+            while True:
+                if dx == 1:
+                    seen[y, x] = 1
+                y, x = y + dy, x + dx
+                turn_y, turn_x = dy, dx
+                if cells[y + (dy - dx - 1) // 2, x + (dx + dy - 1) // 2] != 0:  # ahead on the right
+                    turn_y, turn_x = -dx, dy
+                elif cells[y + (dy + dx - 1) // 2, x + (dx - dy - 1) // 2] == 0:  # ahead on the left
+                    turn_y, turn_x = dx, -dy
+                if turn_x == dx:
+                    continue
+                dy, dx = turn_y, turn_x
+                if y == y0 and x == x0 and dx == 1:
+                    break
+                corners[filled, 0], corners[filled, 1] = x - 1, y - 1
+                filled += 1
+            ends[loops] = filled
+            loops += 1
+    return corners, ends[:loops]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray[np.int64]:
+    """Indices of the points to keep of a closed outline (N + 1, 2), corners at the even ones, the last the first."""
+    n = points.shape[0] - 1
+    cost = np.full(n + 1, np.inf)
+    cost[0] = 0.0
+    previous = np.zeros(n + 1, np.int64)
+    for i in range(n):
+        # The wedge of directions, from a first one, that pass all corners so far within the tolerance.
+        wedge, first, low, high = False, 0.0, -math.pi, math.pi
+        far_sq, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
+        for j in range(i + 1, min(n, i + _LOOK_AHEAD) + 1):
+            dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+            distance_sq = dx * dx + dy * dy
+            angle = math.atan2(dy, dx)
+            turn = (angle - first + math.pi) % (2 * math.pi) - math.pi
+            # No corner on the way may lie beyond the segment's end: the wedge alone speaks of the whole line.
+            if distance_sq >= far_sq and (not wedge or (turn >= low - 1e-9 and turn <= high + 1e-9)):
+                deviation_sq = (xx * dy * dy - 2 * xy * dx * dy + yy * dx * dx) / distance_sq
+                total = cost[i] + 1.0 + deviation_cost * deviation_sq
+                if total < cost[j]:
+                    cost[j], previous[j] = total, i
+            if j % 2 == 1:
+                continue
+            far_sq = max(far_sq, distance_sq)
+            xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
+            if distance_sq > tolerance * tolerance:
+                half = math.asin(tolerance / math.sqrt(distance_sq))
+                if not wedge:
+                    wedge, first, turn = True, angle, 0.0
+                low, high = max(low, turn - half), min(high, turn + half)
+                if low > high + 1e-9:
+                    break
+    count = 0
+    k = n
+    while k > 0:
+        k = previous[k]
+        count += 1
+    kept = np.empty(count, np.int64)
+    k = n
+    for slot in range(count - 1, -1, -1):
+        k = previous[k]
+        kept[slot] = k
+    return kept
+
+
+def _read_yaml(file: Path) -> dict[Any, Any]:
+    import yaml
+
+    text = read_text(file)
+    if len(text) > _LONGEST:
+        raise SceneError(f"found over {_LONGEST} characters, allowed: a table with {', '.join(_REQUIRED)}")
+    depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
+    if max(depth, default=0) > _DEEPEST:
+        raise SceneError(f"found lists over {_DEEPEST} deep, allowed: a table with {', '.join(_REQUIRED)}")
+    try:
+        # The base loader leaves every value a text, so that 5e-2 is as good a number here as in map_server.
+        table = yaml.load(text, Loader=yaml.BaseLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        said = " ".join(str(error).split())
+        shortened = said if len(said) <= _LONGEST_REASON else f"{said[:_LONGEST_REASON]}..."
+        raise SceneError(f"is not YAML ({shortened})") from None
+    if not isinstance(table, dict):
+        raise SceneError(f"found {shown(table)}, allowed: a table with {', '.join(_REQUIRED)}")
+    return table
+
+
+def _number(where: str, text: Any) -> float:
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        value = math.nan
+    if not abs(value) <= 1e6:  # NaN as well
+        raise SceneError(f"{where}: found {shown(text)}, allowed: a number, none beyond 1e+06")
+    return value
+
+
+def _fraction(where: str, text: Any) -> float:
+    value = _number(where, text)
+    if not 0.0 <= value <= 1.0:
+        raise SceneError(f"{where}: found {value:g}, allowed: 0 to 1")
+    return value
+
+
+def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
+    """The image's pixels (H, W, channels), 0 to 255."""
+    from PIL import Image
+
+    try:
+        if path.exists() and not path.is_file():
+            raise SceneError(f"{path}: is a folder, a pipe or a device, allowed: an image file")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(path, formats=_FORMATS)
+        with image:
+            width, height = image.size
+            if width * height > MAX_PIXELS:
+                raise SceneError(f"{path}: found {width} x {height} pixels, allowed: {MAX_PIXELS:,} in all")
+            if image.mode.startswith("I"):  # 16 bits, of which map_server keeps the upper 8
+                return (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)[:, :, None]
+            alpha = "A" in image.getbands() or "transparency" in image.info
+            if image.mode in ("1", "L") and not alpha:
+                return np.asarray(image.convert("L"))[:, :, None]
+            pixels = np.asarray(image.convert("RGBA" if alpha else "RGB"))
+            return pixels if with_alpha else pixels[:, :, :3]
+    except SceneError:
+        raise
+    except Image.DecompressionBombError:
+        raise SceneError(f"{path}: found a huge image, allowed: {MAX_PIXELS:,} pixels in all") from None
+    except FileNotFoundError:
+        raise SceneError(f"{path}: no such image file") from None
+    except Exception as error:  # a broken image makes its decoder fail in ways nobody lists
+        said = (isinstance(error, OSError) and error.strerror) or str(error)  # without the name, which comes before it
+        reason = " ".join(said.split()) or type(error).__name__
+        raise SceneError(f"{path}: not a readable image ({reason}), allowed: {', '.join(_FORMATS)}") from None

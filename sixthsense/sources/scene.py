@@ -1,0 +1,206 @@
+"""Scenes: the walls of a building, and where the robot starts, may go and shall look. Metres, world frame.
+
+Three formats are read: TOML (walls and polygons, the format of the shipped scenes), a ROS map (map_server's
+`.yaml` beside an image) and the report's `.scn`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.config.section import shown
+from sixthsense.config.toml import parse_toml
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.sources.scenefields import (
+    Point,
+    Region,
+    SceneError,
+    check_keys,
+    read_floats,
+    read_list,
+    read_numbers,
+    read_point,
+    read_polygon,
+    read_positive,
+    read_region,
+    read_text,
+    read_wall,
+)
+
+__all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
+
+DEFAULT_RADIUS_M = 0.2
+_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons")
+_SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A building and the robot's place in it; all in metres and radians, world frame."""
+
+    name: str
+    """The shipped scene's name, or the file's without its suffix."""
+    walls: Array
+    """(N, 2, 2) segments, first end and second end; read-only."""
+    start: Pose | None
+    """`T_world_robot` at the start; None where the file has none (a ROS map)."""
+    radius: float
+    """Of the robot, a disc."""
+    goal: Point | None
+    """x, y of the goal task's goal, if the file has one."""
+    tour: tuple[Point, ...]
+    """Goals of the tour task, in order, to be repeated."""
+    region: Region
+    """x0, y0, x1, y1 of the region of interest."""
+    solid_left: bool = False
+    """The walls are closed outlines with the solid on their left (a ROS map), so that a place can lie inside one."""
+
+    def __post_init__(self) -> None:
+        walls = np.array(self.walls, dtype=np.float64)
+        if walls.ndim != 3 or walls.shape[1:] != (2, 2) or len(walls) == 0:
+            raise SceneError(f"walls: expected shape (N, 2, 2) with N > 0, got {walls.shape}")
+        walls.flags.writeable = False
+        object.__setattr__(self, "walls", walls)
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """The scenes that come with the package, by name, in alphabetical order."""
+    package = Path(__file__).resolve().parents[1]
+    # A wheel carries the scenes inside the package; an editable install finds them in the repository's root.
+    folder = next((f for f in (package / "scenes", package.parent / "scenes") if f.is_dir()), None)
+    return {} if folder is None else {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def load_scene(name_or_file: str | Path) -> Scene:
+    """Read a shipped scene by its name, or a `.toml`, map_server `.yaml` or report `.scn` file.
+
+    Raises SceneError, one line, for an unknown name (listing the known ones) and for everything in a file that is
+    missing, misspelt, not a finite number, or puts the robot where it cannot be.
+    """
+    shipped = shipped_scenes()
+    path = shipped.get(str(name_or_file), Path(name_or_file))
+    suffix = path.suffix.lower()
+    if suffix not in _SUFFIXES:
+        raise SceneError(
+            f"scene: found {shown(str(name_or_file))}, allowed: {', '.join(shipped)}, or a file ending in "
+            f"{', '.join(_SUFFIXES)}"
+        )
+    try:
+        if suffix == ".toml":
+            return _from_toml(path)
+        if suffix == ".scn":
+            return _from_scn(path)
+        from sixthsense.sources.mapfile import read_map
+
+        walls = read_map(path)
+        return Scene(path.stem, walls, None, DEFAULT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from None
+
+
+def check_placement(
+    scene: Scene,
+    start: Pose | Sequence[float] | None = None,
+    goal: Sequence[float] | None = None,
+    region: Sequence[float] | None = None,
+    radius: float = 0.0,
+    tour: Sequence[Sequence[float]] = (),
+) -> None:
+    """Check a start, a goal or a tour, given in place of the scene's own, against its walls.
+
+    `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` fall back on the scene's own (None, None, 0);
+    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises SceneError, one line naming
+    the field: no start at all, a disc of `radius` that touches a wall, a goal outside the region, a region whose
+    corners are reversed, a radius that is not positive, anything not finite.
+    """
+    radius = read_positive("radius", radius) if radius else scene.radius
+    bounds = scene.region if region is None else read_region("region", region)
+    if isinstance(start, Pose):
+        start = (start.x, start.y, start.theta)
+    if start is None and scene.start is not None:
+        start = (scene.start.x, scene.start.y, scene.start.theta)
+    if start is None:
+        raise SceneError(f"start: missing, the scene {scene.name} has none of its own, allowed: x y theta")
+    x, y, _ = read_numbers("start", start, "x y theta")
+    _check_clear("start", (x, y), scene, radius)
+    goals = [] if goal is None else [("goal", goal)]
+    goals += [(f"tour, entry {k}", place) for k, place in enumerate(tour, 1)]
+    for where, values in goals:
+        place = read_point(where, values)
+        _check_inside(where, place, bounds)
+        _check_clear(where, place, scene, radius)
+
+
+def _from_toml(path: Path) -> Scene:
+    text = read_text(path)
+    try:
+        table = parse_toml(text)
+    except ValueError as error:
+        raise SceneError(str(error)) from None
+    check_keys("", table, _SCENE_KEYS, ("start", "radius"))
+    segments = [
+        read_wall(f"walls, entry {k}", values) for k, values in enumerate(read_list("walls", table.get("walls", [])), 1)
+    ]
+    for k, polygon in enumerate(read_list("polygons", table.get("polygons", [])), 1):
+        segments += read_polygon(f"polygons, entry {k}", polygon)
+    if not segments:
+        raise SceneError("walls: found none, allowed: at least one wall or polygon")
+    walls = np.array(segments)
+    region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
+    tour = tuple(
+        read_point(f"tour, entry {k}", values) for k, values in enumerate(read_list("tour", table.get("tour", [])), 1)
+    )
+    goal = read_point("goal", table["goal"]) if "goal" in table else None
+    start = Pose(*read_numbers("start", table["start"], "x y theta"))
+    scene = Scene(path.stem, walls, start, read_positive("radius", table["radius"]), goal, tour, region)
+    _check_inside("start", (start.x, start.y), region)
+    check_placement(scene, goal=goal, tour=tour)
+    return scene
+
+
+def _from_scn(path: Path) -> Scene:
+    rows = [(k, line.split()) for k, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+    if not rows:
+        raise SceneError("line 1: missing, allowed: x y theta radius")
+    number, words = rows[0]
+    x, y, theta, radius = read_numbers(f"line {number}", read_floats(words), "x y theta radius")
+    if len(rows) == 1:
+        raise SceneError(f"line {number + 1}: missing, allowed: at least one wall x1 y1 x2 y2")
+    walls = np.array([read_wall(f"line {number}", read_floats(words)) for number, words in rows[1:]])
+    radius = read_positive(f"line {number}, radius", radius)
+    scene = Scene(path.stem, walls, Pose(x, y, theta), radius, None, (), _bounds(walls))
+    check_placement(scene)
+    return scene
+
+
+def _bounds(walls: Array) -> Region:
+    low, high = walls.min(axis=(0, 1)), walls.max(axis=(0, 1))
+    if not (low < high).all():
+        raise SceneError("walls: all on one line, allowed: walls that bound an area, or a region of its own")
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _check_inside(where: str, point: Point, region: Region) -> None:
+    (x, y), (x0, y0, x1, y1) = point, region
+    if not (x0 <= x <= x1 and y0 <= y <= y1):
+        raise SceneError(
+            f"{where}: found ({x:g}, {y:g}), outside the region, allowed: x {x0:g} to {x1:g}, y {y0:g} to {y1:g}"
+        )
+
+
+def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
+    distance = float(point_segment_distance(np.array(point), scene.walls).min())
+    found = f"{where}: found ({point[0]:g}, {point[1]:g}),"
+    if distance < radius:
+        raise SceneError(f"{found} {distance:.3g} m from a wall, allowed: at least the robot's radius {radius:g} m")
+    if scene.solid_left:
+        ends = scene.walls - np.array(point)  # (N, 2, 2)
+        cross = ends[:, 0, 0] * ends[:, 1, 1] - ends[:, 0, 1] * ends[:, 1, 0]
+        turns = np.arctan2(cross, np.einsum("ij,ij->i", ends[:, 0], ends[:, 1])).sum() / (2 * math.pi)
+        if turns > 0.5:
+            raise SceneError(f"{found} inside a wall, {distance:.3g} m deep, allowed: a free place")

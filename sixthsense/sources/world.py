@@ -1,0 +1,127 @@
+"""The simulated world: the robot's true motion and collisions, its noise, its laser and the clock."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numba
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose, interpolated
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times, time_increment
+from sixthsense.core.motion import draw, rk4, slip_variances
+from sixthsense.core.source import Command, Tick
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: float) -> bool:
+    """Whether a disc that moves from (x0, y0) to (x1, y1) comes nearer than `radius` to any of `walls` (M, 4)."""
+    mx, my = x1 - x0, y1 - y0
+    for j in range(walls.shape[0]):
+        ax, ay, bx, by = walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3]
+        if min(ax, bx) - radius > max(x0, x1) or max(ax, bx) + radius < min(x0, x1):
+            continue
+        if min(ay, by) - radius > max(y0, y1) or max(ay, by) + radius < min(y0, y1):
+            continue
+        ex, ey = bx - ax, by - ay
+        # Two segments are nearest at an end of one of them, unless they cross.
+        length_sq = max(ex * ex + ey * ey, 1e-300)
+        for px, py in ((x0, y0), (x1, y1)):
+            s = min(max(((px - ax) * ex + (py - ay) * ey) / length_sq, 0.0), 1.0)
+            if math.hypot(ax + s * ex - px, ay + s * ey - py) < radius:
+                return True
+        length_sq = max(mx * mx + my * my, 1e-300)
+        for px, py in ((ax, ay), (bx, by)):
+            s = min(max(((px - x0) * mx + (py - y0) * my) / length_sq, 0.0), 1.0)
+            if math.hypot(x0 + s * mx - px, y0 + s * my - py) < radius:
+                return True
+        cross = mx * ey - my * ex
+        t = ((ax - x0) * ey - (ay - y0) * ex) / cross
+        u = ((ax - x0) * my - (ay - y0) * mx) / cross
+        if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
+            return True
+    return False
+
+
+class World:
+    """A `Source` that simulates: each step is one control tick, every few of them end with a scan."""
+
+    def __init__(self, walls: Array, start: Pose, radius_m: float, config: Config, rng: np.random.Generator) -> None:
+        """Put the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame."""
+        self._walls = np.array(walls, dtype=np.float64)
+        self._flat = self._walls.reshape(-1, 4)
+        self._radius_m = radius_m
+        self._config = config
+        self._rng = rng
+        self._truth = start
+        self._odometry = start
+        self._period_ns = round(config.robot.control_period_s * 1e9)
+        self._ticks = 0
+        self._collided = False
+        self._bearings = beam_bearings(config.laser)
+        self._times_s = sweep_times(config.laser.beams, time_increment(config.laser))
+        # True poses at the last control ticks, as many as a sweep may reach back to.
+        self._past: deque[Pose] = deque([start], maxlen=config.laser.period_ticks + 2)
+
+    def step(self, command: Command) -> Tick | None:
+        """Drive for one control tick under `command`, clipped to what the drive can do; None after a collision.
+
+        The first step moves nothing: it delivers the first scan, from the start.
+        """
+        if self._collided:
+            return None
+        if self._ticks > 0:
+            self._drive(command)
+            self._past.append(self._truth)
+        scan = self._sense() if self._ticks % self._config.laser.period_ticks == 0 else None
+        stamp_ns = self._ticks * self._period_ns
+        tick = Tick(stamp_ns, self._odometry, scan, truth=self._truth, collided=self._collided)
+        self._ticks += 1
+        return tick
+
+    def _drive(self, command: Command) -> None:
+        robot, world, rng = self._config.robot, self._config.world, self._rng
+        v = min(max(command.speed, -robot.speed), robot.speed)
+        w = min(max(command.turn_rate, -robot.turn_rate), robot.turn_rate)
+        noise = world.motion
+        control = draw(rng, noise.distribution, 1.0, 2)
+        slip = rng.standard_normal(3)
+        if v == 0.0 and w == 0.0:
+            return
+        dt = self._period_ns * 1e-9
+        self._odometry = rk4(self._odometry, v, w, dt, robot.integration_step_s)
+        v_true = v * (1.0 + noise.speed * float(control[0])) * (1.0 + world.wheel_scale_error)
+        w_true = w * (1.0 + noise.turn_rate * float(control[1])) * (1.0 + world.wheel_scale_error)
+        w_true += world.drift_rad_per_m * v_true
+        steps = max(1, math.ceil(dt / robot.integration_step_s - 1e-9))
+        position, heading = slip_variances(noise, v_true * dt, w_true * dt)
+        # One draw of slip per tick, spread evenly over its steps.
+        sigma = np.sqrt([position, position, heading])
+        shift = Pose.from_array(sigma * slip / steps)
+        for _ in range(steps):
+            ahead = rk4(self._truth, v_true, w_true, dt / steps) @ shift
+            if _touches(self._truth.x, self._truth.y, ahead.x, ahead.y, self._flat, self._radius_m):
+                self._collided = True
+                return
+            self._truth = ahead
+
+    def _sense(self) -> Scan:
+        laser, noise = self._config.laser, self._config.world.laser
+        T_world_laser = self._truth @ Pose(*laser.mount)
+        bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
+        if laser.sweep_s == 0.0:
+            ranges = cast_rays(T_world_laser, bearings, self._walls, laser.max_range)
+        else:
+            ranges = cast_sweep(self._sweep(), bearings, self._walls, laser.max_range)
+        ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)
+        return Scan.from_config(np.maximum(ranges, 0.0), laser)
+
+    def _sweep(self) -> Array:
+        """(N, 3) where the laser truly is at each beam's time, between the control ticks on a straight line."""
+        stamps_s = 1e-9 * self._period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
+        poses = interpolated(stamps_s, np.array([pose.array() for pose in self._past]), self._times_s)
+        x, y, theta = self._config.laser.mount
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + theta])

@@ -1,0 +1,243 @@
+import importlib
+import json
+import math
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from sixthsense.config import LaserConfig, RRTStarConfig, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.source import Tick
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.scene import load_scene
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def script(monkeypatch, request) -> ModuleType:
+    """The benchmark that the test's parameter names, imported as a script is: its folder first on the path."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module(request.param)
+
+
+def of(name: str):
+    return pytest.mark.parametrize("script", [name], indirect=True)
+
+
+def all_finite(figures: dict[str, float]) -> bool:
+    return all(math.isfinite(value) for value in figures.values())
+
+
+@of("kernels")
+def test_ray_casting_is_compared_with_numpy_and_with_a_plain_reference(script):
+    figures = script.raycast_figures(poses=6, checked=3)
+    assert set(figures) == {
+        "raycast_ms_p50", "raycast_numpy_ms_p50", "raycast_speedup_numpy", "raycast_max_difference_m",
+    }  # fmt: skip
+    assert all_finite(figures)
+    assert figures["raycast_max_difference_m"] < 1e-9
+
+
+@of("kernels")
+def test_the_three_ray_casters_agree_on_hits_and_on_misses(script):
+    walls = np.array([[[2.0, -1.0], [2.0, 1.0]], [[-3.0, -9.0], [-3.0, 9.0]], [[0.0, 30.0], [1.0, 30.0]]])
+    bearings = np.linspace(-3.0, 3.0, 50)
+    ranges = [
+        caster(Pose(0.1, 0.2, 0.3), bearings, walls, 5.0)
+        for caster in (cast_rays, script.cast_rays_numpy, script.cast_rays_plain)
+    ]
+    assert 0 < np.isinf(ranges[0]).sum() < 50
+    np.testing.assert_allclose(ranges[1], ranges[0], atol=1e-9)
+    np.testing.assert_allclose(ranges[2], ranges[0], atol=1e-9)
+
+
+@of("kernels")
+def test_extraction_and_insertion_are_timed_per_scan(script):
+    figures = script.scan_figures(poses=4)
+    assert set(figures) == {"extract_ms_p50", "extract_ms_p99", "grid_add_ms_p50", "grid_add_ms_p99"}
+    assert all_finite(figures)
+
+
+@of("kernels")
+def test_the_heap_finds_paths_as_cheap_as_the_kernel_does(script):
+    figures = script.astar_figures(size=60, grids=2, repeats=1)
+    assert set(figures) == {
+        "astar_ms_mean", "astar_expansions_mean", "astar_expansions_per_s", "astar_heapq_ms_mean",
+        "astar_speedup_heapq", "astar_cost_difference",
+    }  # fmt: skip
+    assert all_finite(figures)
+    assert figures["astar_cost_difference"] < 1e-6
+
+
+@of("kernels")
+def test_the_heap_cuts_no_corner_and_says_when_there_is_no_path(script):
+    free = np.zeros((2, 2), dtype=np.bool_)
+    assert script.search_heapq(free, 0, 3)[0] == math.sqrt(2.0)
+    one_wall = np.array([[False, True], [False, False]])
+    assert script.search_heapq(one_wall, 0, 3)[0] == 2.0
+    two_walls = np.array([[False, True], [True, False]])
+    assert script.search_heapq(two_walls, 0, 3)[0] == math.inf
+
+
+@of("ekf_scaling")
+def test_each_size_of_map_has_its_time_and_its_passes(script, tmp_path):
+    figures = script.scaling_figures((10, 20), repeats=3)
+    assert set(figures) == {f"n{n}_m10_{what}" for n in (10, 20) for what in ("ms", "pass_ms", "passes")}
+    assert all_finite(figures)
+    script.save_figure(tmp_path / "curve.png", figures, (10, 20))
+    assert (tmp_path / "curve.png").stat().st_size > 0
+
+
+@of("tasks")
+def test_a_setting_counts_outcomes_and_reduces_the_runs_metrics(script):
+    setting = script.Setting("rectangle", "tour", "default", 2, 3.0)
+    figures = script.setting_figures(setting)
+    assert figures["rectangle.tour.default.outcome.tour_ended"] == 2
+    assert figures["rectangle.tour.default.collisions"] == 0
+    wanted = {f"rectangle.tour.default.{key}{suffix}" for _, key, suffix, _ in script.COLUMNS}
+    assert wanted - set(figures) == {"rectangle.tour.default.goal_error_m_max"}  # a tour has no last goal
+    assert all_finite(figures)
+    json.dumps(figures)
+    cells = script.row(setting, figures)
+    assert cells[:2] == ["rectangle.tour.default", "2 tour ended"]
+    assert len(cells) == 2 + len(script.COLUMNS)
+
+
+@of("calibration")
+def test_a_calibration_is_judged_before_and_after(script):
+    figures = script.world_figures("worn", 1, 5.0, 20)
+    assert figures and all_finite(figures)
+
+
+@of("tasks")
+def test_every_setting_has_a_name_of_its_own(script):
+    assert len({setting.name for setting in script.SETTINGS}) == len(script.SETTINGS)
+
+
+def room_log(laser: LaserConfig, poses: list[Pose]) -> Log:
+    """A log of exact odometry and exact scans in an empty room, a second apart."""
+    corners = np.array([[-3.0, -2.0], [3.0, -2.0], [3.0, 2.0], [-3.0, 2.0]])
+    walls = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    ticks = []
+    for k, pose in enumerate(poses):
+        scan = Scan.from_config(cast_rays(pose, beam_bearings(laser), walls, laser.max_range), laser)
+        ticks.append(Tick(k * 10**9, pose, scan, log_stamp_s=float(k)))
+    return Log(ticks)
+
+
+@of("planning")
+def test_a_star_is_compared_with_dijkstra_on_true_maps(script):
+    drawn = script.true_map(load_scene("rectangle"), 0.1)
+    figures = script.optimality_figures({"rectangle": drawn}, 2, 5)
+    assert figures["optimality.queries"] == 10
+    assert figures["optimality.worst_difference_m"] < 1e-9
+
+
+@of("planning")
+def test_dijkstra_cuts_no_corner(script):
+    def costs(blocked):
+        space = FreeSpace(np.array(blocked), np.array(blocked), (0.0, 0.0), 1.0)
+        return script.dijkstra(script.step_graph(space.blocked), space, np.array([0.5, 0.5]))
+
+    assert costs([[False, False], [False, False]])[1, 1] == math.sqrt(2.0)
+    assert costs([[False, True], [False, False]])[1, 1] == 2.0
+    assert costs([[False, True], [True, False]])[1, 1] == math.inf
+
+
+@of("planning")
+def test_four_ways_of_planning_have_their_medians_and_a_line_in_the_table(script):
+    drawn = script.true_map(load_scene("rectangle"), 0.1)
+    figures = script.comparison_figures({"rectangle": drawn}, 4, RRTStarConfig(iterations=500))
+    names = [f"{where}.{way}" for where in ("rectangle", "all") for way in ("astar", "astar_shortcut", "rrtstar")]
+    assert all_finite(figures)
+    assert figures["all.astar.gave_up"] == 0 and figures["all.astar_shortcut.ratio_median"] == 1.0
+    assert figures["all.astar.length_m_median"] >= figures["all.astar_shortcut.length_m_median"]
+    lines = script.comparison_rows(figures)
+    assert {*names, "all.informed"} <= {line[0] for line in lines}
+    assert {len(line) for line in lines} == {len(lines[0])}
+
+
+@of("planning")
+def test_turns_count_both_ways_and_straight_on_is_none(script):
+    assert script.turns(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [3.0, 0.0]])) == 0.0
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
+    assert script.turns(square) == pytest.approx(math.pi)
+
+
+@of("planning")
+def test_a_replan_costs_what_one_from_scratch_does(script):
+    drawn = script.true_map(load_scene("apartment"), 0.1)
+    figures = script.replan_figures(drawn, 4, 2)
+    for where in ("ahead", "anywhere"):
+        assert figures[f"replan.{where}.worst_difference_m"] < 1e-9
+        assert 0.0 <= figures[f"replan.{where}.found_share"] <= 1.0
+    assert all_finite(figures)
+
+
+@of("planning")
+def test_the_robot_is_asked_for_places_inside_willow_garage(script, data_dir):
+    drawn = script.true_map(script.willow(data_dir / "maps"), 0.2)
+    assert len(drawn.cells) > 1000
+    assert (drawn.cells.min(axis=0) > 0).all()
+
+
+@of("intel")
+def test_an_exact_log_has_no_error_against_exact_relations(script):
+    config = preset()
+    poses = [Pose(0.3 * k, 0.1 * k, 0.2 * k) for k in range(6)]
+    between = poses[0].inverse() @ poses[5]
+    relations = Relations(np.array([[0.0, 5.0]]), between.array()[None])
+    figures = script.replay_figures(room_log(config.laser, poses), relations, config, 2)
+    per_seed = {f"seed{seed}.{key}" for seed in range(2) for key in script.ERRORS}
+    medians = {f"{key}_median" for key in (*script.ERRORS, "realtime_factor")}
+    assert set(figures) == per_seed | medians | {f"odometry.{key}" for key in script.ERRORS}
+    assert all_finite(figures)
+    assert figures["odometry.relations_trans_m_mean"] < 1e-9
+    assert figures["relations_trans_m_mean_median"] < 0.01
+    assert len(script.rows(figures, 2)) == 5
+
+
+@of("intel")
+def test_without_the_data_one_line_says_what_is_missing(script, monkeypatch, capsys):
+    monkeypatch.delenv("SIXTHSENSE_DATA", raising=False)
+    monkeypatch.setattr("sys.argv", ["intel.py"])
+    assert script.main() == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "SIXTHSENSE_DATA" in error
+
+
+@of("harness")
+def test_figures_are_written_as_flat_keys_and_printed_beside_what_they_should_reach(script, tmp_path, capsys):
+    figures = {"speed": 2.5, "other_ms": 1.0}
+    script.print_figures(figures, {"speed": ">= 2"})
+    script.write_json(tmp_path / "figures.json", figures)
+    script.write_json(None, figures)
+    assert json.loads((tmp_path / "figures.json").read_text()) == figures
+    lines = capsys.readouterr().out.splitlines()
+    assert "NumPy" in lines[0]
+    assert [line.split() for line in lines[2:]] == [["speed", "2.5", ">=", "2"], ["other_ms", "1"]]
+
+
+@of("harness")
+def test_functions_are_timed_in_alternation(script):
+    calls = []
+    ms = script.alternate([1, 2], lambda x: calls.append(("a", x)), lambda x: calls.append(("b", x)))
+    assert calls == [("a", 1), ("b", 1), ("a", 2), ("b", 2)]
+    assert ms.shape == (2, 2)
+
+
+@of("deskew")
+def test_de_skewing_is_measured_against_instants_and_against_skewed_scans(script):
+    config = preset(scene="rectangle", task="tour", max_time=4.0)
+    for name, changes in script.SETTINGS.items():
+        figures = script.setting_figures(name, config, changes, 1)
+        assert all_finite(figures)
+        assert {f"{name}.{key}" for _, key in script.COLUMNS} < set(figures)
+        assert 0.0 < figures[f"{name}.map_rmse_mm_median"] < 60.0

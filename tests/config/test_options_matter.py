@@ -1,0 +1,148 @@
+"""Every option does what it says: a law for each that no other test would miss."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import AssociationConfig, PartitionConfig, merge, preset
+from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.source import Command, Tick
+from sixthsense.loop import replay
+from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.estimators import make_estimator
+from sixthsense.slam.features import extract
+from sixthsense.slam.features.landmarks import loose_end
+from sixthsense.slam.features.partition import partition
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.world import World
+
+ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]],
+                 [[1, -2], [1, -0.5]]], dtype=float)  # fmt: skip
+
+
+def features_at(config, T_world_laser=None):
+    """Features of a noise-free scan whose laser stands at the same place, whatever its mount."""
+    pose = T_world_laser or Pose(-0.5, 0.3, 0.4)
+    ranges = cast_rays(pose, beam_bearings(config.laser), ROOM, config.laser.max_range)
+    scan = Scan.from_config(ranges, config.laser)
+    return extract(scan, config.assumed, config.features, np.random.default_rng(0))
+
+
+def test_the_mount_turns_the_covariance_with_the_sighting():
+    corners = {"features": {"landmarks": "corners"}}
+    plain = features_at(preset(**corners)).sightings
+    mount = (0.2, -0.1, 1.1)
+    turned = features_at(preset(laser={"mount": mount}, **corners)).sightings
+    assert len(plain) == len(turned) > 4
+    for a, b in zip(plain, turned, strict=True):
+        assert np.allclose(Pose(*mount) @ a.z, b.z, atol=1e-9)
+        assert np.allclose(rotation(1.1) @ a.cov @ rotation(1.1).T, b.cov, atol=1e-15)
+
+
+def test_the_floor_of_landmarks_adds_to_every_sighting():
+    corners = {"features": {"landmarks": "corners"}}
+    plain, floored = (features_at(preset(assumed={"landmark_floor_m": f}, **corners)).sightings for f in (0.0, 0.05))
+    for a, b in zip(plain, floored, strict=True):
+        assert np.allclose(a.cov + 0.0025 * np.eye(2), b.cov, atol=1e-12)
+
+
+def test_an_unsure_beam_makes_a_loose_end_less_sure_along_its_wall():
+    line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])
+    sure, unsure = (loose_end(line, 0.3, 0.02, sigma) for sigma in (0.0, 0.01))
+    along = 2.0 / math.cos(0.31) ** 2  # d(y)/d(bearing) on the wall x = 2
+    assert unsure[4] - sure[4] == pytest.approx((0.01 * along) ** 2, rel=1e-6)
+
+
+def test_the_margin_below_the_maximum_range_hides_loose_ends():
+    def ends(margin):
+        config = preset(laser={"max_range": 3.0}, features={"points": {"range_margin_m": margin}})
+        return [s for s in features_at(config, Pose(-1.5, -0.5, 0.0)).sightings if s.kind == Kind.END]
+
+    assert len(ends(0.2)) == 1  # the stub's end, 2.5 m away
+    assert ends(0.6) == []
+
+
+def test_noise_of_the_ranges_alone_does_not_tear_a_wall():
+    ranges = np.array([1.0, 1.03, 1.0, 1.03, 1.0])
+    for sigma, pieces in ((0.0, 5), (0.02, 1)):
+        assert len(partition(ranges, 0.001, False, sigma, PartitionConfig())[1]) == pieces
+
+
+def matched(config, point, cov=1e-2):
+    """Whether a sighting at `point` is taken for the landmark that is known at (2, 0), and whether for a new one."""
+    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
+    known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * cov)]
+    estimator.update(associator.associate(known, estimator).sightings)
+    found = associator.associate([Sighting(Kind.CORNER, np.array(point), np.eye(2) * cov)], estimator)
+    return 0 in found.sightings, 1 in found.sightings
+
+
+def test_only_landmarks_within_the_pre_gate_are_looked_at():
+    assert matched(AssociationConfig(pre_gate_m=1.0), (2.4, 0.0)) == (True, False)
+    assert matched(AssociationConfig(pre_gate_m=0.3), (2.4, 0.0))[0] is False
+
+
+def test_a_new_landmark_keeps_its_distance_from_known_ones():
+    assert matched(AssociationConfig(new_separation_m=0.3), (2.2, 0.0), 1e-4) == (False, False)
+    assert matched(AssociationConfig(new_separation_m=0.1), (2.2, 0.0), 1e-4) == (False, True)
+
+
+def test_of_two_landmarks_equally_many_sigmas_away_the_better_known_is_taken():
+    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+    known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * 1e-4),
+             Sighting(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2) * 0.1)]  # fmt: skip
+    estimator.update(associator.associate(known, estimator).sightings)
+    # 0.044 m from the first is 3.1 of its sigmas, 0.956 m from the second 3.0 of its own: the density decides.
+    found = associator.associate([Sighting(Kind.CORNER, np.array([2.0, 0.044]), np.eye(2) * 1e-4)], estimator)
+    assert list(found.sightings) == [0]
+
+
+def test_beams_of_the_world_waver_as_configured():
+    def spread(sigma):
+        config = merge(preset("noiseless"), {"world": {"laser": {"bearing_rad": sigma}}})
+        world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
+        scans = [t.scan.ranges.astype(float) for t in (world.step(Command()) for _ in range(500)) if t.scan]
+        return np.std(scans, axis=0)[(np.abs(beam_bearings(config.laser) - 0.4) < 0.02)]
+
+    assert np.all(spread(0.0) == 0.0)
+    # On the wall x = 3 met at 0.4 rad a bearing error moves the range by r tan(0.4).
+    assert spread(0.01).mean() == pytest.approx(0.01 * 3.0 / math.cos(0.4) * math.tan(0.4), rel=0.15)
+
+
+def test_a_wheel_scale_error_scales_the_turn_too():
+    config = merge(preset("noiseless"), {"world": {"wheel_scale_error": 0.1}})
+    world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
+    for _ in range(51):
+        tick = world.step(Command(0.0, 0.8))
+    assert tick.odometry.theta == pytest.approx(0.8) and tick.truth.theta == pytest.approx(0.88)
+
+
+@pytest.mark.parametrize("passes", [True, False])
+def test_a_beam_that_met_nothing_is_evidence_only_if_so_configured(passes):
+    grid = Grid(preset(grid={"no_return_passes": passes}).grid, 0.2)
+    scan = Scan.from_config(np.array([np.inf, np.inf]), preset(laser={"beams": 2, "fov": 0.1}).laser)
+    grid.add(Pose(), scan, np.zeros((0, 2, 2)))
+    assert grid.passes.any() == passes and grid.seen.any() == passes
+
+
+def test_the_clock_of_a_key_scan_counts_its_processing_not_the_source():
+    config = preset("noiseless")
+    world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
+
+    class Slow(Log):
+        def step(self, command):
+            import time
+
+            time.sleep(0.02)
+            return super().step(command)
+
+    ticks = [world.step(Command(0.0, 0.5)) for _ in range(60)]
+    log = Slow([Tick(t.stamp_ns, t.odometry, t.scan, log_stamp_s=t.stamp_ns * 1e-9) for t in ticks])
+    metrics = replay(log, config).metrics
+    assert metrics["stage_ms_mean.sense"] > 20.0 > metrics["scan_ms_p50"]
+    again = replay(log, config)
+    assert len(again.stamps_ns) == 12  # a log can be replayed as often as one likes

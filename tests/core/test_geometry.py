@@ -1,0 +1,65 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sixthsense.core.geometry import Pose, point_segment_distance, rotation, wrap_angle
+
+coordinates = st.floats(-1e3, 1e3)
+angles = st.floats(-50.0, 50.0)
+poses = st.builds(Pose, coordinates, coordinates, angles)
+
+
+def close(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
+    return math.dist(a.position, b.position) < tolerance and abs(wrap_angle(a.theta - b.theta)) < tolerance
+
+
+@given(angles)
+def test_a_wrapped_angle_lies_in_the_half_open_interval_and_points_the_same_way(angle):
+    wrapped = wrap_angle(angle)
+    assert -math.pi <= wrapped < math.pi
+    assert math.isclose(math.cos(wrapped), math.cos(angle), abs_tol=1e-9)
+    assert math.isclose(math.sin(wrapped), math.sin(angle), abs_tol=1e-9)
+    assert wrap_angle(wrapped) == wrapped
+    assert wrap_angle(np.array([angle]))[0] == wrapped
+
+
+@pytest.mark.parametrize("angle", [math.pi, -math.pi, 3 * math.pi, np.nextafter(-math.pi, -4.0), -1e-17 - math.pi])
+def test_pi_and_its_neighbours_wrap_into_the_interval(angle):
+    assert -math.pi <= wrap_angle(angle) < math.pi
+    assert -math.pi <= wrap_angle(np.array([angle]))[0] < math.pi
+
+
+@given(poses, poses, poses)
+def test_poses_form_a_group(a, b, c):
+    assert close((a @ b) @ c, a @ (b @ c), 1e-6)
+    assert close(a @ a.inverse(), Pose(), 1e-6)
+    assert close(a @ Pose(), a) and close(Pose() @ a, a)
+
+
+@given(poses, poses, coordinates, coordinates)
+def test_frames_cancel_for_points_as_for_poses(a, b, x, y):
+    point = np.array([x, y])
+    assert np.allclose((a @ b) @ point, a @ (b @ point), atol=1e-6)
+    assert np.allclose(a @ point, a.position + rotation(a.theta) @ point)
+
+
+def test_integers_answer_as_floats_do():
+    a, b = Pose(1, 2, 3), Pose(1.0, 2.0, 3.0)
+    assert a == b and isinstance(a.x, float)
+    assert Pose(0, 0, 0) @ Pose(0.5, 0.25, 0.1) == Pose(0.5, 0.25, 0.1)
+    assert np.array_equal(Pose(0, 0, 1) @ np.array([[1, 2]]), Pose(0, 0, 1) @ np.array([[1.0, 2.0]]))
+
+
+def test_a_wrong_shape_is_named():
+    with pytest.raises(ValueError, match=r"expected shape \(3,\), got \(2,\)"):
+        Pose.from_array([1.0, 2.0])
+    with pytest.raises(ValueError, match=r"got \(3,\)"):
+        Pose() @ np.zeros(3)
+
+
+def test_the_distance_to_a_segment_is_to_its_nearest_point():
+    segments = np.array([[[0, 0], [2, 0]], [[0, 0], [0, 2]], [[1, 1], [1, 1]]], dtype=float)
+    assert np.allclose(point_segment_distance(np.array([3.0, 1.0]), segments), [math.sqrt(2), 3.0, 2.0])

@@ -1,0 +1,75 @@
+import math
+import os
+import signal
+import threading
+
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.core import interrupt
+from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.loop import run
+
+
+@pytest.fixture(autouse=True)
+def _nothing_pressed_before(monkeypatch):
+    monkeypatch.setattr(interrupt, "_last_s", -math.inf)
+
+
+def test_an_interrupted_run_ends_in_order_with_what_it_has():
+    def press(tick, trace):
+        if len(trace.stamps_ns) == 20:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    trace = run(preset(task="tour", max_time=100.0), press)
+    assert trace.outcome == "interrupted" and len(trace.stamps_ns) == 20
+    assert trace.metrics["ate_rmse_m"] < 0.05 and len(trace.trajectory) == len(trace.key_stamps_ns)
+
+
+def test_the_handler_of_before_is_back_afterwards_and_a_second_press_is_not_held_back():
+    before = signal.getsignal(signal.SIGINT)
+    with deferred_interrupt() as interrupted:
+        assert not interrupted()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+            signal.pthread_sigmask(signal.SIG_BLOCK, [])  # a place where Python looks for signals
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+    signal.pthread_sigmask(signal.SIG_BLOCK, [])  # a place where Python looks for signals
+
+
+def test_pressing_twice_ends_a_loop_over_runs_though_the_first_press_ended_a_run():
+    with deferred_interrupt() as interrupted:
+        press()
+        assert interrupted()
+    with deferred_interrupt() as interrupted:
+        with pytest.raises(KeyboardInterrupt):
+            press()
+        press()  # a third one is a first one again
+        assert interrupted()
+
+
+def test_a_press_long_after_another_one_ends_its_run_alone(monkeypatch):
+    monkeypatch.setattr(interrupt, "AGAIN_S", 0.0)
+    for _ in range(2):
+        with deferred_interrupt() as interrupted:
+            press()
+            assert interrupted()
+
+
+def test_another_thread_runs_without_a_handler():
+    said = []
+
+    def inside():
+        with deferred_interrupt() as interrupted:
+            said.append(interrupted())
+
+    thread = threading.Thread(target=inside)
+    thread.start()
+    thread.join()
+    assert said == [False]

@@ -1,0 +1,89 @@
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import LaserConfig, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+
+
+def reference(pose, bearings, walls, max_range):
+    """One ray and one wall at a time, by solving x + t d = a + u e."""
+    out = np.full(len(bearings), np.inf)
+    for i, angle in enumerate(bearings + pose.theta):
+        d = np.array([math.cos(angle), math.sin(angle)])
+        for a, b in walls:
+            matrix = np.stack([d, a - b], axis=1)
+            if abs(np.linalg.det(matrix)) > 1e-12:
+                t, u = np.linalg.solve(matrix, a - pose.position)
+                if t >= 0 and -1e-9 <= u <= 1 + 1e-9 and t < max_range:
+                    out[i] = min(out[i], t)
+    return out
+
+
+def test_rays_agree_with_a_plain_reference():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        walls = rng.uniform(-6, 6, (12, 2, 2))
+        pose = Pose(*rng.uniform(-4, 4, 2), rng.uniform(-3, 3))
+        bearings = rng.uniform(-math.pi, math.pi, 40)
+        found, expected = cast_rays(pose, bearings, walls, 5.0), reference(pose, bearings, walls, 5.0)
+        assert np.array_equal(np.isinf(found), np.isinf(expected))
+        assert np.allclose(found[np.isfinite(found)], expected[np.isfinite(found)], atol=1e-9, rtol=0)
+
+
+def test_rays_in_a_square_room_have_their_closed_form():
+    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=float)
+    bearings = np.linspace(-math.pi, math.pi, 721)
+    found = cast_rays(Pose(0.5, -0.25, 0.0), bearings, walls, 10.0)
+    c, s = np.cos(bearings), np.sin(bearings)
+    with np.errstate(divide="ignore"):
+        to_x = np.where(c > 0, 1.5, 2.5) / np.abs(c)
+        to_y = np.where(s > 0, 2.25, 1.75) / np.abs(s)
+    assert np.allclose(found, np.minimum(to_x, to_y), atol=1e-9)
+
+
+def test_no_ray_leaks_through_the_joint_of_two_walls():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        corner = rng.uniform(1, 5, 2)
+        walls = np.array([[corner, corner + rng.uniform(-3, 3, 2)], [corner, corner + rng.uniform(-3, 3, 2)]])
+        bearing = math.atan2(corner[1], corner[0])
+        assert cast_rays(Pose(), np.array([bearing]), walls, 20.0)[0] <= math.hypot(*corner) + 1e-6
+
+
+def test_a_ray_along_a_wall_and_a_wall_of_no_length_do_no_harm():
+    walls = np.array([[[1, 0], [2, 0]], [[3, -1], [3, 1]]], dtype=float)
+    assert cast_rays(Pose(), np.array([0.0]), walls, 10.0)[0] == pytest.approx(3.0)
+
+
+def test_beyond_the_maximum_there_is_no_return():
+    walls = np.array([[[3, -1], [3, 1]]], dtype=float)
+    assert cast_rays(Pose(), np.array([0.0]), walls, 2.9)[0] == np.inf
+    scan = Scan.from_config(np.array([1.0, 2.0, 10.0, 12.0, np.inf]), LaserConfig(beams=5, fov=1.0))
+    assert scan.ranges.tolist() == [1.0, 2.0, np.inf, np.inf, np.inf]
+
+
+def test_a_full_circle_is_closed_and_repeats_no_beam():
+    full, half = LaserConfig(beams=360), LaserConfig(beams=181, fov=math.pi)
+    scan = Scan.from_config(np.ones(360), full)
+    assert scan.closed and scan.bearings[-1] < math.pi - 0.9 * float(scan.angle_increment)
+    assert not Scan.from_config(np.ones(181), half).closed
+    assert beam_bearings(half)[[0, -1]] == pytest.approx([-math.pi / 2, math.pi / 2])
+    report = preset("report").laser
+    assert math.degrees(beam_bearings(report)[1] - beam_bearings(report)[0]) == pytest.approx(2.0)
+
+
+def test_what_a_scan_holds_survives_float32_exactly():
+    scan = Scan.from_config(np.random.default_rng(2).uniform(0, 9, 360), LaserConfig())
+    assert scan.ranges.dtype == np.float32 and not scan.ranges.flags.writeable
+    again = float(np.float32(scan.angle_min)) + float(np.float32(scan.angle_increment)) * np.arange(360)
+    assert np.array_equal(scan.bearings, again)
+
+
+def test_the_mount_moves_the_points():
+    config = LaserConfig(beams=2, fov=0.5, mount=(0.2, 0.1, math.pi / 2))
+    scan = Scan.from_config(np.array([1.0, 1.0]), config)
+    middle = scan.points_robot.mean(axis=0)
+    assert middle == pytest.approx([0.2, 0.1 + math.cos(0.25)], abs=1e-6)

@@ -1,0 +1,127 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sixthsense.config import AssumedConfig, MotionNoise, preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.motion import STANDSTILL, Odometry, arc, compose_jacobians, draw, odometry, rk4, variance
+
+QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,
+                    slip_heading_per_sqrt_m=0, slip_heading_per_sqrt_rad=0)  # fmt: skip
+
+
+def exact_arc(v: float, w: float, t: float) -> Pose:
+    if abs(w) < 1e-12:
+        return Pose(v * t, 0.0, 0.0)
+    return Pose(v / w * math.sin(w * t), v / w * (1 - math.cos(w * t)), w * t)
+
+
+@given(st.floats(-2, 2), st.floats(-3, 3), st.floats(0.01, 0.5))
+def test_rk4_follows_the_circle(v, w, t):
+    found, exact = rk4(Pose(), v, w, t, 0.01), exact_arc(v, w, t)
+    assert math.dist(found.position, exact.position) < 1e-9
+    assert abs(wrap_angle(found.theta - exact.theta)) < 1e-9
+
+
+def test_rk4_is_of_fourth_order():
+    exact = exact_arc(1.0, 2.0, 1.0)
+    errors = [math.dist(rk4(Pose(), 1.0, 2.0, 1.0, 1.0 / n).position, exact.position) for n in (4, 8, 16)]
+    assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
+    assert errors[1] / errors[2] == pytest.approx(16, rel=0.1)
+
+
+@given(st.floats(-1, 1), st.floats(-2, 2))
+def test_the_arc_of_a_motion_is_the_one_that_was_driven(d, a):
+    length, turn = arc(exact_arc(d, a, 1.0))
+    assert length == pytest.approx(d, abs=1e-9)
+    assert turn == pytest.approx(a, abs=1e-12)
+
+
+def test_the_jacobians_of_composition_agree_with_finite_differences():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        pose, motion = Pose(*rng.normal(size=3)), Pose(*rng.normal(size=3))
+        by_pose, by_motion = compose_jacobians(pose.theta, motion)
+        for k in range(3):
+            step = 1e-6 * np.eye(3)[k]
+            ahead = (Pose.from_array(pose.array() + step) @ motion).array() - (pose @ motion).array()
+            assert np.allclose(wrap_angle(ahead) / 1e-6, by_pose[:, k], atol=1e-5)
+            ahead = (pose @ Pose.from_array(motion.array() + step)).array() - (pose @ motion).array()
+            assert np.allclose(wrap_angle(ahead) / 1e-6, by_motion[:, k], atol=1e-5)
+
+
+def test_folding_increments_equals_propagating_through_them_one_by_one():
+    rng = np.random.default_rng(1)
+    pose, cov, folded = Pose(1, 2, 0.5), np.diag([0.1, 0.2, 0.05]), STANDSTILL
+    start, start_cov = pose, cov
+    for _ in range(20):
+        factor = rng.normal(size=(3, 3)) * 0.02
+        step = Odometry(Pose(*rng.normal(size=3) * 0.1), factor @ factor.T)
+        by_pose, by_motion = compose_jacobians(pose.theta, step.motion)
+        cov = by_pose @ cov @ by_pose.T + by_motion @ step.cov @ by_motion.T
+        pose = pose @ step.motion
+        folded = folded.then(step)
+    by_pose, by_motion = compose_jacobians(start.theta, folded.motion)
+    assert np.allclose((start @ folded.motion).array(), pose.array())
+    assert np.allclose(by_pose @ start_cov @ by_pose.T + by_motion @ folded.cov @ by_motion.T, cov)
+
+
+@pytest.mark.parametrize("distribution", ["gaussian", "uniform"])
+def test_noise_has_the_variance_it_is_said_to_have(distribution):
+    samples = draw(np.random.default_rng(2), distribution, 0.3, 200_000)
+    assert samples.mean() == pytest.approx(0.0, abs=0.005)
+    assert samples.var() == pytest.approx(variance(distribution, 0.3), rel=0.02)
+
+
+@pytest.mark.parametrize("v, w", [(0.5, 0.0), (0.5, 0.8), (0.0, 1.0), (-0.3, -0.5)])
+def test_the_covariance_of_an_increment_is_that_of_the_noise_it_stands_for(v, w):
+    assumed = AssumedConfig(floor_m=0.0, floor_rad=0.0, motion=MotionNoise(slip_position_per_sqrt_m=0.02))
+    rng = np.random.default_rng(3)
+    dt, noise = 0.1, assumed.motion
+    expected = odometry(Pose(), rk4(Pose(), v, w, dt), assumed)
+    d, a = abs(v * dt), abs(w * dt)
+    sigma_p = math.sqrt(noise.slip_position_per_sqrt_m**2 * d + noise.slip_position_per_sqrt_rad**2 * a)
+    sigma_h = math.sqrt(noise.slip_heading_per_sqrt_m**2 * d + noise.slip_heading_per_sqrt_rad**2 * a)
+    samples = []
+    for n1, n2, *slip in rng.normal(size=(20_000, 5)):
+        end = rk4(Pose(), v * (1 + noise.speed * n1), w * (1 + noise.turn_rate * n2), dt)
+        end = end @ Pose(sigma_p * slip[0], sigma_p * slip[1], sigma_h * slip[2])
+        samples.append(end.array() - expected.motion.array())
+    found = np.cov(np.array(samples).T)
+    scale = np.sqrt(np.outer(np.diag(expected.cov), np.diag(expected.cov)))
+    assert np.abs((found - expected.cov) / scale).max() < 0.05
+
+
+def test_nothing_is_added_at_standstill():
+    still = odometry(Pose(1, 2, 3), Pose(1, 2, 3), preset().assumed)
+    assert still.motion == Pose() and not still.cov.any()
+
+
+@pytest.mark.parametrize("motion", [Pose(0.01, 0, 0), Pose(0, 0, 0.02), Pose(0.01, 1e-4, 0.02)])
+def test_every_moving_increment_has_full_rank_even_without_slip(motion):
+    increment = odometry(Pose(), motion, AssumedConfig(motion=QUIET))
+    assert np.linalg.eigvalsh(increment.cov)[0] > 0.0
+
+
+def test_the_floor_of_a_way_does_not_depend_on_how_it_is_cut_into_ticks():
+    assumed, whole = AssumedConfig(motion=QUIET), Pose(0.25, 0, 0)
+    one = odometry(Pose(), whole, assumed)
+    many, at = STANDSTILL, Pose()
+    for k in range(1, 11):
+        after = Pose(0.025 * k, 0, 0)
+        many, at = many.then(odometry(at, after, assumed)), after
+    assert np.trace(many.cov[:1, :1]) == pytest.approx(one.cov[0, 0], rel=1e-6)
+    assert many.cov[2, 2] == pytest.approx(1e-8, rel=1e-6)
+
+
+def test_known_systematic_errors_are_corrected():
+    assumed = AssumedConfig(wheel_scale_error=0.02, drift_rad_per_m=0.05)
+    for v, w in ((0.5, 0.0), (0.5, 0.7), (0.0, 1.0), (-0.4, 0.2)):
+        true_v = 1.02 * v
+        true = exact_arc(true_v, 1.02 * w + 0.05 * true_v, 0.1)
+        found = odometry(Pose(), exact_arc(v, w, 0.1), assumed).motion
+        assert math.dist(found.position, true.position) < 1e-5
+        assert found.theta == pytest.approx(true.theta, abs=1e-12)

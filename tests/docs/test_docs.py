@@ -1,0 +1,110 @@
+"""Whether the pages of docs/ are true: their code runs, and they name all that there is to name."""
+
+import dataclasses
+import os
+import re
+import shlex
+import subprocess
+import sys
+import typing
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+import sixthsense as ss
+from sixthsense.config import Section
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGES = ["start.md", "concepts/consistency.md", *sorted(f"howto/{page.name}" for page in DOCS.glob("howto/*.md"))]
+NEEDS = {"howto/campaign.md": "dask", "howto/interop.md": "evo"}
+BLOCK = re.compile(r'^```(python|console|toml)(?: title="(.*?)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+
+sys.path.insert(0, str(DOCS / "hooks"))
+
+
+def script(page: str, folder: Path) -> str:
+    """The code of a page as one program, its files written into the folder."""
+    lines = ["from sixthsense.cli import main"]
+    for language, title, text in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
+        if language == "toml" and title:
+            (folder / title).write_text(text, encoding="utf-8")
+        elif language == "python":
+            lines.append(text)
+        elif language == "console":
+            for line in text.splitlines():
+                command, *words = shlex.split(line.removeprefix("$ "))
+                assert command == "sixthsense"
+                lines.append(f"assert main({words}) == 0")
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path):
+    if page in NEEDS:
+        pytest.importorskip(NEEDS[page])
+    # A process and a home of its own: evo keeps settings there, and imposes others on whoever imports it.
+    own = {"HOME": str(tmp_path), "USERPROFILE": str(tmp_path), "MPLCONFIGDIR": matplotlib.get_cachedir()}
+    done = subprocess.run(
+        [sys.executable, "-c", script(page, tmp_path)], cwd=tmp_path, env=os.environ | own | {"MPLBACKEND": "agg"},
+        capture_output=True, text=True, check=False, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_public_name_has_its_place_in_the_reference():
+    page, _, _ = (DOCS / "reference" / "api.md").read_text(encoding="utf-8").partition("## Behind these names")
+    named = re.findall(r"^::: sixthsense\.(\w+)$", page, re.MULTILINE)
+    assert sorted(named) == sorted(ss.__all__)
+
+
+def test_every_metric_is_explained():
+    import reference
+
+    page = reference.metrics()
+    run = ss.run("rectangle", goal=(1.4, 0.5))
+    assert run.outcome == "goal reached"
+    assert all(f"\n| `{key}` |" in page for key in run.metrics)
+
+
+def test_every_field_of_the_configuration_has_a_row_with_its_meaning():
+    import reference
+
+    rows = dict(re.findall(r"^\| `([\w.]+)` \|.* \| (.+?) \|$", reference.configuration(), re.MULTILINE))
+
+    def fields(section, path=""):
+        for name, hint in typing.get_type_hints(section).items():
+            if dataclasses.is_dataclass(hint) and issubclass(hint, Section):
+                yield from fields(hint, f"{path}{name}.")
+            else:
+                yield path + name
+
+    assert set(fields(ss.Config)) <= set(rows)
+    assert all(rows.values())
+
+
+def test_every_command_has_a_part_with_its_options():
+    import reference
+
+    from sixthsense.cli import COMMANDS
+
+    page = reference.command_line()
+    assert all(f"\n## {name}\n" in page for name in COMMANDS)
+    assert "| `--overwrite` | Replace the folder if it exists. |" in page
+
+
+class Page:
+    class file:  # noqa: N801
+        src_uri = "some.md"
+
+
+def test_formulae_become_mathml_and_what_nobody_knows_stops_the_build():
+    pytest.importorskip("latex2mathml", reason="needs the extra docs")
+    import mathematics
+    from mkdocs.exceptions import PluginError
+
+    marked = '<p><span class="arithmatex">\\({}\\)</span></p>'
+    made = mathematics.on_page_content(marked.format(r"a &lt; \frac{1}{2}"), Page)
+    assert "<math" in made and "<mfrac>" in made and "arithmatex" not in made
+    with pytest.raises(PluginError, match=r"some\.md: found .*nonsense"):
+        mathematics.on_page_content(marked.format(r"\nonsense{1}"), Page)

@@ -1,0 +1,257 @@
+"""Whether programs that are not ours read what a run leaves, a part for each, of one short run.
+
+evo reads the trajectories, GTSAM the factor graph, map_server the map, rosbags and mcap the bag, pandas the tables.
+"""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import gtsam
+import matplotlib
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from sixthsense.config import preset
+from sixthsense.loop import run
+from sixthsense.record.bag import TOPICS, BagWriter
+from sixthsense.record.folder import RunFolder
+from sixthsense.record.trace import Trace
+
+CONFIG = preset(task="tour", scene="apartment", estimator="isam2", max_time=30.0, seed=3)
+
+# evo keeps its settings in the home, which is one of the test's own: hence a process of its own.
+EVO = """
+import json
+import sys
+import matplotlib
+matplotlib.use("agg")
+from matplotlib import pyplot as plt
+from evo.core import sync
+from evo.core.metrics import PoseRelation
+from evo.main_ape import ape
+from evo.tools import file_interface, plot
+
+truth, estimate = (file_interface.read_tum_trajectory_file(f"{sys.argv[1]}/{n}.tum") for n in ("truth", "estimate"))
+poses = truth.num_poses, estimate.num_poses
+checks = truth.check()[0] and estimate.check()[0]
+truth, estimate = sync.associate_trajectories(truth, estimate)
+error = ape(truth, estimate, PoseRelation.translation_part)
+figure, axes = plt.subplots()
+plot.ros_map(axes, f"{sys.argv[1]}/map.yaml", plot.PlotMode.xy, mask_unknown_value=205)
+(image,) = axes.images
+low, high = axes.transData.inverted().transform(
+    image.get_transform().transform([(image.get_extent()[0], image.get_extent()[2]),
+                                     (image.get_extent()[1], image.get_extent()[3])])
+)
+pixels = image.get_array()
+print(json.dumps({
+    "poses": poses, "matched": truth.num_poses, "checks": bool(checks), "rmse": error.stats["rmse"],
+    "known": int(pixels.count()), "shape": list(pixels.shape), "low": list(low), "high": list(high),
+}))
+"""
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trace]:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    with RunFolder(folder, CONFIG) as out:
+        with BagWriter(out.partial) as bag:
+            trace = run(CONFIG, bag)
+        out.write(trace)
+        out.finish()
+    return folder, trace
+
+
+@pytest.fixture(scope="module")
+def evo(recorded, tmp_path_factory: pytest.TempPathFactory) -> dict:
+    """What evo makes of the run's folder."""
+    pytest.importorskip("evo", reason="needs evo: pip install evo")
+    home = tmp_path_factory.mktemp("home")
+    # Matplotlib's own folder stays where it is: a new one would first list all fonts.
+    environment = os.environ | {"HOME": str(home), "USERPROFILE": str(home), "MPLCONFIGDIR": matplotlib.get_cachedir()}
+    done = subprocess.run(
+        [sys.executable, "-c", EVO, str(recorded[0])], env=environment, cwd=home, capture_output=True, text=True,
+        check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def map_server(file: Path) -> tuple[np.ndarray, float, list[float]]:
+    """Occupancy (H, W), row 0 at the bottom, resolution and origin, by the rule on map_server's page for `trinary`."""
+    table = yaml.safe_load(file.read_text())
+    with Image.open(file.parent / table["image"]) as image:
+        shade = np.asarray(image.convert("L"), dtype=float) / 255.0
+    occupied = shade if table["negate"] else 1.0 - shade
+    cells = np.where(occupied > table["occupied_thresh"], 100, np.where(occupied < table["free_thresh"], 0, -1))
+    return cells[::-1], table["resolution"], table["origin"]
+
+
+def expected_counts(trace: Trace) -> dict[str, int]:
+    """Messages per topic."""
+    ticks = round((trace.stamps_ns[-1] - trace.stamps_ns[0]) * 1e-9 / CONFIG.robot.control_period_s) + 1
+    scans, key_scans, plans = len(trace.stamps_ns), len(trace.key_stamps_ns), len(trace.plans)
+    counts = {"/tf_static": 1, "/odom": ticks, "/truth": ticks, "/scan": scans, "/estimate": key_scans, "/plan": plans}
+    assert min(counts.values()) > 0
+    return counts
+
+
+# evo
+
+
+def test_evo_finds_the_same_absolute_error_as_the_metrics(recorded, evo):
+    folder, trace = recorded
+    ours = json.loads((folder / "metrics.json").read_text())["ate_rmse_m"]
+    assert ours > 1e-4
+    assert evo["rmse"] == pytest.approx(ours, abs=1e-6)
+    assert evo["poses"] == [len(trace.truths)] * 2 and evo["matched"] == len(trace.truths)
+
+
+def test_evo_finds_nothing_wrong_with_the_trajectories(evo):
+    assert evo["checks"]
+
+
+def test_evo_places_the_map_where_the_grid_is(recorded, evo):
+    _, trace = recorded
+    occupancy, cell_m = trace.grid.occupancy(), CONFIG.grid.cell_m
+    rows, columns = np.nonzero(occupancy >= 0)
+    origin = np.array(trace.grid.origin)
+    np.testing.assert_allclose(evo["low"], origin + cell_m * np.array([columns.min(), rows.min()]), atol=1e-6)
+    np.testing.assert_allclose(evo["high"], origin + cell_m * np.array([columns.max() + 1, rows.max() + 1]), atol=1e-6)
+    assert evo["known"] == len(rows)
+
+
+# map_server
+
+
+def test_the_map_read_by_map_servers_rule_is_the_grid(recorded):
+    folder, trace = recorded
+    cells, cell_m, (x, y, yaw) = map_server(folder / "map.yaml")
+    assert (cell_m, yaw) == (CONFIG.grid.cell_m, 0.0)
+    occupancy = trace.grid.occupancy()
+    c0, r0 = (round((a - b) / cell_m) for a, b in zip((x, y), trace.grid.origin, strict=True))
+    assert np.array_equal(cells, occupancy[r0 : r0 + cells.shape[0], c0 : c0 + cells.shape[1]])
+    assert np.count_nonzero(cells >= 0) == np.count_nonzero(occupancy >= 0) > 0
+    assert {-1, 0, 100} == set(np.unique(cells).tolist())
+
+
+def test_the_map_has_a_wall_where_the_robot_saw_one_and_is_free_where_it_drove(recorded):
+    """In metres from the file's own origin: no index of ours is used."""
+    folder, trace = recorded
+    cells, cell_m, (x, y, _) = map_server(folder / "map.yaml")
+
+    def at(points: np.ndarray) -> np.ndarray:
+        columns, rows = (np.floor((points - (x, y)) / cell_m).astype(int)).T
+        return cells[rows, columns]
+
+    assert np.all(at(np.array(trace.estimates)[:, :2]) == 0)
+    rows, columns = np.nonzero(cells == 100)
+    centres = np.column_stack([columns, rows]) * cell_m + (x, y) + 0.5 * cell_m
+    starts, ends = trace.scene.walls[:, 0], trace.scene.walls[:, 1]
+    along = ends - starts
+    t = np.einsum("nmk,mk->nm", centres[:, None] - starts, along) / np.einsum("mk,mk->m", along, along)
+    gaps = np.linalg.norm(starts + np.clip(t, 0.0, 1.0)[:, :, None] * along - centres[:, None], axis=2).min(axis=1)
+    assert np.mean(gaps < 0.1) > 0.95
+
+
+# rosbags and mcap
+
+
+def test_rosbags_opens_the_bag_and_finds_every_message(recorded):
+    from rosbags.highlevel import AnyReader
+
+    folder, trace = recorded
+    with AnyReader([folder / "bag"]) as reader:
+        assert {c.topic: c.msgtype for c in reader.connections} == TOPICS
+        assert {c.topic: c.msgcount for c in reader.connections} == expected_counts(trace)
+        found = [c.topic for c, _, raw in reader.messages() if reader.deserialize(raw, c.msgtype)]
+        assert Counter(found) == expected_counts(trace)
+        assert (reader.start_time, reader.end_time) == (trace.stamps_ns[0], trace.stamps_ns[-1] + 1)
+
+
+def test_the_reader_of_mcap_finds_every_message_and_right_checksums(recorded):
+    from mcap.reader import make_reader
+
+    folder, trace = recorded
+    with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        counts = {summary.channels[k].topic: n for k, n in summary.statistics.channel_message_counts.items()}
+        assert counts == expected_counts(trace)
+        assert Counter(channel.topic for _, channel, _ in reader.iter_messages()) == counts
+
+
+def test_the_stamps_of_the_trajectories_are_those_of_the_bag(recorded):
+    from rosbags.highlevel import AnyReader
+
+    folder, _ = recorded
+    stamps = np.loadtxt(folder / "truth.tum")[:, 0]
+    with AnyReader([folder / "bag"]) as reader:
+        scans = [stamp for c, stamp, _ in reader.messages() if c.topic == "/scan"]
+    assert math.isclose(stamps[0], 0.0)
+    np.testing.assert_allclose(stamps, 1e-9 * (np.array(scans) - scans[0]), atol=1e-9)
+
+
+# GTSAM
+
+
+def test_gtsam_reads_every_factor_and_every_value_of_the_graph(recorded):
+    folder, trace = recorded
+    points = set(trace.final.ids[~trace.final.walls].tolist())
+    sightings = sum(i in points for association in trace.associations for i in association.sightings)
+    steps = len(trace.key_stamps_ns) - 1
+    factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
+    kinds = Counter(type(factors.at(k)).__name__ for k in range(factors.size()))
+    assert kinds == {"BetweenFactorPose2": steps, "BearingRangeFactor2D": sightings}
+    assert steps > 20 and sightings > 50
+    np.testing.assert_allclose(gtsam.utilities.extractPose2(values), trace.trajectory, atol=1e-12)
+    assert gtsam.utilities.extractPoint2(values).shape == (len(points), 2)
+
+
+def test_gtsam_moves_the_poses_by_little_when_it_solves_the_graph_again(recorded):
+    """Without the walls, which the format has no tag for."""
+    folder, trace = recorded
+    factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
+    factors.add(gtsam.PriorFactorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)))
+    solved = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    assert factors.error(solved) <= factors.error(values)
+    assert np.abs(gtsam.utilities.extractPose2(solved) - trace.trajectory)[:, :2].max() < 0.1
+
+
+# pandas
+
+
+def test_pandas_reads_metrics_and_landmarks(recorded):
+    pd = pytest.importorskip("pandas")
+    folder, trace = recorded
+    metrics = pd.read_json(folder / "metrics.json", typ="series")
+    assert metrics["outcome"] == trace.outcome and metrics["landmarks"] == len(trace.records)
+    frame = pd.read_csv(folder / "landmarks.csv", index_col="id")
+    assert frame.index.tolist() == trace.final.ids.tolist()
+    is_wall = (frame["kind"] == "wall").to_numpy()
+    assert np.array_equal(is_wall, trace.final.walls) and 0 < is_wall.sum() < len(frame)
+    assert np.array_equal(frame.loc[is_wall, ["alpha", "d"]], trace.final.landmarks[is_wall])
+    assert np.array_equal(frame.loc[~is_wall, ["x", "y"]], trace.final.landmarks[~is_wall])
+    assert frame.loc[is_wall, "x"].isna().all() and frame.loc[~is_wall, "alpha"].isna().all()
+    blocks = frame.loc[~is_wall, ["cov_xx", "cov_xy", "cov_xy", "cov_yy"]].to_numpy().reshape(-1, 2, 2)
+    assert (np.linalg.eigvalsh(blocks) > 0.0).all()
+
+
+def test_pandas_reads_a_campaigns_rows_with_the_same_numbers(recorded, tmp_path):
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    from sixthsense.campaign.rows import Rows
+    from sixthsense.campaign.worker import row_of
+
+    metrics = json.loads((recorded[0] / "metrics.json").read_text())
+    Rows(tmp_path).add(row_of(CONFIG) | metrics)
+    frame = pd.read_parquet(tmp_path / "rows")
+    assert frame["estimator"].tolist() == ["isam2"] and frame["seed"].tolist() == [3]
+    assert {key: frame[key].item() for key in metrics} == metrics

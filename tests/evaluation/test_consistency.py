@@ -1,0 +1,40 @@
+"""The whole pipeline, real features and unknown association included, is as sure as it should be."""
+
+import numpy as np
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.evaluation.metrics import nees_band
+from sixthsense.loop import run
+
+
+def pose_nees(trace):
+    """NEES of every key scan after the first few, in world coordinates."""
+    from sixthsense.evaluation.metrics import full_rank_from, nees_world
+
+    covs = np.array([e.pose_cov for e in trace.key_estimates])
+    first = full_rank_from(covs)
+    error = np.array([e.pose.array() for e in trace.key_estimates]) - np.array(trace.key_truths)
+    return nees_world(error[first:], covs[first:])
+
+
+@pytest.mark.parametrize("scene", ["rectangle", "apartment"])
+def test_a_drive_to_the_goal_is_consistent(scene):
+    """Runs are independent, the steps of one are not: the band is that of 12 runs, not of all their steps."""
+    traces = [run(preset(scene=scene, task="goal", seed=seed)) for seed in range(12)]
+    assert [t.outcome for t in traces] == ["goal reached"] * 12
+    low, high = nees_band(12, confidence=0.999)
+    assert low < np.mean([pose_nees(t).mean() for t in traces]) < high
+    nis, dof = sum(a.nis for t in traces for a in t.associations), sum(a.dof for t in traces for a in t.associations)
+    assert 0.9 < nis / dof < 1.1
+
+
+@pytest.mark.slow
+def test_a_long_tour_with_worn_wheels_stays_near_the_truth():
+    """30 tours of 300 s; the wheels' systematic errors, which no estimator knows, cost some consistency."""
+    values = [run(preset("worn", task="tour", max_time=300.0, seed=seed)) for seed in range(30)]
+    metrics = [t.metrics for t in values]
+    assert all(m["outcome"] == "tour ended" for m in metrics)
+    assert max(m["ate_rmse_m"] for m in metrics) < 0.03
+    assert max(m["ate_rmse_m"] / m["dead_reckoning_ate_rmse_m"] for m in metrics) < 1 / 3
+    assert np.mean([m["pose_nees_world_mean"] for m in metrics]) < 6.0

@@ -1,0 +1,195 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Array, point_segment_distance
+from sixthsense.evaluation.coverage import VisibleArea, _clearances, _mark, coverage, visible_area
+
+CIRCLE = np.arange(360) * (2 * math.pi / 360)
+CENTRED = (0.0, 0.0, 0.0)
+
+
+def box(x0: float, y0: float, x1: float, y1: float) -> list[list[tuple[float, float]]]:
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
+
+
+def segments(*walls) -> Array:
+    return np.array(walls, dtype=np.float64).reshape(-1, 2, 2)
+
+
+def at(area: VisibleArea, x: float, y: float) -> bool:
+    return bool(area.mask[int((y - area.origin[1]) / area.cell_m), int((x - area.origin[0]) / area.cell_m)])
+
+
+ROOM = segments(*box(0, 0, 6, 4))
+DOOR_M = 0.8
+TWO_ROOMS = segments(*box(0, 0, 6, 4), [(3, 0), (3, 2)], [(3, 2 + DOOR_M), (3, 4)])
+
+
+def test_an_empty_room_is_covered_from_one_pose() -> None:
+    area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
+    assert area.square_metres == pytest.approx((6 - 0.1) * (4 - 0.1), rel=0.01)
+    assert coverage(area, np.array([[3.0, 2.0, 0.3]]), CIRCLE, CENTRED, 10.0, ROOM) == 1.0
+
+
+def test_no_scan_covers_nothing() -> None:
+    area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
+    assert coverage(area, np.empty((0, 3)), CIRCLE, CENTRED, 10.0, ROOM) == 0.0
+
+
+def test_cells_within_a_cell_of_a_wall_do_not_count() -> None:
+    area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
+    height, width = area.mask.shape
+    for row, col in np.ndindex(height, width):
+        centre = np.array([area.origin[0] + (col + 0.5) * area.cell_m, area.origin[1] + (row + 0.5) * area.cell_m])
+        if area.mask[row, col]:
+            assert point_segment_distance(centre, TWO_ROOMS).min() >= area.cell_m - 1e-9
+
+
+def test_a_room_behind_a_wall_does_not_count() -> None:
+    walls = segments(*box(0, 0, 6, 4), [(4, 0), (4, 4)])
+    area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.2, 20.0)
+    assert area.square_metres == pytest.approx((4 - 0.1) * (4 - 0.1), rel=0.01)
+    assert not at(area, 5, 2)
+    assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == 1.0
+
+
+def test_a_pose_that_sees_half_covers_half() -> None:
+    walls = segments(*box(0, 0, 6, 4), [(3, 0), (3, 3)])
+    area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.2, 20.0)
+    assert area.square_metres == pytest.approx(5.8 * 3.9, rel=0.02)
+    dense = np.arange(2880) * (2 * math.pi / 2880)
+    # Close to the dividing wall's foot, the right half is hidden but for a sliver above the wall's end.
+    share = coverage(area, np.array([[2.9, 0.2, 0.0]]), dense, CENTRED, 20.0, walls)
+    sliver = 0.5 * 1.0 * (0.1 / 2.8)  # a triangle a metre high, the gap above the wall
+    assert share == pytest.approx((2.9 * 3.9 + sliver) / area.square_metres, abs=0.015)
+
+
+def test_the_laser_sees_no_farther_than_its_range_and_its_field_of_view() -> None:
+    region = (0.0, 0.0, 20.0, 20.0)
+    walls = segments(*box(0, 0, 20, 20))
+    area = visible_area(walls, region, (10, 10), 0.2, 4.0, cell_m=0.1)
+    dense = np.arange(1440) * (2 * math.pi / 1440)
+    pose = np.array([[10.0, 10.0, 1.0]])
+    disc = coverage(area, pose, dense, CENTRED, 4.0, walls) * area.square_metres
+    assert disc == pytest.approx(math.pi * 16, rel=0.04)
+    half = coverage(area, pose, dense[:720], CENTRED, 4.0, walls) * area.square_metres
+    assert half == pytest.approx(0.5 * math.pi * 16, rel=0.05)
+
+
+def test_the_mount_moves_the_laser() -> None:
+    walls = segments(*box(0, 0, 6, 4), [(3, 0), (3, 4)])
+    beyond = np.zeros((80, 120), dtype=np.bool_)
+    beyond[:, 61:] = True
+    area = VisibleArea(beyond, (0.0, 0.0), 0.05)
+    pose = np.array([[2.8, 2.0, math.pi / 2]])
+    assert coverage(area, pose, CIRCLE, CENTRED, 9.0, walls) == 0.0
+    assert coverage(area, pose, CIRCLE, (0.0, -0.4, 1.0), 9.0, walls) == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_only_a_smaller_robot_could_see_does_not_count() -> None:
+    # The corner of the far room beside the dividing wall is hidden from all of the near room.
+    small = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
+    large = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.45, 10.0)
+    assert at(small, 3.2, 0.3)
+    assert not at(large, 3.2, 0.3)
+    assert at(large, 5.5, 2.4)  # through the door
+    assert not (large.mask & ~small.mask).any()
+
+
+def test_a_robot_smaller_than_a_cell_does_not_slip_through_a_wall() -> None:
+    for slope in np.linspace(0.0, 1.0, 11):
+        walls = segments(*box(0, 0, 6, 4), [(3 - slope, 0), (3 + slope, 4)])
+        area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.0, 10.0)
+        assert 11.0 < area.square_metres < 12.0
+
+
+def test_only_the_region_counts_but_the_robot_may_look_into_it_from_outside() -> None:
+    area = visible_area(TWO_ROOMS, (3, 0, 6, 4), (1, 1), 0.3, 10.0)
+    assert area.square_metres == pytest.approx(2.9 * 3.9, rel=0.02)
+    assert not at(area, 1, 1)
+
+
+def test_a_start_in_a_wall_or_an_empty_region_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"^start: found \(3, 1\), allowed: a place where the robot touches no wall$"):
+        visible_area(TWO_ROOMS, (0, 0, 6, 4), (3, 1), 0.3, 10.0)
+    with pytest.raises(ValueError, match=r"^region: "):
+        visible_area(ROOM, (6, 0, 0, 4), (1, 1), 0.3, 10.0)
+
+
+def test_where_nothing_is_to_be_seen_the_share_is_not_a_number() -> None:
+    area = visible_area(ROOM, (8, 8, 9, 9), (1, 1), 0.2, 10.0)
+    assert area.square_metres == 0.0
+    assert math.isnan(coverage(area, np.zeros((1, 3)), CIRCLE, CENTRED, 10.0, ROOM))
+
+
+def test_a_place_without_walls_is_all_visible() -> None:
+    area = visible_area(segments(), (-2, -2, 2, 2), (0, 0), 0.2, 10.0)
+    assert area.square_metres == pytest.approx(16.0)
+
+
+def test_a_very_large_scene_gets_larger_cells() -> None:
+    walls = segments(*box(0, 0, 300, 300))
+    area = visible_area(walls, (0, 0, 300, 300), (5, 5), 0.3, 10.0)
+    assert area.mask.size <= 4_000_000
+    assert area.square_metres == pytest.approx(300 * 300, rel=0.01)
+
+
+def test_scans_that_repeat_each_other_change_nothing() -> None:
+    area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
+    pose = np.array([[1.0, 1.0, 0.5]])
+    many = np.repeat(pose, 500, axis=0)
+    once = coverage(area, pose, CIRCLE, CENTRED, 10.0, TWO_ROOMS)
+    assert 0.3 < once < 1.0
+    assert coverage(area, many, CIRCLE, CENTRED, 10.0, TWO_ROOMS) == once
+
+
+def test_more_scans_never_cover_less() -> None:
+    area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
+    rng = np.random.default_rng(0)
+    poses = np.column_stack([rng.uniform(0.3, 5.7, 30), rng.uniform(0.3, 3.7, 30), rng.uniform(-3, 3, 30)])
+    shares = [coverage(area, poses[:n], CIRCLE[:180], CENTRED, 10.0, TWO_ROOMS) for n in range(1, 31)]
+    assert np.all(np.diff(shares) >= 0.0)
+    assert shares[-1] > 0.95
+
+
+def crossed_cells(x: float, y: float, end_x: float, end_y: float) -> set[tuple[int, int]]:
+    """The cells in which the pieces lie that the grid's lines cut a segment into."""
+    cuts = [0.0, 1.0]
+    for start, end in ((x, end_x), (y, end_y)):
+        lines = range(math.floor(min(start, end)), math.ceil(max(start, end)) + 1)
+        cuts += [(line - start) / (end - start) for line in lines if end != start]
+    cuts = sorted(t for t in cuts if 0.0 <= t <= 1.0)
+    middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts) if b - a > 1e-12]
+    return {(math.floor(y + t * (end_y - y)), math.floor(x + t * (end_x - x))) for t in middles}
+
+
+def test_a_beam_marks_exactly_the_cells_it_crosses() -> None:
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        x, y = rng.uniform(-3, 13, 2)
+        angle = rng.uniform(-math.pi, math.pi) if seed % 3 else (seed % 4) * math.pi / 2
+        length = rng.uniform(0.0, 15.0)
+        cos, sin = np.round([math.cos(angle), math.sin(angle)], 15)
+        seen = np.zeros((10, 8), dtype=np.bool_)
+        _mark(x, y, np.array([cos]), np.array([sin]), np.array([length]), seen)
+        expected = crossed_cells(x, y, x + length * cos, y + length * sin)
+        inside = {(r, c) for r, c in expected if 0 <= r < 10 and 0 <= c < 8}
+        assert {(int(r), int(c)) for r, c in np.argwhere(seen)} == inside
+
+
+def test_the_clearance_of_a_cell_is_its_centres_distance_to_the_nearest_wall() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        walls = rng.uniform(-1, 4, (5, 2, 2))
+        walls[0, 1] = walls[0, 0]
+        x0, y0, cell, reach = -0.3, 0.2, 0.17, 0.6
+        clearances = np.full((14, 19), np.inf)
+        _clearances(walls.reshape(-1, 4), x0, y0, cell, reach, clearances)
+        for row, col in np.ndindex(14, 19):
+            centre = np.array([x0 + (col + 0.5) * cell, y0 + (row + 0.5) * cell])
+            distance = point_segment_distance(centre, walls).min()
+            assert clearances[row, col] == pytest.approx(distance if distance < reach else math.inf)

@@ -1,0 +1,262 @@
+import itertools
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.evaluation.metrics import (
+    ate,
+    full_rank_from,
+    heading_rmse,
+    match_landmarks,
+    nees_band,
+    nees_invariant,
+    nees_world,
+    relations_error,
+    scan_times,
+    share_in_band,
+    true_landmarks,
+)
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.relations import read_relations
+
+
+def random_poses(rng: np.random.Generator, count: int, spread: float = 20.0) -> Array:
+    return np.column_stack([rng.normal(0, spread, (count, 2)), rng.uniform(-math.pi, math.pi, count)])
+
+
+def random_covariances(rng: np.random.Generator, count: int) -> Array:
+    a = rng.normal(0, 1, (count, 3, 3))
+    return a @ a.transpose(0, 2, 1) + 0.05 * np.eye(3)
+
+
+def matrix(pose: Array) -> Array:
+    x, y, theta = pose
+    return np.array([[math.cos(theta), -math.sin(theta), x], [math.sin(theta), math.cos(theta), y], [0, 0, 1]])
+
+
+def pose_of(matrix_: Array) -> Array:
+    return np.array([matrix_[0, 2], matrix_[1, 2], math.atan2(matrix_[1, 0], matrix_[0, 0])])
+
+
+def hat(xi: Array) -> Array:
+    return np.array([[0, -xi[2], xi[0]], [xi[2], 0, xi[1]], [0, 0, 0]])
+
+
+def to_world_error(p_hat: Array) -> Array:
+    """A of the docstring of nees_invariant: xi to the world-frame error."""
+    return np.array([[1, 0, -p_hat[1]], [0, 1, p_hat[0]], [0, 0, 1]])
+
+
+def moved(pose: Pose, poses: Array) -> Array:
+    return np.array([(pose @ Pose.from_array(row)).array() for row in poses])
+
+
+def test_the_trajectory_error_is_the_rms_and_the_worst_distance() -> None:
+    truth = random_poses(np.random.default_rng(0), 4)
+    estimate = truth + np.array([[3, 4, 0], [0, 0, 1], [0, 1, 2], [1, 0, 3]])
+    assert ate(estimate, truth) == pytest.approx((math.sqrt((25 + 0 + 1 + 1) / 4), 5.0))
+
+
+def test_the_heading_error_is_wrapped() -> None:
+    estimate, truth = np.array([[0, 0, 3.1], [0, 0, -3.1]]), np.array([[9, 9, -3.1], [9, 9, 3.1]])
+    assert heading_rmse(estimate, truth) == pytest.approx(2 * math.pi - 6.2)
+
+
+def test_the_world_nees_equals_its_formula_and_wraps_the_heading() -> None:
+    rng = np.random.default_rng(1)
+    error, cov = rng.normal(0, 1, (50, 3)), random_covariances(rng, 50)
+    expected = [e @ np.linalg.inv(c) @ e for e, c in zip(error, cov, strict=True)]
+    assert nees_world(error, cov) == pytest.approx(expected)
+    assert nees_world(error + np.array([0, 0, 2 * math.pi]), cov) == pytest.approx(expected)
+
+
+def test_the_invariant_nees_equals_the_logarithm_of_the_group() -> None:
+    rng = np.random.default_rng(2)
+    estimate, truth, cov = random_poses(rng, 30), random_poses(rng, 30), random_covariances(rng, 30)
+    for k, value in enumerate(nees_invariant(estimate, truth, cov)):
+        log = np.real(logm(matrix(estimate[k]) @ np.linalg.inv(matrix(truth[k]))))
+        xi = np.array([log[0, 2], log[1, 2], log[1, 0]])
+        to_xi = np.linalg.inv(to_world_error(estimate[k, :2]))
+        expected = xi @ np.linalg.inv(to_xi @ cov[k] @ to_xi.T) @ xi
+        assert value == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_invariant_nees_does_not_depend_on_where_the_world_has_its_origin() -> None:
+    rng = np.random.default_rng(3)
+    estimate, truth, cov = random_poses(rng, 100), random_poses(rng, 100), random_covariances(rng, 100)
+    truth[::2] = estimate[::2] + rng.normal(0, 1e-4, (50, 3))
+    T_new_world = Pose(1000.0, -500.0, 2.0)
+    turn = matrix(np.array([0, 0, 2.0]))
+    shifted = nees_invariant(moved(T_new_world, estimate), moved(T_new_world, truth), turn @ cov @ turn.T)
+    assert shifted == pytest.approx(nees_invariant(estimate, truth, cov), rel=1e-6)
+
+
+def test_both_nees_agree_when_the_heading_is_right() -> None:
+    rng = np.random.default_rng(4)
+    truth, cov = random_poses(rng, 50), random_covariances(rng, 50)
+    error = np.column_stack([rng.normal(0, 1, (50, 2)), np.zeros(50)])
+    assert nees_invariant(truth + error, truth, cov) == pytest.approx(nees_world(error, cov))
+
+
+def test_an_error_that_is_gaussian_in_the_group_has_an_invariant_nees_of_three() -> None:
+    rng = np.random.default_rng(5)
+    sigma = np.array([[0.09, 0.01, 0.02], [0.01, 0.04, -0.01], [0.02, -0.01, 0.25]])
+    truth = np.tile([20.0, -10.0, 2.5], (4000, 1))
+    xi = rng.multivariate_normal(np.zeros(3), sigma, len(truth))
+    estimate = np.array([pose_of(expm(hat(x)) @ matrix(t)) for x, t in zip(xi, truth, strict=True)])
+    to_world = np.array([to_world_error(p) for p in estimate[:, :2]])
+    cov_world = to_world @ sigma @ to_world.transpose(0, 2, 1)
+    low, high = nees_band(len(truth), confidence=0.999)
+    assert low < nees_invariant(estimate, truth, cov_world).mean() < high
+    assert nees_world(estimate - truth, cov_world).mean() > high
+
+
+def test_an_error_that_is_gaussian_in_the_world_has_a_world_nees_of_three() -> None:
+    rng = np.random.default_rng(6)
+    cov = random_covariances(rng, 1)[0] * 0.1
+    error = rng.multivariate_normal(np.zeros(3), cov, 20_000)
+    low, high = nees_band(20_000, confidence=0.999)
+    assert low < nees_world(error, np.tile(cov, (20_000, 1, 1))).mean() < high
+
+
+def test_rank_is_counted_from_the_first_full_covariance() -> None:
+    rng = np.random.default_rng(7)
+    full = random_covariances(rng, 1)[0]
+    tiny = np.diag([1e-9, 1e-10, 1e-11])
+    direction = np.array([1.0, 2.0, 3.0])
+    rank_one, turning = np.outer(direction, direction), np.diag([0.0, 0.0, 1.0])
+    rank_two = rank_one + np.outer([1.0, 0, 0], [1.0, 0, 0])
+    deficient = [np.zeros((3, 3)), turning, rank_one, rank_two]
+    assert full_rank_from(np.array([*deficient, full, tiny])) == 4
+    assert full_rank_from(np.array([*deficient, tiny, full])) == 4
+    assert full_rank_from(np.array(deficient)) == 4
+    assert full_rank_from(np.array([full])) == 0
+    assert full_rank_from(np.empty((0, 3, 3))) == 0
+
+
+@pytest.mark.parametrize(("runs", "band"), [(20, (2.02, 4.16)), (50, (2.36, 3.72)), (100, (2.54, 3.50))])
+def test_the_band_of_the_mean_nees_is_the_chi_square_one(runs: int, band: tuple[float, float]) -> None:
+    assert nees_band(runs) == pytest.approx(band, abs=0.006)
+
+
+def test_the_mean_of_chi_square_draws_lies_in_its_band_as_often_as_it_says() -> None:
+    means = np.random.default_rng(8).chisquare(2, (20_000, 10)).mean(axis=1)
+    assert share_in_band(means, nees_band(10, dof=2, confidence=0.8)) == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_trajectory_that_obeys_the_relations_has_no_error_wherever_it_lies() -> None:
+    rng = np.random.default_rng(9)
+    poses, stamps = random_poses(rng, 40), rng.permutation(40) + 976052857.337284
+    pairs = rng.integers(0, 40, (100, 2))
+    poses_of = [Pose.from_array(row) for row in poses]
+    relations = np.array([(poses_of[a].inverse() @ poses_of[b]).array() for a, b in pairs])
+    names = stamps[pairs] + rng.uniform(-5e-7, 5e-7, pairs.shape)
+    for T_new_world in (Pose(), Pose(30, -40, 1.0)):
+        translation, rotation = relations_error(stamps, moved(T_new_world, poses), names, relations)
+        assert translation == pytest.approx(np.zeros(100), abs=1e-9)
+        assert rotation == pytest.approx(np.zeros(100), abs=1e-9)
+
+
+def test_the_error_of_a_relation_is_what_is_left_after_it() -> None:
+    rng = np.random.default_rng(10)
+    poses, relations = random_poses(rng, 20), random_poses(rng, 19, 1.0)
+    stamps = np.arange(20.0)
+    names = np.stack([stamps[:-1], stamps[1:]], axis=1)
+    translation, rotation = relations_error(stamps, poses, names, relations)
+    for k, (a, b) in enumerate(itertools.pairwise(Pose.from_array(row) for row in poses)):
+        left = Pose.from_array(relations[k]).inverse() @ (a.inverse() @ b)
+        assert translation[k] == pytest.approx(np.hypot(left.x, left.y))
+        assert rotation[k] == pytest.approx(abs(left.theta))
+
+
+def test_a_relation_that_names_no_scan_is_named() -> None:
+    stamps, poses = np.array([1.0, 2.0, 976052905.167303]), np.zeros((3, 3))
+    names = np.array([[1.0, 2.0], [2.0, 976052905.167303], [2.0, 976052905.167306]])
+    relations_error(stamps, poses, names[:2], np.zeros((2, 3)))
+    with pytest.raises(ValueError, match=r"^relation 3 names 976052905\.167306: no scan has that stamp$"):
+        relations_error(stamps, poses, names, np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="relation 1 names"):
+        relations_error(stamps[:0], poses[:0], names, np.zeros((3, 3)))
+
+
+def test_the_intel_logs_odometry_errs_as_measured_before(data_dir: Path) -> None:
+    log = open_log(data_dir / "intel" / "intel.clf.bz2", preset("intel").laser)
+    relations = read_relations(data_dir / "intel" / "intel.relations")
+    scans = [tick for tick in log.ticks if tick.scan is not None]
+    poses = np.array([tick.odometry.array() for tick in scans])
+    stamps = np.array([tick.log_stamp_s for tick in scans])
+    translation, rotation = relations_error(stamps, poses, relations.stamps, relations.poses)
+    degrees = np.degrees(rotation)
+    assert (translation.mean(), translation.std()) == (pytest.approx(7.37, abs=0.01), pytest.approx(14.3, abs=0.1))
+    assert (degrees.mean(), degrees.std()) == (pytest.approx(39.2, abs=0.1), pytest.approx(53.8, abs=0.1))
+
+
+def test_scan_times_are_percentiles_and_no_scan_has_none() -> None:
+    assert scan_times(np.arange(101.0)) == {"scan_ms_p50": 50.0, "scan_ms_p99": 99.0, "scan_ms_max": 100.0}
+    assert scan_times(np.empty(0)) == {}
+
+
+def test_landmarks_match_one_to_one_as_many_as_can_be() -> None:
+    truth = np.array([[0.0, 0.0], [1.0, 0.0], [50.0, 50.0]])
+    # Greedily the second estimate takes the first true point, and the first is left with none in reach.
+    estimated = np.array([[-0.6, 0.0], [0.4, 0.0], [9.0, 9.0]])
+    rmse, matched = match_landmarks(estimated, truth, 0.7)
+    assert matched == 2
+    assert rmse == pytest.approx(0.6)
+
+
+def test_landmarks_out_of_reach_or_absent_match_nothing() -> None:
+    some = np.array([[0.0, 0.0], [3.0, 0.0]])
+    for estimated, truth in ((some + 10, some), (some[:0], some), (some, some[:0])):
+        rmse, matched = match_landmarks(estimated, truth, 0.5)
+        assert matched == 0
+        assert math.isnan(rmse)
+
+
+def test_matching_finds_the_permutation_of_noisy_landmarks() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        truth = np.stack(np.meshgrid(np.arange(5.0), np.arange(4.0)), axis=-1).reshape(-1, 2)
+        noise = rng.uniform(-0.1, 0.1, truth.shape)
+        rmse, matched = match_landmarks((truth + noise)[rng.permutation(20)], truth, 0.3)
+        assert matched == 20
+        assert rmse == pytest.approx(np.sqrt(np.mean(np.sum(noise**2, axis=1))))
+
+
+def polyline(*points: tuple[float, float]) -> list[list[tuple[float, float]]]:
+    return [list(pair) for pair in itertools.pairwise(points)]
+
+
+@pytest.mark.parametrize(
+    ("walls", "expected"),
+    [
+        (polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]),
+        (polyline((0, 0), (2, 0), (4, 0)), [(0, 0), (4, 0)]),
+        (polyline((0, 0), (3, 0)) + polyline((5, 0), (2, 0)), [(0, 0), (5, 0)]),
+        (polyline((0, 0), (4, 0), (4, 3), (0, 3), (0, 0)), [(0, 0), (0, 3), (4, 0), (4, 3)]),
+        (polyline((0, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+        (polyline((0, 0), (4, 0)) + polyline((2, 1e-4), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+        (polyline((0, 0), (4, 0)) + polyline((2, -1), (2, 3)), [(0, 0), (2, -1), (2, 0), (2, 3), (4, 0)]),
+        (polyline((0, 0), (2, 0), (4, 0)) + polyline((2, 0), (2, 3)), [(0, 0), (2, 0), (2, 3), (4, 0)]),
+        (polyline((0, 0), (4, 0)) + polyline((0, 0), (4, 0)), [(0, 0), (4, 0)]),
+        (polyline((0, 0), (0, 0), (4, 0)), [(0, 0), (4, 0)]),
+        (polyline((0, 0), (4, 0)) + polyline((0, 1), (4, 1)), [(0, 0), (0, 1), (4, 0), (4, 1)]),
+    ],
+)
+def test_true_landmarks_are_ends_corners_and_crossings_but_not_joints_of_a_straight_wall(walls, expected) -> None:
+    for turn in (0.0, 0.7, math.pi / 2):
+        pose = Pose(3.0, -2.0, turn)
+        found = true_landmarks(pose @ np.array(walls, dtype=np.float64))
+        back = pose.inverse() @ found
+        assert len(back) == len(expected)
+        gaps = np.linalg.norm(back[:, None] - np.array(expected)[None], axis=2)
+        assert gaps.min(axis=0).max() < 1e-3
+
+
+def test_no_walls_have_no_landmarks() -> None:
+    assert true_landmarks(np.empty((0, 2, 2))).shape == (0, 2)

@@ -1,0 +1,120 @@
+"""Tours in closed loop with unknown association: is the pose's covariance honest, and are the matches right?
+
+A run's mean NEES over time is not the mean of as many independent samples as there are key scans: what the first scans
+get wrong stays in the map, and so in every pose. With w the whitened pose error, of covariance I in a consistent
+estimator, and R(t, s) = E[w_t w_s^T], the mean of NEES over T steps has the variance 2 sum |R(t, s)|^2 / T^2
+(Isserlis); n independent samples of 3 degrees of freedom would have 6 / n. So a run is worth
+n = 3 T^2 / sum |R(t, s)|^2 of them.
+Eight repetitions of 500 key scans of such a tour with the associations given, products of different repetitions alone
+to keep the square free of bias, gave 5.5 with sightings extracted from simulated scans and 7.9 with sightings drawn
+from their covariances. 4 leaves room for the longer tours here. The mean of N runs times
+4 N is then chi-square with 12 N degrees of freedom.
+"""
+
+import dataclasses
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+EFFECTIVE_PER_RUN = 4.0
+SEEDS = 6
+
+
+@pytest.fixture
+def tours(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module("tours")
+
+
+@pytest.fixture
+def pipeline(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    return importlib.import_module("pipeline_nees")
+
+
+def band(runs, confidence=0.99):
+    dof = 3.0 * EFFECTIVE_PER_RUN * runs
+    tail = 0.5 * (1.0 - confidence)
+    return 3.0 * chi2.ppf([tail, 1.0 - tail], dof) / dof
+
+
+def configs(tours, estimator, seconds, seeds):
+    config = tours.tour("apartment", estimator, "default", seconds, features={"landmarks": "both"})
+    return [dataclasses.replace(config, seed=seed) for seed in range(seeds)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("estimator", ["isam2", "ekf-invariant"])
+def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline, estimator):
+    found = tours.rows(configs(tours, estimator, 400.0, SEEDS), jobs=1)
+    figures = pipeline.pipeline_figures(found)
+    assert figures["tour_ended"] == SEEDS
+    low, high = band(SEEDS)
+    assert low < figures["nees3"] < high
+    assert low < figures["nees3_invariant"] < high
+    assert 0.9 < figures["nis_per_dof"] < 1.1
+    assert figures["wrong_per_1000"] < 0.5
+    assert figures["unexplained_per_1000"] < 2.0
+    assert figures["ate_max_m"] < 0.03
+
+
+def test_a_row_says_what_a_run_is_worth_and_is_found_again(tours, pipeline, tmp_path, monkeypatch):
+    short = configs(tours, "ekf-invariant", 12.0, 2)
+    found = tours.rows(short, jobs=1, folder=tmp_path)
+    assert len(list(tmp_path.glob("*.json"))) == 2
+    for row in found:
+        assert row["outcome"] == "tour ended"
+        assert row["wrong"] == 0
+        assert row["sightings"] > 100
+        assert len(row["nees3"]) == 12
+        assert json.loads(json.dumps(row)) == row
+    monkeypatch.setattr(tours, "make_row", lambda config: pytest.fail("made again"))
+    assert tours.rows(short, jobs=1, folder=tmp_path) == found
+    figures = pipeline.pipeline_figures(found)
+    assert figures["runs"] == 2
+    assert all(np.isfinite(value) for value in figures.values())
+    assert len(pipeline.per_run(found)) == 3
+    own = {f"ekf_invariant.{key}": value for key, value in figures.items()}
+    lines = pipeline.table(own, ["ekf-invariant"])
+    assert {len(cells) for cells in lines} == {len(pipeline.COLUMNS) + 1}
+
+
+def test_the_mean_over_runs_skips_what_a_run_does_not_have(tours):
+    rows = [{"nees3": [None, 2.0, 4.0]}, {"nees3": [None, 4.0]}]
+    np.testing.assert_allclose(tours.over_runs(rows, "nees3"), [np.nan, 3.0, 4.0])
+    assert tours.nees_of(rows[0]) == 3.0
+
+
+def test_nees_of_errors_drawn_from_the_covariance_is_as_many_as_its_dimensions(tours):
+    rng = np.random.default_rng(2)
+    cov = np.array([[4.0, 1.0, 0.01], [1.0, 2.0, 0.02], [0.01, 0.02, 0.001]]) * 1e-4
+    error = rng.multivariate_normal(np.zeros(3), cov, 20_000)
+    truths = np.column_stack([np.full(20_000, 3.0), np.full(20_000, -2.0), np.full(20_000, 3.1)])
+    series = tours.key_scan_nees(truths + error, truths, np.broadcast_to(cov, (20_000, 3, 3)))
+    for name, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_position", 2), ("nees_heading", 1)):
+        assert np.mean(series[name]) == pytest.approx(dof, abs=5.0 * np.sqrt(2.0 * dof / 20_000))
+
+
+def test_a_partial_configuration_is_laid_over_the_preset(tours, tmp_path):
+    file = tmp_path / "noise.toml"
+    file.write_text('preset = "worn"\n[assumed]\nwheel_scale_error = 0.02\n')
+    config = tours.tour("apartment", "ekf", "worn", 10.0, file, features={"landmarks": "both"})
+    assert config.preset == "worn"
+    assert config.world.wheel_scale_error == 0.02
+    assert config.assumed.wheel_scale_error == 0.02
+    assert config.features.landmarks == "both"
+
+
+def test_walls_beside_corners_have_a_line_and_figures_each(tours, monkeypatch):
+    script = importlib.import_module("wall_tours")
+    config = tours.tour("block", "ekf", "default", 4.0, features={"landmarks": "both"})
+    figures = script.tour_figures([tours.make_row(config)])
+    assert figures["runs"] == figures["tour_ended"] == 1
+    assert len(script.line(("block", "default", "both", "ekf"), figures)) == 9
+    assert script.line(("block", "default", "corners", "ekf"), figures)[3] == ""

@@ -1,0 +1,182 @@
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from sixthsense.config import Config, GridConfig, merge
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.navigation.clearance import margin_m, plan_with_margin, way_out
+from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.planners.shortcut import path_is_free
+from sixthsense.navigation.safety import latency_s, stopping_distance
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+
+CONFIG = Config()
+NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), dataclasses.replace(CONFIG.laser, max_range=6.0))
+RADIUS = 0.2
+
+
+def grid_of(*walls: tuple[float, float, float, float], radius: float = RADIUS, clearance: float = 0.05) -> Grid:
+    grid = Grid(GridConfig(clearance_m=clearance), radius)
+    for _ in range(3):
+        grid.add(Pose(), NOWHERE, np.array(walls, dtype=np.float64).reshape(-1, 2, 2))
+    return grid
+
+
+def gap_m(grid: Grid, path: Array) -> float:
+    """Least distance of a path's points from the centres of obstacle cells."""
+    rows, cols = np.nonzero(grid.obstacles)
+    centres = np.column_stack([cols + 0.5, rows + 0.5]) * 0.05 + grid.origin
+    return float(np.linalg.norm(path[:, None] - centres[None], axis=2).min())
+
+
+def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: float = 1.2):
+    def free_space(margin: float, places: Array) -> FreeSpace:
+        return grid.free_space(*places, margin_m=margin)
+
+    plan, space, kept = plan_with_margin((AStar(), AStar()), free_space, start, goal, wanted, detour)
+    assert not plan.found or path_is_free(space, plan.path_world)
+    return plan, kept
+
+
+@pytest.mark.parametrize("margin", [0.013, 0.1, 0.27, -0.03, -0.2, -math.inf])
+def test_a_margin_is_the_inflation_of_a_robot_that_much_larger(margin: float) -> None:
+    walls = [(1.0, -1.0, 1.0, 2.0), (-2.0, 0.5, -1.0, 1.3), (0.3, -1.7, 0.31, -1.7)]
+    grid = grid_of(*walls)
+    larger = grid_of(*walls, radius=max(RADIUS + margin, 0.0), clearance=0.05 if margin > -0.2 else 0.0)
+    if margin == -0.2:
+        larger = grid_of(*walls, radius=0.05, clearance=0.0)
+    space, expected = grid.free_space(margin_m=margin), larger.free_space()
+
+    def blocked(space: object) -> set[tuple[int, int]]:
+        rows, cols = np.nonzero(space.blocked)  # type: ignore[attr-defined]
+        y, x = space.origin[1] / 0.05, space.origin[0] / 0.05  # type: ignore[attr-defined]
+        return set(zip((rows + round(y)).tolist(), (cols + round(x)).tolist(), strict=True))
+
+    assert blocked(space) == blocked(expected)
+    if margin == -math.inf:
+        assert np.count_nonzero(space.blocked) == np.count_nonzero(grid.obstacles)
+
+
+def test_a_margin_leaves_a_free_rim_around_what_it_blocks() -> None:
+    space = grid_of((5.9, -1.0, 5.9, 1.0)).free_space(margin_m=2.0)
+    for edge in (space.blocked[0], space.blocked[-1], space.blocked[:, 0], space.blocked[:, -1]):
+        assert not edge.any()
+
+
+def test_a_margin_gives_way_around_the_points_that_are_asked_for_but_the_inflation_does_not() -> None:
+    grid, near = grid_of((1.0, -1.0, 1.0, 1.0)), (0.7, 0.0)
+    assert grid.free_space(margin_m=0.3).is_blocked(near)
+    space = grid.free_space(near, margin_m=0.3)
+    assert not space.is_blocked(near)
+    assert space.is_blocked((0.8, 0.0)) and space.is_blocked((0.7, 0.6))
+    assert path_is_free(space, AStar().plan(space, near, (-2.0, 0.0)).path_world)
+
+
+@pytest.mark.parametrize("margin", [math.nan, math.inf])
+def test_a_margin_that_is_no_number_is_refused(margin: float) -> None:
+    with pytest.raises(ValueError, match="margin_m: found"):
+        grid_of().free_space(margin_m=margin)
+    with pytest.raises(InputError, match="inflation"):
+        grid_of().free_space(margin_m=100.0)
+
+
+def test_the_margin_is_the_quantile_across_the_worst_direction_and_room_to_brake() -> None:
+    braking = stopping_distance(0.5, latency_s(CONFIG), 1.0)
+    assert margin_m(np.zeros((3, 3)), CONFIG) == pytest.approx(braking)
+    turn = np.array([[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]])
+    cov = np.zeros((3, 3))
+    cov[:2, :2] = turn @ np.diag([0.01**2, 0.02**2]) @ turn.T
+    for probability in (0.5, 0.9, 0.999):
+        config = merge(CONFIG, {"safety": {"probability": probability}})
+        assert margin_m(cov, config) == pytest.approx(braking + norm.ppf(probability) * 0.02)
+
+
+def test_the_margin_is_capped_however_unsure_the_robot_is() -> None:
+    assert margin_m(100.0 * np.eye(3), CONFIG) == CONFIG.safety.max_margin_m
+    assert margin_m(np.eye(3), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})) == 0.0
+
+
+def test_where_there_is_room_a_path_keeps_the_margin() -> None:
+    grid = grid_of((0.0, -2.0, 0.0, 0.0))
+    start, goal = np.array([-1.0, -1.0]), np.array([1.0, -1.0])
+    for wanted in (0.0, 0.1, 0.3):
+        plan, kept = planned(grid, start, goal, wanted, 1.5)
+        assert plan.found and kept == wanted
+        assert gap_m(grid, plan.path_world) >= RADIUS + 0.05 + wanted
+
+
+@pytest.mark.parametrize(("width", "kept"), [(0.65, 0.0), (0.95, 0.15), (1.4, 0.3)])
+def test_a_door_is_passed_with_as_much_of_the_margin_as_it_leaves(width: float, kept: float) -> None:
+    half = 0.5 * width
+    grid = grid_of((0.0, -3.0, 0.0, -half), (0.0, half, 0.0, 3.0))
+    plan, margin = planned(grid, np.array([-1.0, 0.3]), np.array([1.0, 0.3]))
+    assert plan.found and margin == pytest.approx(kept)
+    assert np.abs(plan.path_world[np.abs(plan.path_world[:, 0]) < 0.1, 1]).max() < half
+
+
+def test_before_and_after_a_door_too_narrow_for_it_the_margin_is_kept() -> None:
+    # A door 0.65 m wide, and a corner 2 m before it that the shortest way goes round.
+    door = (0.0, -3.0, 0.0, -0.325), (0.0, 0.325, 0.0, 3.0)
+    grid = grid_of(*door, (-3.0, -2.0, -2.0, -0.2), (-2.0, -0.2, -2.0, -2.0))
+    plan, kept = planned(grid, np.array([-3.5, -1.5]), np.array([2.0, 0.0]))
+    assert plan.found and kept == 0.0
+    path = plan.path_world
+    through = np.hypot(path[:, 0], path[:, 1]) < 1.0
+    assert gap_m(grid, path[~through]) >= RADIUS + 0.05 + 0.3
+    assert gap_m(grid, path[through]) < RADIUS + 0.05 + 0.1
+
+
+def test_a_goal_that_is_walled_in_is_not_reached_with_less_margin_either() -> None:
+    grid = grid_of((1, -1, 3, -1), (3, -1, 3, 1), (3, 1, 1, 1), (1, 1, 1, -1))
+    plan, kept = planned(grid, np.array([-1.0, 0.0]), np.array([2.0, 0.0]))
+    assert plan.status == "no path" and kept == 0.0
+
+
+def test_a_robot_boxed_in_by_the_clearance_alone_squeezes_out_the_way_it_fits() -> None:
+    # A dead end 0.55 m wide, closed towards the nearest free place, which lies behind its wall.
+    grid = grid_of((-1.0, 0.275, 0.6, 0.275), (-1.0, -0.275, 0.6, -0.275), (-1.0, -0.275, -1.0, 0.275), clearance=0.15)
+    space = grid.free_space()
+    start = np.array([0.0, 0.0])
+    assert space.is_blocked(start)
+    path = way_out(grid, space, start, 0.15)
+    assert path is not None
+    assert np.array_equal(path[0], start) and not space.is_blocked(path[-1])
+    assert path[-1][0] > 0.6 and np.abs(path[:, 1]).max() < 0.1
+    assert path_is_free(grid.free_space(margin_m=-0.15), path)
+
+
+def test_a_way_out_never_leads_through_a_wall() -> None:
+    # The nearest free place is behind the thin wall at 0.1 m; the robot's side opens to the other hand.
+    grid = grid_of((-2.0, 0.1, 2.0, 0.1), (-2.0, -0.45, 2.0, -0.45), (2.0, 0.1, 2.0, -0.45), (-2.0, 0.1, -2.0, -0.45))
+    space = grid.free_space()
+    path = way_out(grid, space, np.array([0.0, 0.0]), 0.05)
+    assert path is None or path_is_free(grid.free_space(margin_m=-math.inf), path)
+
+
+def test_a_robot_that_noise_has_put_inside_an_obstacles_disc_gets_away_from_it() -> None:
+    grid = grid_of((-1.0, 0.1, 1.0, 0.1))
+    path = way_out(grid, grid.free_space(), np.array([0.0, 0.0]), 0.05)
+    assert path is not None
+    assert path[-1][1] < -0.1 and not grid.free_space().is_blocked(path[-1])
+
+
+def test_a_robot_walled_in_all_round_has_no_way_out() -> None:
+    box = (-0.3, -0.3, 0.3, -0.3), (0.3, -0.3, 0.3, 0.3), (0.3, 0.3, -0.3, 0.3), (-0.3, 0.3, -0.3, -0.3)
+    grid = grid_of(*box, clearance=0.2)
+    assert way_out(grid, grid.free_space(), np.array([0.0, 0.0]), 0.2) is None
+
+
+def test_what_no_way_of_a_length_can_reach_is_blocked_and_nothing_else() -> None:
+    space = grid_of((1.0, -1.0, 1.0, 2.0)).free_space()
+    a, b, length = (-1.0, 0.5), (2.0, 0.2), 3.5
+    between = space.between(a, b, length)
+    rows, cols = np.indices(space.blocked.shape)
+    x, y = space.origin[0] + (cols + 0.5) * 0.05, space.origin[1] + (rows + 0.5) * 0.05
+    way = np.hypot(x - a[0], y - a[1]) + np.hypot(x - b[0], y - b[1])
+    assert np.array_equal(between.blocked, space.blocked | (way > length + 0.1))

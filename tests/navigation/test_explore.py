@@ -1,0 +1,227 @@
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sixthsense import cli, preset, run
+from sixthsense.record.trace import Trace
+
+
+def box(x0: float, y0: float, x1: float, y1: float) -> str:
+    return f"[[polygons]]\npoints = [[{x0}, {y0}], [{x1}, {y0}], [{x1}, {y1}], [{x0}, {y1}]]\n"
+
+
+def two_rooms(door_m: float) -> str:
+    """Two rooms of 4 x 3 m with a door between them."""
+    low, high = 1.5 - 0.5 * door_m, 1.5 + 0.5 * door_m
+    walls = f"walls = [[4.0, 0.0, 4.0, {low}], [4.0, {high}, 4.0, 3.0]]\n"
+    return f"start = [1.0, 1.0, 0.0]\nradius = 0.2\n{walls}" + box(0.0, 0.0, 8.0, 3.0)
+
+
+L_SHAPE = """
+start = [0.7, 0.7, 0.0]
+radius = 0.2
+[[polygons]]
+points = [[0.0, 0.0], [6.0, 0.0], [6.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]]
+"""
+DIAGONAL = """
+start = [1.0, 0.0, 0.0]
+radius = 0.2
+walls = [[3.0, -1.5, 4.5, 0.5]]
+[[polygons]]
+points = [[0.0, 0.0], [3.0, -3.0], [7.0, 1.0], [4.0, 4.0]]
+"""
+PILLARS = "start = [0.6, 0.6, 0.0]\nradius = 0.2\n" + "".join(
+    [box(0.0, 0.0, 6.0, 5.0), box(1.5, 1.5, 1.9, 1.9), box(4.0, 1.4, 4.5, 1.8), box(2.6, 3.2, 3.1, 3.6)]
+)
+OPEN = """
+start = [0.0, 0.0, 0.0]
+radius = 0.2
+walls = [[-3.0, 2.0, 2.0, 2.5], [2.5, -2.0, 3.0, 1.0], [-3.0, -2.0, -2.0, 0.0]]
+"""
+EMPTY = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-3.0, -3.0, 3.0, 3.0]\nwalls = [[50.0, 50.0, 51.0, 50.0]]\n"
+LONG = "start = [1.0, 1.0, 0.0]\nradius = 0.2\n" + box(0.0, 0.0, 9.0, 2.5)
+# The door of 0.6 m in the first wall is all but closed to a robot that keeps its clearance.
+SIX_ROOMS = """
+start = [1.0, 1.0, 0.5]
+radius = 0.18
+walls = [
+    [3.0, 0.0, 3.0, 0.8], [3.0, 1.4, 3.0, 6.0], [6.0, 0.0, 6.0, 1.2], [6.0, 2.0, 6.0, 4.0], [6.0, 4.65, 6.0, 6.0],
+    [0.0, 3.0, 1.0, 3.0], [1.9, 3.0, 5.0, 3.0], [5.7, 3.0, 7.0, 3.0], [8.0, 3.0, 9.0, 3.0],
+]
+""" + box(0.0, 0.0, 9.0, 6.0)
+
+SEEN_WHOLE = {
+    "an L": (L_SHAPE, {}),
+    "walls at an angle": (DIAGONAL, {}),
+    "pillars": (PILLARS, {}),
+    "no outer wall": (OPEN, {}),
+    "an empty world": (EMPTY, {}),
+    "more than the laser reaches": (LONG, {"laser": {"max_range": 2.5}}),
+    "half a field of view": (L_SHAPE, {"laser": {"fov": math.pi, "beams": 180}}),
+    "a narrow door": (two_rooms(0.8), {}),
+}
+
+
+def explored(folder: Path, scene: str, **changes: Any) -> Trace:
+    file = folder / "drawn.toml"
+    file.write_text(scene)
+    given = {"estimator": "ekf-invariant", "features": {"landmarks": "both"}, "max_time": 400.0} | changes
+    return run(preset(scene=str(file), **given))
+
+
+@pytest.mark.parametrize("name", SEEN_WHOLE)
+def test_all_that_can_be_seen_is_seen_and_the_robot_comes_home(name: str, tmp_path: Path) -> None:
+    scene, changes = SEEN_WHOLE[name]
+    metrics = explored(tmp_path, scene, **changes).metrics
+    assert metrics["outcome"] == "explored"
+    assert metrics["collisions"] == 0
+    assert metrics["coverage"] >= 0.995
+    assert metrics["home_error_m"] <= 0.2
+    assert metrics["places_left"] == 0
+
+
+def test_a_robot_boxed_in_sees_its_box_and_is_done(tmp_path: Path) -> None:
+    scene = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-5, -5, 5, 5]\n" + box(-0.3, -0.3, 0.3, 0.3)
+    trace = explored(tmp_path, scene)
+    assert trace.outcome == "explored"
+    assert trace.metrics["sim_time_s"] < 60.0
+
+
+def test_a_door_that_only_the_clearance_closes_is_named_as_such(tmp_path: Path) -> None:
+    trace = explored(tmp_path, two_rooms(0.48))
+    assert trace.outcome == "explored in part"
+    assert trace.left[0].reason == "cut off by inflation only"
+    assert trace.left[0].x > 4.0 - 0.3
+
+
+def test_a_door_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
+    assert trace.outcome == "explored"
+    assert trace.metrics["coverage"] >= 0.995
+
+
+def test_a_way_home_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
+    assert trace.outcome == "explored"
+    assert trace.metrics["home_error_m"] <= 0.2
+
+
+def test_a_way_home_that_stays_closed_is_driven_as_the_robot_came(tmp_path: Path) -> None:
+    rooms = "start = [0.5, 0.5, 0.0]\nradius = 0.1\nwalls = [[1.0, 0.0, 1.0, 0.35], [1.0, 0.7, 1.0, 1.5],"
+    rooms += "[2.0, 0.0, 2.0, 0.9], [2.0, 1.2, 2.0, 1.5]]\n"
+    trace = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5))
+    assert np.array(trace.truths)[:, 0].max() > 1.2
+    assert trace.outcome == "explored in part" and trace.left[0].reason == "cut off by inflation only"
+    assert trace.metrics["home_error_m"] <= 0.2 and trace.metrics["collisions"] == 0
+
+
+def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
+    trace = explored(tmp_path, two_rooms(0.3))
+    assert trace.outcome == "explored in part"
+    assert trace.left[0].reason == "unreachable"
+    assert trace.left[0].x > 4.0
+
+
+def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:
+    trace = explored(tmp_path, OPEN, explore={"margin_m": 0.5})
+    way = np.array(trace.truths)[:, :2]
+    assert (way > [-3.5, -2.5]).all() and (way < [3.5, 3.0]).all()
+
+
+def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
+    whole = explored(tmp_path, two_rooms(1.0))
+    part = explored(tmp_path, two_rooms(1.0), region=(0.0, 0.0, 3.5, 3.0))
+    assert part.outcome == whole.outcome == "explored"
+    assert part.path_length_m < 0.6 * whole.path_length_m
+    assert np.array(part.truths)[:, 0].max() < 4.5
+
+
+def test_the_part_of_a_region_that_only_a_way_outside_it_shows_is_seen_too(tmp_path: Path) -> None:
+    # Two rooms side by side whose doors lead to a corridor behind; the region holds the near half of both.
+    rooms = "start = [1.0, 1.0, 0.0]\nradius = 0.2\nregion = [0.0, 0.0, 6.0, 1.7]\n"
+    rooms += "walls = [[3.0, 0.0, 3.0, 3.5], [0.0, 3.5, 1.0, 3.5], [2.0, 3.5, 4.0, 3.5], [5.0, 3.5, 6.0, 3.5]]\n"
+    trace = explored(tmp_path, rooms + box(0.0, 0.0, 6.0, 5.0))
+    assert trace.outcome == "explored" and trace.metrics["coverage"] > 0.995
+    assert np.array(trace.truths)[:, 1].max() > 3.5
+
+
+def test_random_places_of_the_largest_unseen_area_end_explored_as_well(tmp_path: Path) -> None:
+    trace = explored(tmp_path, L_SHAPE, explore={"method": "random"})
+    assert trace.outcome == "explored"
+    assert trace.metrics["coverage"] >= 0.995
+
+
+def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
+    ways = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).truths) for _ in range(2)]
+    np.testing.assert_array_equal(*ways)
+
+
+def test_without_the_way_home_it_ends_where_the_last_was_seen(tmp_path: Path) -> None:
+    trace = explored(tmp_path, L_SHAPE, explore={"return_home": False})
+    assert trace.outcome == "explored"
+    assert "home_error_m" not in trace.metrics
+    assert math.dist(trace.truths[-1][:2], trace.truths[0][:2]) > 0.5
+
+
+def test_time_that_is_up_is_named(tmp_path: Path) -> None:
+    assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
+
+
+def test_a_pose_known_badly_is_mended_at_a_place_known_well(tmp_path: Path) -> None:
+    threshold = {"revisit_sigma_m": 0.001}
+    on = explored(tmp_path, two_rooms(1.0), explore=threshold)
+    off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"revisit": False})
+    assert on.outcome == off.outcome == "explored"
+    assert not np.array_equal(on.truths[-1], off.truths[-1])
+
+
+def test_the_command_explores_by_default_and_records_what_it_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("drawn.toml").write_text(two_rooms(0.3))
+    assert cli.main(["run", "drawn.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
+    assert "left unseen: (" in capsys.readouterr().out
+    metrics = json.loads(Path("run/metrics.json").read_text())
+    assert metrics["outcome"] == "explored in part"
+    with Path("run/places_left.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == metrics["places_left"] >= 1
+    assert rows[0]["reason"] == "unreachable"
+    again = Trace.load("run")
+    assert [place.reason for place in again.left] == [row["reason"] for row in rows]
+
+
+BAD = {
+    "a start in a wall": (["--start", "0", "0", "0"], "start: found (0, 0)"),
+    "a goal in a wall": (["--goal", "4", "0.2"], "goal: found (4, 0.2)"),
+    "a goal outside the map": (["--goal", "40", "1"], "goal: found (40, 1), outside the region"),
+    "a region that is none": (["--region", "1", "1", "0", "0"], "region"),
+    "a share that is none": (["--explore.dust", "2"], "--explore.dust: found 2"),
+    "an unknown method": (["--explore.method", "best"], "--explore.method: found 'best', allowed: frontier, random"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_one_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("drawn.toml").write_text(two_rooms(0.3))
+    options, complaint = BAD[name]
+    assert cli.main(["run", "drawn.toml", "--out", "run", *options]) == cli.BAD_INPUT
+    error = capsys.readouterr().err
+    assert complaint in error and error.count("\n") == 1
+    assert not Path("run").exists() and not Path("run.partial").exists()
+
+
+def test_a_goal_in_a_room_that_cannot_be_reached_is_an_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("drawn.toml").write_text(two_rooms(0.3))
+    assert cli.main(["run", "drawn.toml", "--out", "run", "--goal", "6", "1.5", "--max-time", "200"]) == cli.FAILED
+    assert json.loads(Path("run/metrics.json").read_text())["outcome"] == "goal unreachable"

@@ -1,0 +1,257 @@
+import itertools
+import math
+from typing import get_args
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from sixthsense.cli.exits import DONE, EXIT_CODES, INTERRUPTED
+from sixthsense.config import Config, GridConfig, RobotConfig, merge
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import rk4
+from sixthsense.core.source import Command
+from sixthsense.navigation.follow import Follower
+from sixthsense.navigation.navigate import Driver, Outcome, Passenger
+from sixthsense.navigation.planners import Plan, make_planner
+from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.planners.shortcut import path_is_free
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+
+CONFIG = Config()
+NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser)
+BOX = [[[1.0, -1.0], [3.0, -1.0]], [[3.0, -1.0], [3.0, 1.0]], [[3.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, -1.0]]]
+
+
+def driver(*goals: tuple[float, float], rounds: bool = False, config: Config = CONFIG) -> Driver:
+    return Driver(np.array(goals), rounds, make_planner("astar"), Follower(config.follow, config.robot), config)
+
+
+def empty_grid() -> Grid:
+    grid = Grid(GridConfig(), 0.2)
+    grid.add(Pose(), NOWHERE, np.zeros((0, 2, 2)))
+    return grid
+
+
+def wall_up(grid: Grid, walls: object, times: int = 3) -> None:
+    """Put walls (W, 2, 2), world frame, into the grid, often enough to outweigh the beams that went through."""
+    for _ in range(times):
+        grid.add(Pose(), NOWHERE, np.array(walls, dtype=np.float64))
+
+
+def steer(navigator: Driver, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
+    """Drive without noise, looking at the same grid again and again, until it is over."""
+    poses, period_ns = [pose], 20_000_000
+    for tick in range(round(seconds / 0.02)):
+        if tick % look_every == 0:
+            navigator.look(grid, believed(pose))
+        command = navigator.step(pose, tick * period_ns)
+        if navigator.outcome is not None:
+            break
+        pose = rk4(pose, command.speed, command.turn_rate, 0.02)
+        poses.append(pose)
+    return poses
+
+
+def believed(pose: Pose) -> Estimate:
+    """The estimate of a robot that is sure of its pose and knows no landmark."""
+    none = np.zeros(0, dtype=np.int64)
+    return Estimate(pose, np.zeros((3, 3)), none, np.zeros((0, 2)), none.astype(np.bool_))
+
+
+def xy(poses: list[Pose]) -> Array:
+    return np.array([pose.position for pose in poses])
+
+
+def test_a_passenger_steers_nothing_and_is_never_done() -> None:
+    passenger = Passenger()
+    passenger.look(empty_grid(), believed(Pose()))
+    assert passenger.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
+    assert passenger.outcome is None
+    assert passenger.plans == []
+
+
+def test_what_ends_a_task_well_exits_with_0_and_everything_else_that_a_navigator_says_does_not() -> None:
+    explored = {"explored", "explored in part"}
+    assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached", *explored}
+    done = {"goal reached", "tour ended", "log ended", *explored}
+    assert {o for o, code in EXIT_CODES.items() if code == DONE} == done
+    assert EXIT_CODES["interrupted"] == INTERRUPTED
+
+
+def test_before_the_first_map_the_robot_stands_still() -> None:
+    assert driver((1.0, 0.0)).step(Pose(), 0) == Command()
+
+
+def test_the_goal_is_reached_and_named() -> None:
+    navigator = driver((2.0, 1.0))
+    poses = steer(navigator, empty_grid(), Pose(), 30.0)
+    assert navigator.outcome == "goal reached"
+    assert math.dist(poses[-1].position, (2.0, 1.0)) <= CONFIG.follow.goal_slack_m
+    assert len(navigator.plans) == 1
+    assert navigator.step(poses[-1], 0) == Command()
+
+
+def test_goals_are_visited_in_turn() -> None:
+    goals = (1.0, 0.0), (1.0, 1.0), (0.0, 0.5)
+    navigator = driver(*goals)
+    positions = xy(steer(navigator, empty_grid(), Pose(), 60.0))
+    assert navigator.outcome == "goal reached"
+    at = 0
+    for goal in goals:
+        near = np.flatnonzero(np.linalg.norm(positions[at:] - goal, axis=1) <= CONFIG.follow.goal_slack_m + 1e-9)
+        assert len(near)
+        at += int(near[0])
+
+
+def test_rounds_begin_anew_and_never_end() -> None:
+    navigator = driver((0.5, 0.0), (0.0, 0.0), rounds=True)
+    positions = xy(steer(navigator, empty_grid(), Pose(0.2, 0.0, 0.0), 40.0))
+    assert navigator.outcome is None
+    at_first = np.linalg.norm(positions - (0.5, 0.0), axis=1) <= CONFIG.follow.goal_slack_m
+    assert np.count_nonzero(np.diff(at_first.astype(int)) == 1) >= 3
+
+
+def test_an_obstacle_across_the_path_makes_it_plan_anew_and_one_beside_it_does_not() -> None:
+    navigator, grid = driver((4.0, 0.0)), empty_grid()
+    navigator.look(grid, believed(Pose()))
+    wall_up(grid, [[[0.0, 2.0], [4.0, 2.0]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(navigator.plans) == 1
+    wall_up(grid, [[[2.0, -1.0], [2.0, 1.0]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(navigator.plans) == 2
+    assert not path_is_free(grid.free_space(), navigator.plans[0])
+    assert path_is_free(grid.free_space(), navigator.plans[1])
+
+
+def test_the_robot_drives_around_what_appears_on_its_way() -> None:
+    navigator, grid = driver((4.0, 0.0)), empty_grid()
+    steer(navigator, grid, Pose(), 1.0)
+    wall_up(grid, [[[2.0, -1.0], [2.0, 1.0]]])
+    poses = steer(navigator, grid, Pose(), 60.0)
+    assert navigator.outcome == "goal reached"
+    beside = xy(poses)
+    near_wall = np.abs(beside[:, 0] - 2.0) < 0.02
+    assert np.all(np.abs(beside[near_wall, 1]) > 1.2)  # the wall's end and the robot's radius
+
+
+def test_a_goal_that_is_walled_in_is_unreachable_after_one_look_around() -> None:
+    navigator, grid = driver((2.0, 0.0)), empty_grid()
+    wall_up(grid, BOX)
+    poses = steer(navigator, grid, Pose(), 30.0)
+    assert navigator.outcome == "goal unreachable"
+    assert navigator.plans == []
+    assert np.abs(xy(poses)).max() == 0.0
+    turned = sum(abs((a.inverse() @ b).theta) for a, b in itertools.pairwise(poses))
+    assert turned == pytest.approx(2.0 * math.pi, abs=0.05)
+
+
+def test_a_way_that_opens_during_the_look_around_is_taken() -> None:
+    navigator, grid = driver((2.0, 0.0)), empty_grid()
+    wall_up(grid, BOX)
+    steer(navigator, grid, Pose(), 3.0)
+    assert navigator.outcome is None
+    grid.clear()
+    grid.add(Pose(), NOWHERE, np.zeros((0, 2, 2)))
+    steer(navigator, grid, Pose(), 30.0)
+    assert navigator.outcome == "goal reached"
+
+
+def test_a_robot_inside_the_inflation_leaves_it_and_arrives() -> None:
+    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    wall_up(grid, [[[-1.0, 0.21], [1.0, 0.21]]])
+    assert grid.free_space().is_blocked((0.0, 0.0))
+    poses = steer(navigator, grid, Pose(), 60.0)
+    assert navigator.outcome == "goal reached"
+    assert xy(poses)[:, 1].max() <= 0.01
+
+
+def test_a_robot_that_gets_nowhere_is_stuck_after_a_minute() -> None:
+    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    navigator.look(grid, believed(Pose()))
+    outcomes = [(s, navigator.step(Pose(), s * 10**9) and navigator.outcome) for s in range(0, 80)]
+    first = next(s for s, outcome in outcomes if outcome == "stuck")
+    assert first == 61
+
+
+def test_a_slow_robot_is_given_the_time_it_needs() -> None:
+    config = Config(robot=RobotConfig(speed=0.001, turn_rate=0.02))
+    navigator, grid = driver((-0.2, 0.0), config=config), empty_grid()
+    pose = Pose()
+    navigator.look(grid, believed(pose))
+    for second in range(1000):
+        command = navigator.step(pose, second * 10**9)
+        pose = rk4(pose, command.speed, command.turn_rate, 1.0)
+        if navigator.outcome is not None:
+            break
+    assert navigator.outcome == "goal reached"
+
+
+def test_a_replan_begins_with_what_the_last_plan_found() -> None:
+    asked: list[tuple[Plan, Plan]] = []
+
+    class Compared(AStar):
+        def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+            asked.append((super().plan(space, start, goal), AStar().plan(space, start, goal)))
+            return asked[-1][0]
+
+    grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
+    navigator = Driver(np.array([[4.0, 1.0]]), False, Compared(), Follower(config.follow, config.robot), config)
+    wall_up(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
+    navigator.look(grid, believed(Pose()))
+    wall_up(grid, [[[1.0, -0.5], [1.0, 0.9]]])
+    navigator.look(grid, believed(Pose()))
+    (first, _), (again, scratch) = asked
+    assert first.found and again.found
+    assert again.cost == pytest.approx(scratch.cost, abs=1e-9)
+    assert again.expanded < scratch.expanded
+
+
+def test_a_planner_is_asked_once_a_plan_and_only_where_there_is_a_way() -> None:
+    asked: list[FreeSpace] = []
+
+    class Straight:
+        def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
+            asked.append(space)
+            if not space.line_is_free(start, goal):
+                return Plan.without_path("gave up", 1, 0.0)
+            return Plan.along(np.array([start, goal]), 1, 0.0)
+
+    grid, config = empty_grid(), CONFIG
+    navigator = Driver(np.array([[4.0, 0.0]]), False, Straight(), Follower(config.follow, config.robot), config)
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
+    wall_up(grid, [[[2.0, -0.5], [2.0, 0.5]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 2 and len(navigator.plans[1]) > 2 and navigator.plans_by_astar == 1
+    assert path_is_free(asked[1], navigator.plans[1])
+    wall_up(grid, [[[3.5, -0.5], [4.5, -0.5]], [[4.5, -0.5], [4.5, 0.5]], [[4.5, 0.5], [3.5, 0.5]]])
+    wall_up(grid, [[[3.5, 0.5], [3.5, -0.5]]])
+    navigator.look(grid, believed(Pose()))
+    assert len(asked) == 2 and len(navigator.plans) == 2
+    assert driver((3.0, 0.0)).plans_by_astar is None
+
+
+def test_a_robot_that_the_guard_has_stopped_turns_on_the_spot_until_it_has_another_plan() -> None:
+    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    navigator.look(grid, believed(Pose()))
+    assert navigator.step(Pose(), 0).speed > 0.0
+    navigator.blocked(Pose())
+    command = navigator.step(Pose(), 20_000_000)
+    assert command.speed == 0.0 and command.turn_rate != 0.0
+    wall_up(grid, [[[0.5, -0.5], [0.5, 0.5]]])
+    navigator.look(grid, believed(Pose(0.0, 0.0, 0.2)))
+    assert len(navigator.plans) == 2
+    assert path_is_free(grid.free_space(), navigator.plans[1])
+
+
+def test_plans_that_keep_less_than_the_margin_are_counted() -> None:
+    roomy, tight, grid = driver((3.0, 0.0)), driver((3.0, 0.0)), empty_grid()
+    roomy.look(grid, believed(Pose()))
+    wall_up(grid, [[[1.0, -4.0], [1.0, -0.35]], [[1.0, 0.35], [1.0, 4.0]]])
+    tight.look(grid, believed(Pose()))
+    assert (roomy.plans_below_margin, tight.plans_below_margin) == (0, 1)

@@ -1,0 +1,181 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.ndimage import label
+from test_planners import CELL, WORLDS, assert_without_path, random_free_point, space_drawn, space_of
+
+from sixthsense.config import RRTStarConfig, preset
+from sixthsense.core.geometry import Array
+from sixthsense.loop import _streams, run
+from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.planners.base import Plan
+from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _inside, reachable
+from sixthsense.slam.mapping.freespace import FreeSpace
+
+BOTH = pytest.mark.parametrize("informed", [True, False])
+
+
+def box() -> FreeSpace:
+    """A box of 2 m x 1 m in a room of 4 m x 4 m."""
+    blocked = np.zeros((40, 40), dtype=bool)
+    blocked[10:30, 15:25] = True
+    return space_of(blocked)
+
+
+def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, **config: object) -> Plan:
+    return make_planner("rrtstar", RRTStarConfig(**config), np.random.default_rng(seed)).plan(space, start, goal)
+
+
+@BOTH
+def test_around_a_box_the_path_is_nearly_as_short_as_any_can_be(informed: bool) -> None:
+    space = box()
+    start, goal = space.centre(20, 5), space.centre(20, 34)
+    # A way round the upper left and right corners of the box, which its cells' corners are.
+    left, right = (np.array(space.origin) + np.array([col, 30]) * CELL for col in (15, 25))
+    shortest = math.dist(start, left) + math.dist(left, right) + math.dist(right, goal)
+    plan = plan_of(space, start, goal, informed=informed, iterations=3000, range_m=1.0)
+    assert shortest < plan.cost < 1.03 * shortest
+    assert plan.expanded == 3000
+
+
+@BOTH
+def test_the_same_seed_gives_the_same_path_and_another_seed_another(informed: bool) -> None:
+    space = box()
+    start, goal = space.centre(20, 5), space.centre(20, 34)
+    first, other, again = (plan_of(space, start, goal, seed, informed=informed, iterations=800) for seed in (0, 1, 0))
+    assert np.array_equal(first.path_world, again.path_world) and first.cost == again.cost
+    assert not np.array_equal(first.path_world, other.path_world)
+
+
+@BOTH
+def test_a_budget_that_ends_without_a_path_is_named_as_such(informed: bool) -> None:
+    space = box()
+    plan = plan_of(space, space.centre(20, 5), space.centre(20, 34), informed=informed, iterations=2)
+    assert_without_path(plan, "gave up")
+    assert plan.expanded == 2
+
+
+@BOTH
+def test_a_straight_way_takes_no_draw(informed: bool) -> None:
+    space = box()
+    plan = plan_of(space, space.centre(2, 5), space.centre(5, 34), informed=informed, iterations=1)
+    assert plan.found and len(plan.path_world) == 2 and plan.expanded == 0
+
+
+@BOTH
+@pytest.mark.parametrize("seed", range(6))
+def test_among_blocks_there_is_a_path_where_a_star_finds_one(informed: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    space = space_of(WORLDS[1](rng))
+    start, goal = random_free_point(rng, space), random_free_point(rng, space)
+    plan = plan_of(space, start, goal, informed=informed, iterations=4000, range_m=0.5)
+    cells = make_planner("astar").plan(space, start, goal)
+    assert plan.status == cells.status
+    assert plan.cost <= 1.03 * cells.cost
+
+
+def test_informed_draws_find_shorter_paths_than_uniform_ones_on_the_same_budget() -> None:
+    space = box()
+    start, goal = space.centre(20, 5), space.centre(20, 34)
+    costs = np.array(
+        [
+            [plan_of(space, start, goal, seed, informed=informed, iterations=1500).cost for informed in (True, False)]
+            for seed in range(12)
+        ]
+    )
+    assert costs.max() < math.inf
+    assert np.median(costs[:, 0]) < np.median(costs[:, 1])
+
+
+def test_a_share_of_the_draws_is_the_goal_itself() -> None:
+    space = box()
+    start, goal = space.centre(20, 5), space.centre(20, 34)
+    # Nothing but the goal is drawn, and the box is in the way.
+    assert plan_of(space, start, goal, iterations=3000, goal_bias=1.0).status == "gave up"
+    assert plan_of(space, start, goal, iterations=3000, goal_bias=0.05).found
+
+
+def test_a_draw_extends_the_tree_by_no_more_than_the_range() -> None:
+    space = box()
+    start, goal = space.centre(20, 5), space.centre(20, 34)
+    # A tree that grows by a cell a draw has not come round the box by then.
+    assert plan_of(space, start, goal, iterations=20, range_m=CELL).status == "gave up"
+    assert any(plan_of(space, start, goal, seed, iterations=60, range_m=0.0).found for seed in range(20))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("world", WORLDS)
+def test_what_can_be_reached_is_what_is_connected(world, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocked = world(rng)
+    rooms, _ = label(~blocked)
+    row, col = rng.permutation(np.argwhere(~blocked))[0].tolist()
+    cells = reachable(blocked, row, col)
+    assert cells[0] == row * blocked.shape[1] + col
+    assert np.array_equal(np.sort(cells), np.flatnonzero(rooms == rooms[row, col]))
+
+
+def test_a_motion_is_free_when_its_line_is() -> None:
+    from ompl import base
+
+    rng = np.random.default_rng(2)
+    space = space_of(WORLDS[0](rng))
+    plane = base.RealVectorStateSpace(2)
+    information = base.SpaceInformation(plane)
+    motions = _FreeMotions(information, space)
+    a, b = plane.allocState(), plane.allocState()
+    answers = []
+    for ends in rng.uniform(-0.5, 3.0, (300, 2, 2)) + space.origin:
+        (a[0], a[1]), (b[0], b[1]) = ends.tolist()
+        answers.append(motions.checkMotion(a, b))
+        assert answers[-1] == space.line_is_free(*ends)
+    assert 10 < sum(answers) < 290
+
+
+def test_an_end_on_the_edge_of_a_blocked_cell_is_left_by_way_of_its_centre() -> None:
+    space = space_drawn("""
+        .....
+        .#...
+        .....
+        """)
+    corner = np.array(space.origin) + CELL
+    edge = corner + np.array([CELL, 0.5 * CELL])  # of the blocked cell, on its right
+    assert np.array_equal(_inside(space, edge), space.centre(1, 2))
+    far = corner + np.array([3 * CELL, 0.5 * CELL])
+    assert np.array_equal(_inside(space, far), far)
+    inner = space.centre(1, 2)
+    assert np.array_equal(_inside(space, inner), inner)
+    plan = plan_of(space, edge, space.centre(1, 0), iterations=2000, range_m=CELL)
+    assert plan.found and all(space.line_is_free(p, q) for p, q in pairwise(plan.path_world))
+    assert (plan.path_world[0] == edge).all()
+
+
+def test_a_change_of_planner_leaves_the_noise_alone() -> None:
+    scans: dict[str, list[Array]] = {}
+    for planner in ("astar", "rrtstar"):
+        seen = scans[planner] = []
+        config = preset(scene="rectangle", planner=planner, max_time=0.3, rrtstar={"iterations": 50})
+        run(config, lambda tick, _, seen=seen: seen.append(tick.scan.ranges) if tick.scan is not None else None)
+    assert np.array_equal(scans["astar"][0], scans["rrtstar"][0])
+    world, ransac = (np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2))
+    streams = _streams(7)
+    assert [rng.random() for rng in streams[:2]] == [world.random(), ransac.random()]
+
+
+def test_a_planner_draws_one_seed_from_its_stream_however_often_it_plans() -> None:
+    rng, beside = np.random.default_rng(3), np.random.default_rng(3)
+    planner = RRTStar(RRTStarConfig(iterations=100), rng)
+    beside.integers(1, 1 << 32)
+    planner.plan(box(), box().centre(20, 5), box().centre(20, 34))
+    assert rng.random() == beside.random()
+
+
+def test_a_robot_that_draws_its_plans_reaches_its_goal_and_the_same_seed_drives_the_same_way() -> None:
+    config = preset(scene="rectangle", planner="rrtstar", task="goal", max_time=60.0, rrtstar={"iterations": 500})
+    first, again = run(config), run(config)
+    assert first.outcome == again.outcome == "goal reached"
+    assert np.array_equal(first.truths, again.truths)
+    assert len(first.plans) == len(again.plans)
+    assert all(np.array_equal(a, b) for a, b in zip(first.plans, again.plans, strict=True))

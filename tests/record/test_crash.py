@@ -1,0 +1,121 @@
+import errno
+import importlib
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sixthsense import cli
+from sixthsense.config import preset
+from sixthsense.figures.plot import save_map
+from sixthsense.loop import run, warm_up
+from sixthsense.record import bag, folder
+from sixthsense.record.trace import Trace
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    warm_up()
+
+
+def complaint(args: list[str], capsys) -> str:
+    assert cli.main(args) == cli.BAD_INPUT
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
+    return err
+
+
+@pytest.fixture(scope="module")
+def kills(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(BENCHMARKS))
+        kill = importlib.import_module("kill")
+    rng = np.random.default_rng()
+    return [kill.kill_one(tmp_path_factory.mktemp("killed"), float(rng.uniform(0.0, 1.5))) for _ in range(4)]
+
+
+def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kills):
+    traces = [Trace.load(kill.partial) for kill in kills]
+    longest = max(trace.stamps_ns[-1] for trace in traces)
+    whole = run(preset(task="tour", max_time=max(1e-9 * longest, 0.1)))  # on a busy machine one tick may be all
+    for kill, trace in zip(kills, traces, strict=True):
+        count = len(trace.stamps_ns)
+        assert trace.stamps_ns[-1] + 100_000_000 > kill.flushed_ns  # the last scan before the last tick flushed
+        assert kill.lost_wall_s < 1.0
+        assert trace.outcome == "interrupted"
+        assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
+        assert np.array_equal(np.array(trace.truths), np.array(whole.truths[:count]))
+
+
+def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path, capsys):
+    partial = kills[-1].partial
+    assert cli.main(["replay", str(partial), "--out", str(tmp_path / "again")]) == cli.DONE
+    out, err = capsys.readouterr()
+    assert "ate_rmse_m" in out
+    assert "its run was stopped" in err and err.count("\n") == 1
+    save_map(Trace.load(partial), tmp_path / "map.png", "a killed run")
+    assert (tmp_path / "map.png").stat().st_size > 10_000
+
+
+def test_a_replay_never_costs_the_log_itself(kills, capsys):
+    partial = kills[0].partial
+    before = (partial / "bag" / "bag_0.mcap").read_bytes()
+    for log in (partial, partial / "bag" / "bag_0.mcap"):
+        said = complaint(["replay", str(log), "--out", str(partial.with_name("run")), "--overwrite"], capsys)
+        assert "whose .partial is the log itself, allowed: another folder" in said
+    assert (partial / "bag" / "bag_0.mcap").read_bytes() == before
+
+
+@pytest.mark.parametrize("share", np.linspace(0.0, 0.99, 12))
+def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, tmp_path, monkeypatch):
+    monkeypatch.setattr(bag, "_CHUNK_BYTES", 20_000)
+    config = preset(task="tour", scene="rectangle", max_time=4.0)
+    whole_folder = folder.RunFolder(tmp_path / "run", config)
+    with bag.BagWriter(whole_folder.partial) as writer:
+        whole = run(config, writer)
+    file = whole_folder.partial / "bag" / "bag_0.mcap"
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    (file.parent / "metadata.yaml").unlink()
+    if share == 0.0:
+        with pytest.raises(ValueError, match=r"bag_0.mcap: is no MCAP file"):
+            Trace.load(whole_folder.partial)
+        return
+    trace = Trace.load(whole_folder.partial)
+    count = len(trace.estimates)
+    assert 1 <= count <= len(whole.estimates)
+    assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
+def test_a_full_disk_ends_the_run_in_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(bag, "_FILE", "/dev/full")
+    assert "/dev/full: No space left on device" in complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, capsys, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(folder, "write_landmarks", full)
+    said = complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
+    assert "x.partial: No space left on device" in said
+    assert len(Trace.load(tmp_path / "x.partial").estimates) > 20
+
+
+def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "cannot be written" in complaint([*RUN, "--out", str(tmp_path / "file" / "x")], capsys)
+
+
+def test_a_folder_without_a_bag_is_named(tmp_path):
+    kept = folder.RunFolder(tmp_path / "run", preset())
+    with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: the folder of a run"):
+        Trace.load(kept.partial)
+    with pytest.raises(ValueError, match=r"config.toml: cannot be read"):
+        Trace.load(tmp_path)

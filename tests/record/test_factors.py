@@ -1,0 +1,87 @@
+"""The factor graph that a run leaves says what the run's smoother says; `test_interop.py` has GTSAM read the file."""
+
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from sixthsense.config import LaserConfig, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.loop import replay, run
+from sixthsense.record.factors import FactorGraph, factor_graph, write_graph
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs import open_log
+
+KEEP = {"culling": False}  # a culled landmark's sightings are in the solver's past, and not in the graph
+
+
+@pytest.fixture(scope="module", params=["isam2", "ekf"])
+def trace(request: pytest.FixtureRequest) -> Trace:
+    corners = {"features": {"landmarks": "corners"}, "association": KEEP}  # the file has no tag for walls
+    return run(preset(scene="apartment", estimator=request.param, task="tour", max_time=40.0, seed=2, **corners))
+
+
+@pytest.fixture(scope="module")
+def graph(trace: Trace) -> FactorGraph:
+    return factor_graph(trace)
+
+
+def test_every_kept_sighting_and_every_step_is_in_it(trace: Trace, graph: FactorGraph) -> None:
+    kept = set(trace.final.ids.tolist())
+    sightings = sum(i in kept for a in trace.associations for i in a.sightings)
+    assert len(graph.sightings) == sightings > 100
+    assert len(graph.motions) == len(graph.poses) - 1 == len(trace.key_stamps_ns) - 1
+
+
+def test_our_own_reader_replays_the_graph_that_a_run_has_left(graph: FactorGraph, tmp_path: Path) -> None:
+    write_graph(tmp_path, graph)
+    log = open_log(tmp_path / "graph.g2o", LaserConfig())
+    assert sum(len(tick.sightings or {}) for tick in log.ticks) == len(graph.sightings)
+    trace = replay(log, preset("victoria", estimator="isam2", start=None))
+    moved = (
+        trace.trajectory[-1] - (Pose.from_array(graph.poses[0]).inverse() @ Pose.from_array(graph.poses[-1])).array()
+    )
+    assert np.hypot(*moved[:2]) < 0.05
+
+
+def solve(graph: FactorGraph) -> np.ndarray:
+    """(K, 3) poses of the graph's optimum, from its arrays."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, pose in enumerate(graph.poses):
+        values.insert(k, gtsam.Pose2(*pose))
+    for j, point in enumerate(graph.landmarks):
+        values.insert(gtsam.symbol("l", j), point)
+    start = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+    factors.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*graph.poses[0]), start))
+    gaussian = gtsam.noiseModel.Gaussian.Covariance
+    for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
+        factors.add(gtsam.BetweenFactorPose2(k, k + 1, gtsam.Pose2(*motion), gaussian(cov)))
+    rows = zip(graph.sighting_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
+    for (k, j), (bearing, distance), cov in rows:
+        key = gtsam.symbol("l", j)
+        factors.add(gtsam.BearingRangeFactor2D(k, key, gtsam.Rot2(bearing), distance, gaussian(cov)))
+    return gtsam.utilities.extractPose2(gtsam.LevenbergMarquardtOptimizer(factors, values).optimize())
+
+
+def test_the_graphs_optimum_is_what_the_smoother_had_found(graph: FactorGraph, trace: Trace) -> None:
+    moved = solve(graph) - graph.poses
+    if trace.config.estimator == "isam2":
+        # The incremental solver leaves alone what would move by less than its threshold, 0.01.
+        assert np.abs(moved).max() < 1e-3
+    assert np.abs(moved).max() < 0.03
+
+
+def test_the_npz_holds_the_whole_graph(graph: FactorGraph, tmp_path: Path) -> None:
+    write_graph(tmp_path, graph)
+    with np.load(tmp_path / "graph.npz") as held:
+        for name in FactorGraph.__slots__:
+            assert np.array_equal(held[name], getattr(graph, name))
+
+
+def test_a_run_without_a_landmark_has_a_graph_of_odometry_alone(tmp_path: Path) -> None:
+    blind = {"points": {"corners": False, "ends": False}}
+    graph = factor_graph(run(preset(scene="rectangle", estimator="isam2", max_time=5.0, features=blind)))
+    write_graph(tmp_path, graph)
+    factors, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))
+    assert factors.size() == len(graph.motions) > 2 and len(graph.sightings) == 0

@@ -1,0 +1,231 @@
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import Config, KeyScanConfig, LaserConfig, merge, preset
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Command, Tick
+from sixthsense.loop import KeyScans, mission, run
+from sixthsense.record.trace import Trace
+from sixthsense.sources.scene import SceneError, load_scene
+from sixthsense.sources.world import World
+
+ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+ORIGIN = Pose()
+SHORT = dataclasses.replace(preset(), scene="rectangle", task="tour", max_time=10.0)
+
+
+def numbers(trace: Trace) -> list[Array]:
+    """Everything that a run believed and did."""
+    rows = [np.array(trace.truths), np.array(trace.estimates), np.array(trace.odometry), trace.trajectory]
+    assert trace.grid is not None
+    return [*rows, trace.joint_cov, trace.final.landmarks, *trace.plans, *trace.walls_found, trace.grid.hits]
+
+
+def same(a: Trace, b: Trace) -> bool:
+    pairs = itertools.zip_longest(numbers(a), numbers(b))
+    return all(x is not None and y is not None and np.array_equal(x, y) for x, y in pairs)
+
+
+def world(config: Config, seed: int = 0, start: Pose = ORIGIN) -> World:
+    return World(ROOM, start, 0.2, config, np.random.default_rng(seed))
+
+
+def ticks(source: World, commands: list[Command]) -> list[Tick]:
+    out = [source.step(command) for command in commands]
+    return [tick for tick in out if tick is not None]
+
+
+@pytest.mark.parametrize("name", ["default", "worn", "noiseless"])
+def test_one_configuration_gives_one_run_bit_for_bit(name: str) -> None:
+    config = dataclasses.replace(preset(name), scene="rectangle", task="tour", max_time=10.0)
+    assert same(run(config), run(config))
+
+
+def test_another_seed_gives_another_run() -> None:
+    assert not same(run(SHORT), run(dataclasses.replace(SHORT, seed=1)))
+
+
+@pytest.mark.parametrize("scene", ["rectangle", "block"])
+def test_without_noise_the_estimate_is_the_truth(scene: str) -> None:
+    trace = run(preset("noiseless", scene=scene, task="goal", features={"landmarks": "corners"}))
+    values = trace.metrics
+    assert values["outcome"] == "goal reached"
+    assert values["ate_rmse_m"] < 0.02
+    assert values["dead_reckoning_ate_rmse_m"] < 1e-9
+    assert values["landmark_rmse_m"] < 0.02
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_on_worn_wheels_the_estimate_beats_dead_reckoning(seed: int) -> None:
+    trace = run(dataclasses.replace(preset("worn"), scene="apartment", seed=seed, task="tour", max_time=60.0))
+    values = trace.metrics
+    assert values["collisions"] == 0
+    assert values["ate_rmse_m"] < 0.3 * values["dead_reckoning_ate_rmse_m"]
+
+
+def test_the_first_tick_delivers_the_scan_from_the_start() -> None:
+    first = world(Config()).step(Command(1.0, 1.0))
+    assert first is not None
+    assert first.scan is not None
+    assert first.truth == first.odometry == Pose()
+    assert first.stamp_ns == 0
+
+
+def test_a_collision_ends_a_world_and_the_robot_stands_where_it_touched() -> None:
+    source = world(preset("noiseless"))
+    seen = ticks(source, [Command(0.5, 0.0)] * 500)
+    assert [tick.collided for tick in seen] == [False] * (len(seen) - 1) + [True]
+    last = seen[-1].truth
+    assert last is not None
+    assert last.x == pytest.approx(1.8, abs=0.5 * 0.02)
+    assert last.x <= 1.8
+    assert source.step(Command()) is None
+
+
+def test_a_collision_ends_the_run_with_that_outcome() -> None:
+    config = merge(SHORT, {"laser": {"max_range": 0.05}, "world": {"drift_rad_per_m": 1.0}})
+    trace = run(config)
+    assert trace.outcome == "collided"
+    assert trace.metrics["collisions"] == 1
+
+
+def test_a_robot_that_grazes_no_wall_does_not_collide() -> None:
+    start = Pose(-1.5, 2.0 - 0.2 - 1e-6, 0.0)
+    seen = ticks(world(preset("noiseless"), start=start), [Command(0.5, 0.0)] * 300)
+    assert len(seen) == 300
+    assert not any(tick.collided for tick in seen)
+
+
+ELSEWHERE = [
+    {"features": {"lines": {"ransac_iterations": 3}}},
+    {"features": {"split": {"enabled": False}, "points": {"corners": False}}},
+    {"association": {"method": "report"}, "keyscans": {"distance_m": 0.0, "turn_rad": 0.0}},
+    {"assumed": {"motion": {"speed": 0.5}}, "grid": {"cell_m": 0.1}, "follow": {"shortcut": False}},
+]
+
+
+@pytest.mark.parametrize("changes", ELSEWHERE)
+def test_what_is_changed_elsewhere_leaves_the_worlds_noise_alone(changes: dict[str, object]) -> None:
+    rng = np.random.default_rng(5)
+    commands = [
+        Command(float(v), float(w)) for v, w in zip(rng.uniform(-0.3, 0.3, 100), rng.normal(0, 1, 100), strict=True)
+    ]
+    for base in (preset(), preset("worn")):
+        for one, two in zip(ticks(world(base), commands), ticks(world(merge(base, changes)), commands), strict=True):
+            assert one.truth == two.truth
+            assert one.odometry == two.odometry
+            if one.scan is not None:
+                assert two.scan is not None
+                assert np.array_equal(one.scan.ranges, two.scan.ranges)
+
+
+def test_ransacs_draws_do_not_reach_the_world() -> None:
+    # No landmark, no update: both robots believe the same and drive the same, whatever RANSAC draws.
+    points = {"corners": False, "ends": False}
+    blind = {"features": {"landmarks": "corners", "points": points}, "grid": {"walls": False}}
+    config = merge(dataclasses.replace(SHORT, max_time=5.0), blind)
+    one, two = (run(merge(config, {"features": {"lines": {"ransac_iterations": n}}})) for n in (1, 50))
+    assert np.array_equal(np.array(one.truths), np.array(two.truths))
+    assert not all(np.array_equal(a, b) for a, b in zip(one.walls_found, two.walls_found, strict=True))
+
+
+def test_commands_beyond_the_drives_limits_are_clipped() -> None:
+    config = preset("noiseless")
+    fast = ticks(world(config), [Command(0.0, 0.0), *[Command(99.0, 99.0)] * 50])
+    limit = ticks(world(config), [Command(0.0, 0.0), *[Command(config.robot.speed, config.robot.turn_rate)] * 50])
+    assert [tick.truth for tick in fast] == [tick.truth for tick in limit]
+
+
+def taken(keys: KeyScans, steps: list[Pose]) -> list[bool]:
+    """Which of the scans after each of these increments are key scans."""
+    scan = Scan.from_config(np.ones(360), LaserConfig())
+    out = []
+    for k, step in enumerate(steps):
+        keys.moved(Odometry(step, np.zeros((3, 3))))
+        out.append(keys.due(Tick(k, Pose(), scan)))
+        if out[-1]:
+            keys.take()
+    return out
+
+
+def test_at_standstill_nothing_moves_and_no_key_scan_is_taken() -> None:
+    seen = ticks(world(preset()), [Command()] * 100)
+    assert all(tick.truth == Pose() and tick.odometry == Pose() for tick in seen)
+    for config in (KeyScanConfig(), KeyScanConfig(distance_m=0.0, turn_rad=0.0)):
+        assert taken(KeyScans(config), [Pose()] * 20) == [True] + [False] * 19
+
+
+@pytest.mark.parametrize(
+    ("step", "every"), [(Pose(0.1, 0.0, 0.0), 3), (Pose(0.0, 0.0, -0.06), 3), (Pose(0.3, 0, 0), 1)]
+)
+def test_a_key_scan_comes_after_enough_motion_since_the_last(step: Pose, every: int) -> None:
+    keys = KeyScans(KeyScanConfig(distance_m=0.25, turn_rad=0.15))
+    assert np.flatnonzero(taken(keys, [Pose()] + [step] * 12)).tolist() == [0, *range(every, 13, every)]
+
+
+def test_the_motion_between_key_scans_is_handed_over_once() -> None:
+    keys, step = KeyScans(KeyScanConfig()), Odometry(Pose(0.1, 0.0, 0.1), np.eye(3))
+    for _ in range(3):
+        keys.moved(step)
+    assert keys.take().motion == Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1)
+    assert keys.take().is_standstill()
+
+
+def test_the_way_of_a_run_is_as_long_as_its_true_path() -> None:
+    trace = run(SHORT)
+    scans = np.array(trace.truths)[:, :2]
+    assert trace.path_length_m >= np.linalg.norm(np.diff(scans, axis=0), axis=1).sum() - 1e-9
+    assert trace.path_length_m <= SHORT.max_time * SHORT.robot.speed * 1.1
+
+
+def test_a_scan_between_key_scans_is_placed_by_its_last_key_scan_and_the_odometry_since() -> None:
+    trace = run(SHORT)
+    poses = trace.scan_poses()
+    assert len(poses) == len(trace.stamps_ns)
+    assert np.abs(poses[:, :2] - np.array(trace.estimates)[:, :2]).max() < 1e-9  # a filter smooths nothing
+    keys = [trace.stamps_ns.index(stamp) for stamp in trace.key_stamps_ns]
+    assert np.array_equal(poses[keys], trace.trajectory)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"goal": (50.0, 0.0)}, "^goal: found .*outside the region"),
+        ({"start": (0.0, 1.0, 0.0)}, "^start: found .* 0 m from a wall"),
+        ({"region": (1.0, 0.0, 0.0, 1.0)}, "^region: found"),
+        ({"region": (-1.0, -0.5, 0.0, 0.5)}, "^goal: found .*outside the region"),
+        ({"robot": {"radius": 3.0}}, "^start: found"),
+    ],
+)
+def test_a_mission_that_cannot_be_is_refused_by_the_fields_name(changes: dict[str, object], said: str) -> None:
+    config = merge(dataclasses.replace(preset(), scene="rectangle", task="goal"), changes)
+    with pytest.raises(SceneError, match=said):
+        mission(load_scene("rectangle"), config)
+    with pytest.raises(SceneError, match=said):
+        run(config)
+
+
+def test_a_mission_is_the_configurations_or_else_the_scenes() -> None:
+    scene = load_scene("rectangle")
+    start, goals, radius = mission(scene, preset(task="goal"))
+    assert (start, goals.tolist(), radius) == (scene.start, [list(scene.goal or ())], scene.radius)
+    config = preset(task="goal", start=(0.0, 0.0, math.pi / 2), goal=(1.0, 0.0))
+    start, goals, radius = mission(scene, merge(config, {"robot": {"radius": 0.1}}))
+    assert (start, goals.tolist(), radius) == (Pose(0.0, 0.0, math.pi / 2), [[1.0, 0.0]], 0.1)
+    _, goals, _ = mission(scene, dataclasses.replace(preset(), task="tour"))
+    assert goals.tolist() == [list(goal) for goal in scene.tour]
+    _, goals, _ = mission(scene, preset())
+    assert goals.shape == (0, 2)
+    with pytest.raises(SceneError, match=r"^goal: found .*, allowed: with task goal"):
+        mission(scene, preset(goal=(1.0, 0.0)))
+
+
+def test_scans_of_a_narrow_laser_drive_the_same_loop() -> None:
+    config = dataclasses.replace(SHORT, laser=LaserConfig(beams=180, fov=math.pi, mount=(0.05, 0.0, 0.0)))
+    assert run(config).metrics["ate_rmse_m"] < 0.1

@@ -1,0 +1,358 @@
+"""Walls as landmarks: their geometry, their sightings, and what all estimators make of them."""
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
+from sixthsense.core.geometry import Pose, rotation, wrap_angle
+from sixthsense.core.landmarks import Kind, Sighting, born, predict_walls, translated
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.motion import Odometry
+from sixthsense.loop import run
+from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.association.walls import ends, fused, joined, nearness
+from sixthsense.slam.estimators import ESTIMATORS, make_estimator
+from sixthsense.slam.estimators.wallframe import lines, measurement
+from sixthsense.slam.features import extract
+from sixthsense.sources.scene import load_scene
+
+WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
+COV = np.array([[4e-5, 1e-5], [1e-5, 1e-4]])
+STEP = Odometry(Pose(0.2, 0.0, 0.1), np.diag([2e-4, 1e-4, 1e-4]))
+CONVERGED = ISAM2Config(relinearize_threshold=1e-9, iterations=5)
+
+
+@pytest.fixture(params=ESTIMATORS)
+def name(request):
+    return request.param
+
+
+def sight(pose, ids, rng=None, walls=WALLS):
+    z, _, _ = predict_walls(pose, walls[list(ids)])
+    noise = np.zeros_like(z) if rng is None else rng.multivariate_normal(np.zeros(2), COV, len(z))
+    return {i: Sighting(Kind.WALL, z[k] + noise[k], COV, (-1.0, 1.5)) for k, i in enumerate(ids)}
+
+
+def driven(name, steps=10, transform=None, seed=0):
+    """An estimator after a short drive that saw walls, and where the robot is; the world moved by `transform`."""
+    T, start, rng = transform or Pose(), Pose(0.3, -0.2, 0.4), np.random.default_rng(seed)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(T.theta)
+    cov = np.diag([0.002, 0.003, 0.001])
+    estimator, true = make_estimator(name, T @ start, turn @ cov @ turn.T, CONVERGED), start
+    for k in range(steps):
+        estimator.predict(STEP)
+        true = true @ STEP.motion
+        estimator.update(sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng))
+    return estimator, T @ true
+
+
+def everything(estimator):
+    estimate = estimator.estimate()
+    return estimate, estimator.joint_covariance(estimate.ids.tolist())
+
+
+def differences(function, at, step=1e-6):
+    columns = []
+    for k in range(len(at)):
+        ahead, behind = at.copy(), at.copy()
+        ahead[k] += step
+        behind[k] -= step
+        columns.append((function(ahead) - function(behind)) / (2 * step))
+    return np.column_stack(columns)
+
+
+@pytest.mark.parametrize("wall", WALLS)
+def test_jacobians_of_a_walls_sighting_are_those_of_finite_differences(wall):
+    pose = Pose(1.2, -0.7, 0.9)
+    _, by_pose, by_wall = predict_walls(pose, wall[None])
+    assert np.allclose(by_pose[0], differences(lambda x: predict_walls(Pose(*x), wall[None])[0][0], pose.array()))
+    assert np.allclose(by_wall[0], differences(lambda w: predict_walls(pose, w[None])[0][0], wall))
+    z = predict_walls(pose, wall[None])[0][0]
+    mean, by_pose, by_z = born(pose, Sighting(Kind.WALL, z, COV))
+    assert np.allclose([wrap_angle(mean[0] - wall[0]), mean[1] - wall[1]], 0.0, atol=1e-12)
+    there = lambda x, z: born(Pose(*x), Sighting(Kind.WALL, z, COV))[0]  # noqa: E731
+    assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
+    assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
+    moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))
+    shift = lambda w: translated(w[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))[0][0]  # noqa: E731
+    assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
+
+
+def test_a_new_wall_appears_where_it_is_born(name):
+    estimator, _ = driven(name)
+    estimator.predict(STEP)
+    before = estimator.estimate()
+    sighting = Sighting(Kind.WALL, np.array([2.0, -3.0]), COV, (0.5, 2.0))
+    estimator.update({77: sighting})
+    after, (mean, by_pose, by_z) = estimator.estimate(), born(before.pose, sighting)
+    assert after.ids[-1] == 77 and after.walls.all() and np.allclose(after.landmarks[-1], mean, atol=1e-9)
+    joint = estimator.joint_covariance([77])
+    expected = by_pose @ before.pose_cov @ by_pose.T + by_z @ COV @ by_z.T
+    # The smoother holds the wall's frame where it is by a weak tie along the wall.
+    assert np.allclose(joint[3:, 3:], expected, rtol=1e-4, atol=1e-7)
+    assert np.allclose(joint[3:, :3], by_pose @ before.pose_cov, rtol=1e-4, atol=1e-7)
+
+
+def test_a_walls_sighting_with_zero_innovation_moves_nothing_and_makes_no_direction_worse(name):
+    estimator, _ = driven(name)
+    estimator.predict(STEP)
+    before, cov = everything(estimator)
+    z, _, _ = predict_walls(before.pose, before.landmarks[[0, 3]])
+    ids = before.ids[[0, 3]].tolist()
+    estimator.update({i: Sighting(Kind.WALL, z[k], COV, (-1.0, 1.0)) for k, i in enumerate(ids)})
+    after, cov_after = everything(estimator)
+    assert np.allclose(before.pose.array(), after.pose.array(), atol=1e-7)
+    # The smoother states a sighting where it believes the wall's frame to be, which moves a little with each solution.
+    assert np.linalg.eigvalsh(cov - cov_after).min() > (-1e-5 if name == "isam2" else -1e-8)
+
+
+@pytest.mark.parametrize("transform", [Pose(0, 0, 2.5), Pose(40.0, -30.0, 0.0), Pose(-40.0, 7.0, -1.2)])
+def test_moving_the_world_moves_walls_with_it(name, transform):
+    (plain, cov), (moved, cov_moved) = everything(driven(name)[0]), everything(driven(name, transform=transform)[0])
+    assert np.allclose((transform @ plain.pose).position, moved.pose.position, atol=1e-6)
+    turned = plain.landmarks + np.array([transform.theta, 0.0])
+    expected, jacobian = translated(turned, np.ones(len(turned), dtype=bool), transform.position)
+    assert np.allclose(wrap_angle(expected[:, 0] - moved.landmarks[:, 0]), 0.0, atol=1e-7)
+    assert np.allclose(expected[:, 1], moved.landmarks[:, 1], atol=1e-5)
+    T = np.eye(len(cov))
+    T[:2, :2] = rotation(transform.theta)
+    for k, block in enumerate(jacobian):
+        T[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = block
+    assert np.allclose(T @ cov @ T.T, cov_moved, rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("start_cov", [0.0, 1e-3])
+def test_the_smoother_is_as_sure_of_its_pose_as_the_filter(start_cov):
+    """GTSAM's residual of a wall's frame mixes along and across: what is not known along must not come in across."""
+    rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
+    filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
+    for k in range(12):
+        sightings = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
+        sigmas = []
+        for estimator in (filtered, smoothed):
+            estimator.update(sightings)
+            sigmas.append(np.sqrt(np.diag(estimator.estimate().pose_cov)))
+            estimator.predict(STEP)
+        assert np.allclose(*sigmas, rtol=0.05, atol=1e-5)
+        true = true @ Pose.from_array(STEP.motion.array() + rng.multivariate_normal(np.zeros(3), STEP.cov))
+
+
+def test_forgetting_a_wall_leaves_the_others(name):
+    estimator, _ = driven(name)
+    before = estimator.estimate()
+    estimator.forget([before.ids[1]])
+    after, joint = everything(estimator)
+    assert after.ids.tolist() == np.delete(before.ids, 1).tolist()
+    assert np.linalg.eigvalsh(joint).min() > 0.0
+    if name != "isam2":
+        assert np.allclose(after.landmarks, np.delete(before.landmarks, 1, axis=0))
+
+
+def test_all_estimators_agree_on_walls_and_points_as_the_noise_goes_to_zero(name):
+    rng, scale = np.random.default_rng(1), 1e-6
+    estimator, true = make_estimator(name, Pose(), np.zeros((3, 3)), CONVERGED), Pose()
+    points = rng.uniform(-4, 4, (4, 2))
+    for _ in range(30):
+        true = true @ Pose.from_array(STEP.motion.array() + scale * rng.standard_normal(3))
+        estimator.predict(Odometry(STEP.motion, scale**2 * np.eye(3)))
+        z = predict_walls(true, WALLS)[0] + scale * rng.standard_normal(WALLS.shape)
+        seen = {k: Sighting(Kind.WALL, row, scale**2 * np.eye(2), (-1.0, 1.0)) for k, row in enumerate(z)}
+        for k, point in enumerate(points):
+            at = true.inverse() @ point + scale * rng.standard_normal(2)
+            seen[10 + k] = Sighting(Kind.END, at, scale**2 * np.eye(2))
+        estimator.update(seen)
+    estimate = estimator.estimate()
+    assert np.allclose(estimate.pose.array(), true.array(), atol=1e-5)
+    assert np.allclose(wrap_angle(estimate.landmarks[:6, 0] - WALLS[:, 0]), 0.0, atol=1e-5)
+    assert np.allclose(estimate.landmarks[:6, 1], WALLS[:, 1], atol=1e-5)
+    assert np.allclose(estimate.landmarks[6:], points, atol=1e-5)
+
+
+def test_poses_and_walls_are_consistent_over_many_runs(name):
+    """NEES of the pose (3) and of each wall (2) within 4 sigma of their mean over 60 runs."""
+    pose, wall = [], []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        estimator, true = make_estimator(name, Pose(), np.zeros((3, 3))), Pose()
+        for _ in range(40):
+            error = rng.multivariate_normal(np.zeros(3), STEP.cov)
+            true = true @ Pose.from_array(STEP.motion.array() + error)
+            estimator.predict(STEP)
+            estimator.update(sight(true, rng.choice(6, 3, replace=False), rng))
+        estimate, joint = everything(estimator)
+        e = estimate.pose.array() - true.array()
+        e[2] = wrap_angle(e[2])
+        pose.append(e @ np.linalg.solve(joint[:3, :3], e))
+        d = estimate.landmarks - WALLS[estimate.ids]
+        d[:, 0] = wrap_angle(d[:, 0])
+        blocks = [joint[a : a + 2, a : a + 2] for a in range(3, len(joint), 2)]
+        wall.append(np.mean([r @ np.linalg.solve(block, r) for r, block in zip(d, blocks, strict=True)]))
+    assert abs(np.mean(pose) - 3.0) < 4 * math.sqrt(6 / 60)
+    assert abs(np.mean(wall) - 2.0) < 4 * math.sqrt(4 / 60)
+
+
+def room(pose, sigma, rng, beams=360):
+    walls = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
+    config = LaserConfig(beams=beams)
+    bearings = Scan.from_config(np.ones(beams), config).bearings
+    ranges = cast_rays(pose, bearings, walls, config.max_range)
+    return Scan.from_config(ranges + sigma * rng.standard_normal(beams), config)
+
+
+def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
+    rng, values = np.random.default_rng(3), []
+    config = preset(features={"landmarks": "walls"})
+    truth = np.array([[math.pi / 2, -2.0], [math.pi, -3.0], [-math.pi / 2, -2.0], [0.0, -3.0]])
+    for _ in range(60):
+        pose = Pose(*rng.uniform([-1.5, -1.0, -math.pi], [1.5, 1.0, math.pi]))
+        found = extract(room(pose, 0.01, rng), config.assumed, config.features, rng).sightings
+        assert len(found) >= 4 and all(s.is_wall and s.z[1] < 0.0 for s in found)
+        z, _, _ = predict_walls(pose, truth)
+        for s in found:
+            e = s.z - z[np.abs(wrap_angle(z[:, 0] - s.z[0])).argmin()]
+            e[0] = wrap_angle(float(e[0]))
+            values.append(e @ np.linalg.solve(s.cov, e))
+            segment = ends(pose, s)
+            assert np.abs(segment).max(axis=0)[0] < 3.1 and np.abs(segment).max(axis=0)[1] < 2.1
+    assert abs(np.mean(values) - 2.0) < 4 * math.sqrt(4 / len(values))
+
+
+def test_the_smoother_takes_a_walls_sighting_at_its_word_however_wrong_the_expectation():
+    pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
+    sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
+    place, root = measurement(pose, frame, sighting, at_birth=False)
+    assert lines(place.inverse().array()[None])[0][0] == pytest.approx(sighting.z, abs=1e-12)
+    # A robot elsewhere along the wall fits as well; one that is off it, or turned, as badly as the sighting says.
+    turn, d = 0.01, 0.02
+    for along in (0.0, 0.05):
+        off = Pose(place.x + along, place.y - d, place.theta - turn)
+        residual = root @ gtsam.Pose2.Logmap(gtsam.Pose2(*(place.inverse() @ off).array()))
+        error = np.array([turn, d])
+        assert residual @ residual == pytest.approx(error @ np.linalg.solve(COV, error), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("pose", "wall"),
+    [
+        (Pose(7.70, 5.92, -2.66), (0.0, 6.2)),
+        (Pose(11.60, 2.96, 1.01), (math.pi, -14.0)),
+        (Pose(3.57, 4.12, 1.16), (math.pi / 2, 2.4)),
+        (Pose(10.67, 5.02, 0.45), (-math.pi / 2, -6.6)),
+        (Pose(7.70, 5.93, 0.86), (0.0, 6.2)),
+    ],
+)
+def test_a_neighbour_that_shows_a_single_return_does_not_turn_a_wall(pose, wall):
+    # From these places in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
+    walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
+    exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
+    z = predict_walls(pose, np.array([wall]))[0][0]
+    for _ in range(60):
+        scan = Scan.from_config(exact + rng.normal(0.0, 0.01, len(exact)), config.laser)
+        for s in extract(scan, config.assumed, config.features, rng).sightings:
+            turn = wrap_angle(float(s.z[0] - z[0]))
+            if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
+                turns.append(turn / math.sqrt(s.cov[0, 0]))
+    assert len(turns) >= 50
+    assert abs(np.mean(turns)) < 4.0 / math.sqrt(len(turns))
+
+
+def test_a_mount_off_the_robots_centre_changes_no_wall():
+    rng = np.random.default_rng(0)
+    mount, pose = Pose(0.3, -0.1, 0.5), Pose(0.4, 0.2, 0.3)
+    config = preset(features={"landmarks": "walls"}, laser={"mount": (0.3, -0.1, 0.5)})
+    at = pose @ mount
+    scan = Scan.from_config(room(at, 0.0, rng).ranges, config.laser)
+    for s in extract(scan, config.assumed, config.features, rng).sightings:
+        alpha = wrap_angle(float(s.z[0]) + pose.theta)
+        assert min(abs(wrap_angle(alpha - k * math.pi / 2)) for k in range(-2, 3)) < 1e-3
+        assert np.abs(ends(pose, s)).max() < 3.05
+
+
+def test_extents_tell_walls_in_line_from_one_wall():
+    landmark, extent = np.array([[math.pi / 2, 2.0]]), np.array([[[0.0, 2.0], [3.0, 2.0]]])
+    near = nearness(
+        np.array([[[4.0, 2.1], [5.0, 2.1]], [[1.0, 2.0], [2.0, 2.2]]]), np.array([1.6, 1.5]), landmark, extent
+    )
+    assert np.allclose(near.gap[:, 0], [1.0, -1.0]) and np.allclose(near.offset[:, 0], [0.1, 0.1])
+    whole = joined(landmark[0], extent[0], np.array([[4.0, 2.3], [5.0, 1.9]]))
+    assert np.allclose(sorted(whole[:, 0]), [0.0, 5.0]) and np.allclose(whole[:, 1], 2.0)
+
+
+def test_two_pieces_of_a_wall_in_one_scan_are_fused_by_their_information():
+    one = Sighting(Kind.WALL, np.array([math.pi - 0.01, -2.0]), np.diag([1e-4, 1e-3]), (-1.0, 0.0))
+    two = Sighting(Kind.WALL, np.array([-math.pi + 0.01, -2.2]), np.diag([1e-4, 1e-3]), (1.0, 2.0))
+    both = fused(one, two)
+    assert abs(wrap_angle(both.z[0] - math.pi)) < 1e-12 and both.z[1] == pytest.approx(-2.1)
+    assert np.allclose(both.cov, np.diag([5e-5, 5e-4])) and both.extent == (-1.0, 2.0)
+
+
+def test_a_wall_is_found_again_and_its_other_side_is_another():
+    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+    wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
+    other = Sighting(Kind.WALL, np.array([math.pi, 1.9]), COV, (-1.0, 1.0))
+    point = Sighting(Kind.END, np.array([-2.0, 1.0]), np.eye(2) * 1e-4)
+    for expected_new in (3, 0):
+        found = associator.associate([wall, other, point], estimator)
+        assert len(found.sightings) - found.dof // 2 == expected_new and found.discarded == 0
+        estimator.update(found.sightings)
+    beside = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (3.0, 4.0))  # in line, two metres on
+    assert associator.associate([beside], estimator).dof == 0
+    longer = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (0.5, 1.4))
+    assert associator.associate([longer], estimator).dof == 2
+    assert sorted(np.round(associator.records[0].extent[:, 1], 6)) == [-1.0, 1.4]
+
+
+def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_proud():
+    for step, fused_in in ((0.0, True), (0.2, False)):
+        estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+        wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 3.0))
+        estimator.update(associator.associate([wall], estimator).sightings)
+        near = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 0.5))
+        far = Sighting(Kind.WALL, np.array([0.0, -2.0 + step]), COV, (1.0, 3.0))
+        found = associator.associate([near, far], estimator)
+        assert found.dof == 2 and len(found.sightings) == 1
+        assert np.allclose(found.sightings[0].cov, COV / 2 if fused_in else COV)
+        assert found.sightings[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
+        assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
+
+
+def test_a_wall_too_may_have_to_be_seen_more_than_once():
+    estimator = make_estimator("ekf", Pose(), np.zeros((3, 3)))
+    associator = Associator(AssociationConfig(candidate_sightings=3))
+    wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
+    beside = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (4.0, 5.0))
+    for first, accepted in ((wall, 0), (beside, 0), (wall, 0), (wall, 1)):
+        assert len(associator.associate([first], estimator).sightings) == accepted
+
+
+def test_two_walls_that_turn_out_to_be_one_are_merged():
+    config = AssociationConfig(cull_period=2, cull_below=1)
+    for offset, gone in ((0.005, [1]), (0.15, [])):
+        estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
+        # Two stretches too far apart to be called one, until a sighting of the first reaches the second.
+        first = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
+        second = Sighting(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
+        for longer in (-0.5, 0.2):
+            seen = Sighting(Kind.WALL, first.z, COV, (-2.0, longer))
+            estimator.update(associator.associate([seen, second], estimator).sightings)
+        assert estimator.estimate().walls.sum() == 2
+        merged = associator.merged(estimator)
+        estimator.forget(merged)
+        assert merged == gone and associator.walls_merged == len(gone)
+        if gone:
+            assert associator.records[0].sightings == 4
+            assert sorted(np.round(associator.records[0].extent[:, 1], 3)) == [-2.0, 2.0]
+
+
+@pytest.mark.parametrize("kinds", ["walls", "both"])
+@pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
+def test_walls_hold_the_block_where_corners_let_it_drift(kinds, estimator):
+    given = {"scene": "block", "estimator": estimator, "task": "tour", "max_time": 100.0}
+    corners = run(preset(**given, features={"landmarks": "corners"})).metrics["ate_rmse_m"]
+    trace = run(preset(**given, features={"landmarks": kinds}))
+    assert trace.outcome == "tour ended" and trace.final.walls.sum() == 8
+    assert trace.metrics["ate_rmse_m"] < min(0.01, 0.5 * corners)

@@ -1,0 +1,96 @@
+"""The polar view of a sighting: its mean has no bias, its covariance is the Jacobian's."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Pose, rotation, wrap_angle
+from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.slam.estimators import make_estimator
+
+COVS = {
+    "round": np.eye(2),
+    "across": np.diag([0.1, 1.0]),
+    "along": np.diag([1.0, 0.1]),
+    "correlated": np.array([[1.0, 0.7], [0.7, 0.8]]),
+}
+
+
+def polar(z):
+    return np.array([math.atan2(z[1], z[0]), math.hypot(*z)])
+
+
+def view(z, cov):
+    bearing, distance, _ = Sighting(Kind.CORNER, z, cov).bearing_range()
+    return np.array([bearing, distance])
+
+
+def mean_error(z, cov, errors, weights):
+    """Of the view of z + error, and of the plain change of coordinates, both by the truth: (bearing, range) each."""
+    found = [[view(z + e, cov) - polar(z), polar(z + e) - polar(z)] for e in errors]
+    found = np.array(found)
+    found[..., 0] = wrap_angle(found[..., 0])
+    return np.einsum("n,nij->ij", weights, found)
+
+
+@pytest.mark.parametrize("shape", COVS)
+@pytest.mark.parametrize("z", [np.array([2.0, 0.0]), np.array([-1.5, -1.2])])
+def test_over_many_draws_the_polar_mean_is_the_truth(shape, z):
+    """An error of a tenth of the range: the plain change of coordinates is off by many times what is left."""
+    r = math.hypot(*z)
+    along_the_beam = rotation(math.atan2(z[1], z[0]))
+    cov = along_the_beam @ COVS[shape] @ along_the_beam.T * (0.1 * r) ** 2
+    draws = np.random.default_rng(0).multivariate_normal(np.zeros(2), cov, 10_000)
+    draws = np.vstack([draws, -draws])  # in pairs, so that the first order cancels
+    freed, plain = mean_error(z, cov, draws, np.full(len(draws), 1.0 / len(draws)))
+    assert np.abs(freed / [1.0, r]).max() < 5e-4
+    assert np.abs(plain / [1.0, r]).max() > (4e-3 if shape != "along" else 4e-4)
+
+
+@pytest.mark.parametrize("shape", COVS)
+def test_what_bias_is_left_is_of_fourth_order(shape):
+    """Half the noise, a sixteenth of the bias; of the plain change of coordinates, a quarter."""
+    z = np.array([1.2, -1.6])
+    nodes, weights = np.polynomial.hermite_e.hermegauss(12)
+    grid = np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2)
+    weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    left = []
+    for sigma in (0.1, 0.05):
+        cov = COVS[shape] * sigma**2
+        freed, plain = mean_error(z, cov, grid @ np.linalg.cholesky(cov).T, weight)
+        left.append([np.linalg.norm(freed), np.linalg.norm(plain)])
+    ratio = np.divide(*left)
+    assert 14.0 < ratio[0] < 18.0 and 3.8 < ratio[1] < 4.2
+
+
+def test_the_polar_covariance_agrees_with_finite_differences():
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        z, root = rng.normal(0, 3, 2), rng.normal(0, 0.1, (2, 2))
+        cov = root @ root.T
+        columns = [(polar(z + h) - polar(z - h)) for h in 1e-6 * np.eye(2)]
+        jacobian = np.column_stack([[wrap_angle(c[0]), c[1]] for c in columns]) / 2e-6
+        found = Sighting(Kind.CORNER, z, cov).bearing_range()[2]
+        assert np.allclose(found, jacobian @ cov @ jacobian.T, rtol=1e-6, atol=1e-10)
+        assert np.array_equal(found, found.T)
+
+
+def test_turning_the_robot_turns_the_bearing_and_leaves_the_rest():
+    z, cov = np.array([2.0, 0.5]), np.array([[0.01, 0.004], [0.004, 0.02]])
+    bearing, distance, found = Sighting(Kind.END, z, cov).bearing_range()
+    for angle in np.linspace(-3.0, 3.0, 7):
+        R = rotation(angle)
+        other = Sighting(Kind.END, R @ z, R @ cov @ R.T).bearing_range()
+        assert abs(wrap_angle(other[0] - bearing - angle)) < 1e-12
+        assert other[1] == pytest.approx(distance) and np.allclose(other[2], found, atol=1e-15)
+
+
+@pytest.mark.parametrize("r", [0.0, 1e-12, 1e-3, 0.05, 0.1])
+def test_a_point_nearer_than_its_own_error_has_a_range_and_a_covariance(r: float) -> None:
+    bearing, distance, cov = Sighting(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01).bearing_range()
+    assert np.isfinite([bearing, distance]).all() and 0.0 < distance <= max(r, 0.05)
+    assert np.linalg.eigvalsh(cov).min() > 0.0 and math.sqrt(cov[0, 0]) <= math.pi + 1e-9
+    estimator = make_estimator("isam2", Pose(), np.zeros((3, 3)))
+    estimator.update({0: Sighting(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01)})
+    assert np.isfinite(estimator.joint_covariance([0])).all()

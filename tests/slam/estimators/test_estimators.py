@@ -1,0 +1,66 @@
+"""The contract of every estimator; a new back end is tested by adding its name to ESTIMATORS and FAMILIES."""
+
+import numpy as np
+import pytest
+
+from sixthsense.config.names import ESTIMATORS as NAMES
+from sixthsense.core.geometry import Pose
+from sixthsense.slam.estimators import ESTIMATORS, make_estimator
+from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.testing import check_estimator, contract, edges
+from sixthsense.testing.estimation import START_COV, everything, fed, make, noisy, sight, step
+
+LAWS = [*contract.LAWS, *edges.LAWS]
+
+
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_every_estimator_keeps_the_law(name, law):
+    law.check(name)
+
+
+def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
+    """The gap to the smoother goes with the square of the noise, for what differs is of second order."""
+    gaps = []
+    for sigma in (1e-2, 1e-3):
+        answers = []
+        for name in ESTIMATORS:
+            rng, true, log = np.random.default_rng(1), Pose(), []
+            for _ in range(30):
+                odometry = step(sigma=sigma)
+                true = true @ noisy(odometry, rng)
+                log.append((odometry, sight(true, range(5), rng, sigma)))
+            estimate, joint = everything(fed(make(name, Pose(), np.zeros((3, 3))), log))
+            answers.append((np.append(estimate.pose.array(), estimate.landmarks), joint / sigma**2))
+        mean, cov = answers[-1]
+        gaps.append([[np.abs(m - mean).max() / sigma, np.abs(c - cov).max() / np.abs(cov).max()] for m, c in answers])
+    rough, fine = np.array(gaps)
+    assert (fine < 2e-3).all() and (fine[:-1] < 0.3 * rough[:-1]).all()
+
+
+def test_an_unknown_estimator_lists_the_known_ones():
+    with pytest.raises(ValueError, match="allowed: ekf"):
+        make_estimator("ukf", Pose(), START_COV)
+
+
+class Overconfident(EKF):
+    """Believes each sighting to be better than it says."""
+
+    def update(self, sightings):
+        super().update(sightings)
+        self._cov *= 0.9
+
+
+def test_an_estimator_of_ones_own_is_checked_law_by_law():
+    verdicts = check_estimator(EKF, "a-copy")
+    assert verdicts.kept and len(verdicts) == len(LAWS) and "a-copy" in NAMES
+    assert repr(verdicts) == f"keeps all {len(LAWS)} laws"
+
+
+def test_a_law_that_is_broken_is_named_with_what_was_found():
+    verdicts = check_estimator(Overconfident)
+    assert not verdicts.kept
+    assert verdicts["an_empty_update_leaves_the_covariance_alone"] != ""
+    assert verdicts["zero_motion_at_zero_noise_changes_nothing"] == ""
+    assert "an empty update leaves the covariance alone" in repr(verdicts)
+    assert "<td>an empty update leaves the covariance alone</td>" in verdicts._repr_html_()

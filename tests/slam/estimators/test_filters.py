@@ -1,0 +1,255 @@
+"""Each filter against a plain one: full matrices, textbook coordinates, written without regard to speed."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, expm
+
+from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.landmarks import born_point, predict_points
+from sixthsense.core.motion import compose_jacobians
+from sixthsense.testing.estimation import START, START_COV, driven, everything, fed, make, random_log, sight, step
+
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+SEEDS = range(5)
+DENSE = np.random.default_rng(3).uniform(-5, 5, (30, 2))
+
+
+def joseph(P, H, R):
+    """Gain and covariance after an update (report eq. 10)."""
+    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    A = np.eye(len(P)) - K @ H
+    return K, A @ P @ A.T + K @ R @ K.T
+
+
+def standard(log):
+    """EKF-SLAM, Jacobians at the newest estimate: state, covariance and ids."""
+    x, P, ids = START.array(), START_COV.copy(), []
+    for odometry, sightings in log:
+        phi, g = compose_jacobians(x[2], odometry.motion)
+        F = np.eye(len(x))
+        F[:3, :3] = phi
+        P = F @ P @ F.T
+        P[:3, :3] += g @ odometry.cov @ g.T
+        x[:3] = (Pose.from_array(x[:3]) @ odometry.motion).array()
+        known = [i for i in sightings if i in ids]
+        if known:
+            H, z = [], []
+            for i in known:
+                at = 3 + 2 * ids.index(i)
+                predicted, by_pose, by_landmark = predict_points(Pose.from_array(x[:3]), x[None, at : at + 2])
+                row = np.zeros((2, len(x)))
+                row[:, :3], row[:, at : at + 2] = by_pose[0], by_landmark
+                H.append(row)
+                z.append(sightings[i].z - predicted[0])
+            K, P = joseph(P, np.vstack(H), block_diag(*(sightings[i].cov for i in known)))
+            x = x + K @ np.concatenate(z)
+        for i in [i for i in sightings if i not in ids]:
+            mean, by_pose, by_z = born_point(Pose.from_array(x[:3]), sightings[i].z)
+            G = np.hstack([by_pose, np.zeros((2, len(x) - 3))])
+            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + by_z @ sightings[i].cov @ by_z.T]])
+            x = np.concatenate([x, mean])
+            ids.append(i)
+    return x, P, ids
+
+
+def null_direction(point, anchors):
+    """How the state moves, per radian, as the world turns about its origin."""
+    return np.concatenate([J @ point, [1.0], *(J @ anchor for anchor in anchors)])
+
+
+def anchored(log, constrained):
+    """EKF-SLAM with first-estimates Jacobians, or observability-constrained ones: state, covariance and ids.
+
+    `F` and `H` are taken at `point`, the robot's, and `anchors`, the landmarks': in the first-estimates filter what
+    was first believed of each, in the other what is nearest to the newest estimates.
+    """
+    x, P, ids = START.array(), START_COV.copy(), []
+    point, anchors, pull = START.position, [], np.zeros(2)
+    for odometry, sightings in log:
+        before = null_direction(point, anchors)
+        after = (Pose.from_array(x[:3]) @ odometry.motion).array()
+        target = point + (after[:2] - x[:2]) + pull if constrained else after[:2]
+        F = np.eye(len(x))
+        F[:2, 2] = J @ (target - point)
+        G = np.zeros((len(x), 3))
+        G[:3] = block_diag(rotation(x[2]), 1.0)
+        P = F @ P @ F.T + G @ odometry.cov @ G.T
+        x[:3], point, pull = after, target, np.zeros(2)
+        assert np.allclose(F @ before, null_direction(point, anchors))
+        known = [i for i in sightings if i in ids]
+        if known:
+            H, z = [], []
+            R = rotation(x[2])
+            for i in known:
+                k = ids.index(i)
+                row = np.zeros((2, len(x)))
+                row[:, :2], row[:, 2], row[:, 3 + 2 * k : 5 + 2 * k] = -R.T, -R.T @ J @ (anchors[k] - point), R.T
+                H.append(row)
+                z.append(sightings[i].z - R.T @ (x[3 + 2 * k : 5 + 2 * k] - x[:2]))
+            H = np.vstack(H)
+            assert np.allclose(H @ null_direction(point, anchors), 0.0, atol=1e-12)
+            K, P = joseph(P, H, block_diag(*(sightings[i].cov for i in known)))
+            x = x + K @ np.concatenate(z)
+            if constrained:  # min |pull|^2 + sum |lever - pull - newest lever|^2
+                slots = [ids.index(i) for i in known]
+                gaps = [anchors[k] - point - (x[3 + 2 * k : 5 + 2 * k] - x[:2]) for k in slots]
+                rows = np.vstack([np.eye(2)] * (1 + len(known)))
+                pull = np.linalg.lstsq(rows, np.concatenate([np.zeros(2), *gaps]))[0]
+        for i in [i for i in sightings if i not in ids]:
+            offset = rotation(x[2]) @ sightings[i].z
+            G = np.hstack([np.eye(2), (J @ offset)[:, None], np.zeros((2, len(x) - 3))])
+            noise = rotation(x[2]) @ sightings[i].cov @ rotation(x[2]).T
+            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + noise]])
+            x = np.concatenate([x, x[:2] + offset])
+            anchors.append(point + offset)
+            ids.append(i)
+    # What is handed out is about the estimates: the filter's own covariance is about the points.
+    T = to_world(np.vstack([x[:2], x[3:].reshape(-1, 2)])) @ np.linalg.inv(to_world(np.vstack([point, *anchors])))
+    return x, T @ P @ T.T, ids
+
+
+def exponential(xi):
+    """exp of xi = (x, y, theta, x_1, y_1, ...) as a matrix of SE_{1+n}(2), [[R, p, l_1, ...], [0, I]]."""
+    columns = np.vstack([xi[:2], xi[3:].reshape(-1, 2)]).T  # (2, 1 + n)
+    generator = np.zeros((2 + columns.shape[1],) * 2)
+    generator[:2, :2], generator[:2, 2:] = xi[2] * J, columns
+    return expm(generator)
+
+
+def to_world(positions):
+    """A, (3 + 2n, 3 + 2n): the error in world coordinates is A xi; `positions` (1 + n, 2) of robot and landmarks."""
+    A = np.eye(1 + 2 * len(positions))
+    A[[i for i in range(len(A)) if i != 2], 2] = (positions @ J.T).ravel()
+    return A
+
+
+def group(theta, positions):
+    X = np.eye(2 + len(positions))
+    X[:2, :2], X[:2, 2:] = rotation(theta), positions.T
+    return X
+
+
+def right_invariant(log):
+    """EKF-SLAM whose state is a matrix and whose error is xi, X = exp(xi) X_hat: theta, positions, covariance in xi."""
+    theta, positions, ids = START.theta, START.position[None], []
+    A = to_world(positions)
+    P = np.linalg.inv(A) @ START_COV @ np.linalg.inv(A).T
+    for odometry, sightings in log:
+        before, motion = theta, odometry.motion
+        positions[0] += rotation(theta) @ motion.position
+        theta += motion.theta
+        noise = np.zeros((len(P), 3))  # in the world frame, at the pose after
+        noise[:3] = block_diag(rotation(before), 1.0)
+        G = np.linalg.inv(to_world(positions)) @ noise  # the adjoint's columns; the error itself stays, F = I
+        P = P + G @ odometry.cov @ G.T
+        R = rotation(theta)
+        known = [i for i in sightings if i in ids]
+        if known:
+            H = np.zeros((2 * len(known), len(P)))  # of R z - (l - p): the same at every estimate
+            for k, i in enumerate(known):
+                at = 3 + 2 * ids.index(i)
+                H[2 * k : 2 * k + 2, :2], H[2 * k : 2 * k + 2, at : at + 2] = -np.eye(2), np.eye(2)
+            z = [R @ sightings[i].z - (positions[1 + ids.index(i)] - positions[0]) for i in known]
+            K, P = joseph(P, H, block_diag(*(R @ sightings[i].cov @ R.T for i in known)))
+            X = exponential(K @ np.concatenate(z)) @ group(theta, positions)
+            theta, positions = np.arctan2(X[1, 0], X[0, 0]), X[:2, 2:].T.copy()
+        for i in [i for i in sightings if i not in ids]:
+            R = rotation(theta)
+            G = np.hstack([np.eye(2), np.zeros((2, len(P) - 2))])
+            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + R @ sightings[i].cov @ R.T]])
+            positions = np.vstack([positions, positions[0] + R @ sightings[i].z])
+            ids.append(i)
+    A = to_world(positions)
+    return np.concatenate([positions[0], [theta], positions[1:].ravel()]), A @ P @ A.T, ids
+
+
+REFERENCES = {
+    "ekf": standard,
+    "ekf-fej": lambda log: anchored(log, constrained=False),
+    "ekf-oc": lambda log: anchored(log, constrained=True),
+    "ekf-invariant": right_invariant,
+}
+
+
+@pytest.mark.parametrize("name", REFERENCES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_filter_agrees_with_a_textbook_one(name, seed):
+    log = random_log(seed, DENSE)
+    x, P, ids = REFERENCES[name](log)
+    estimate, joint = everything(fed(make(name), log))
+    assert estimate.ids.tolist() == ids
+    assert np.allclose(estimate.pose.position, x[:2], atol=1e-9)
+    assert np.allclose(estimate.pose.theta, Pose(theta=x[2]).theta, atol=1e-9)
+    assert np.allclose(estimate.landmarks.ravel(), x[3:], atol=1e-9)
+    assert np.allclose(joint, P, atol=1e-9)
+
+
+def test_the_variants_are_variants():
+    """The drive on which the filters are compared tells them apart."""
+    log = random_log(0, DENSE)
+    poses = np.array([fed(make(name), log).estimate().pose.array() for name in REFERENCES])
+    assert min(np.abs(a - b).max() for k, a in enumerate(poses) for b in poses[:k]) > 1e-5
+
+
+@pytest.mark.parametrize("name", ["ekf-fej", "ekf-oc", "ekf-invariant"])
+def test_forgetting_keeps_what_is_linearised_of_the_others(name):
+    """After others were forgotten, the filter goes on as one that never knew them, if those brought no evidence."""
+    log = random_log(1, DENSE, steps=20)
+    one, two = fed(make(name), log), fed(make(name), log)
+    ids = two.estimate().ids.tolist()
+    two.forget(ids[::2])
+    rng = np.random.default_rng(4)
+    for _ in range(10):
+        sightings = sight(one.estimate().pose, rng.choice(ids[1::2], 3, replace=False), rng, points=DENSE)
+        for estimator in (one, two):
+            estimator.predict(step())
+            estimator.update(sightings)
+    assert np.allclose(one.estimate().pose.array(), two.estimate().pose.array(), atol=1e-12)
+    assert np.allclose(one.joint_covariance(ids[1::2]), two.joint_covariance(ids[1::2]), atol=1e-12)
+
+
+def test_the_invariant_correction_moves_along_the_group_and_leans_the_covariance_with_it():
+    """A(x) = d exp(xi) x / d xi by differences: x+ = exp(A^-1 shift) x and Sigma+ = T Sigma T^T, T = A(x+) A(x)^-1."""
+    standard_filter, invariant = make("ekf"), make("ekf-invariant")
+    for estimator in (standard_filter, invariant):
+        estimator.update(sight(START, range(6), np.random.default_rng(5), points=DENSE))
+        estimator.predict(step(sigma=0.3))
+    # Up to their first correction the two are one; the standard one then tells shift and covariance.
+    x = state(invariant)
+    assert np.allclose(x, state(standard_filter), atol=1e-12)
+    for estimator in (standard_filter, invariant):
+        estimator.update(sight(START @ Pose(0.4, -0.3, 0.3), range(6), np.random.default_rng(6), points=DENSE))
+    shift, cov = state(standard_filter) - x, everything(standard_filter)[1]
+    expected = moved(np.linalg.solve(derivative(x), shift), x)
+    assert np.allclose(state(invariant), expected, atol=1e-8)
+    T = derivative(expected) @ np.linalg.inv(derivative(x))
+    leaned = everything(invariant)[1]
+    assert np.allclose(leaned, T @ cov @ T.T, atol=1e-8)
+    # And neither is what the standard filter does.
+    assert np.abs(expected - x - shift).max() > 1e-3 and np.abs(leaned - cov).max() > 1e-3 * np.abs(cov).max()
+
+
+def state(estimator):
+    estimate = estimator.estimate()
+    return np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()])
+
+
+def moved(xi, x):
+    """exp(xi) x of a state x (3 + 2n,)."""
+    X = exponential(xi) @ group(x[2], np.vstack([x[:2], x[3:].reshape(-1, 2)]))
+    return np.concatenate([X[:2, 2], [x[2] + xi[2]], X[:2, 3:].T.ravel()])
+
+
+def derivative(x):
+    return np.column_stack([(moved(h, x) - moved(-h, x)) / 2e-6 for h in 1e-6 * np.eye(len(x))])
+
+
+@pytest.mark.parametrize("name", ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"])
+def test_forgetting_cuts_rows_and_columns_out_and_changes_no_bit_of_the_rest(name):
+    estimator = driven(name)
+    before, cov = everything(estimator)
+    estimator.forget(before.ids[[1, 3]].tolist())
+    after, cov_after = everything(estimator)
+    index = [0, 1, 2, 3, 4, 7, 8, 11, 12]
+    assert np.array_equal(cov_after, cov[np.ix_(index, index)])
+    assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks[[0, 2, 4]])

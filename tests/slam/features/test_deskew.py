@@ -1,0 +1,239 @@
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sixthsense.config import AssumedConfig, Config, ConfigError, LaserConfig, merge, preset
+from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_distance
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times
+from sixthsense.core.motion import STANDSTILL, Odometry, odometry
+from sixthsense.core.source import Command
+from sixthsense.evaluation.metrics import nees_world
+from sixthsense.loop import replay, run
+from sixthsense.record.bag import BagWriter
+from sixthsense.record.folder import RunFolder
+from sixthsense.record.trace import Trace
+from sixthsense.slam.features import extract
+from sixthsense.slam.features.deskew import Deskewer
+from sixthsense.sources.logs.rosbag import read_bag
+from sixthsense.sources.logs.runfolder import read_run
+from sixthsense.sources.world import World
+
+ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+SWEPT = preset("noiseless", laser={"sweep_s": 0.1, "mount": (0.1, -0.05, 0.3)})
+ASSUMED = AssumedConfig()
+
+
+def last_scan(config: Config, speed: float, turn_rate: float) -> tuple[Scan, Scan, Pose]:
+    """The last scan of a second of driving, as taken and de-skewed, and the robot's true pose at its end."""
+    world, deskew, before = World(ROOM, Pose(-0.5, 0.3, 0.4), 0.2, config, np.random.default_rng(0)), Deskewer(), None
+    for _ in range(51):
+        tick = world.step(Command(speed, turn_rate))
+        assert tick is not None and tick.truth is not None
+        deskew.moved(tick.stamp_ns, STANDSTILL if before is None else odometry(before, tick.odometry, ASSUMED))
+        before = tick.odometry
+    assert tick.scan is not None and tick.truth is not None
+    return tick.scan, deskew(tick.scan), tick.truth
+
+
+def off_walls(scan: Scan, truth: Pose) -> Array:
+    points = truth @ scan.points_robot[np.isfinite(scan.ranges)]
+    return np.array([point_segment_distance(point, ROOM).min() for point in points])
+
+
+@pytest.mark.parametrize(("speed", "turn_rate"), [(0.5, 0.0), (0.0, 1.0), (0.0, -1.0), (0.5, 1.0), (-0.3, -0.7)])
+def test_a_scan_that_took_time_lies_on_the_walls_after_de_skewing_and_not_before(
+    speed: float, turn_rate: float
+) -> None:
+    raw, moved, truth = last_scan(SWEPT, speed, turn_rate)
+    assert off_walls(raw, truth).max() > 0.02
+    assert off_walls(moved, truth).max() < 1e-4
+    assert np.float32(moved.time_increment) == 0.0
+
+
+def test_at_standstill_a_sweep_is_an_instant() -> None:
+    raw, moved, _ = last_scan(SWEPT, 0.0, 0.0)
+    instant, _, _ = last_scan(merge(SWEPT, {"laser": {"sweep_s": 0.0}}), 0.0, 0.0)
+    assert np.array_equal(raw.ranges, instant.ranges)
+    assert np.allclose(moved.ranges, instant.ranges, atol=1e-6)
+    assert np.allclose(moved.bearings, instant.bearings, atol=1e-9)
+    assert moved.closed and instant.closed
+
+
+def test_a_scan_of_an_instant_and_one_with_de_skewing_off_are_returned_as_they_are() -> None:
+    scan = Scan.from_config(np.ones(360), LaserConfig())
+    swept = Scan.from_config(np.ones(360), LaserConfig(sweep_s=0.1))
+    deskew, off = Deskewer(), Deskewer(enabled=False)
+    for each in (deskew, off):
+        each.moved(0, STANDSTILL)
+        each.moved(100_000_000, Odometry(Pose(0.1, 0.0, 0.1), np.zeros((3, 3))))
+    assert deskew(scan) is scan and off(swept) is swept
+    assert deskew(swept) is not swept
+
+
+def test_a_turning_robot_takes_no_part_of_the_circle_twice_and_knows_of_a_gap() -> None:
+    for turn_rate, closed in ((1.0, True), (-1.0, False)):
+        raw, moved, _ = last_scan(SWEPT, 0.0, turn_rate)
+        assert moved.closed == closed
+        span = moved.bearings[-1] - moved.bearings[0]
+        spacing = float(raw.angle_increment)
+        assert span + 0.49 * spacing < 2.0 * math.pi
+        if closed:
+            assert len(moved.ranges) < len(raw.ranges)
+            assert 2.0 * math.pi - span < 2.0 * spacing
+
+
+@pytest.mark.parametrize(("turn", "closed"), [(-0.1, True), (0.1, False)])
+def test_a_sweep_that_runs_clockwise_is_the_mirror_image_of_one_that_does_not(turn: float, closed: bool) -> None:
+    config = LaserConfig(beams=360, sweep_s=0.1)
+    times = sweep_times(360, np.float32(-0.1 / 360))
+    assert times[0] == 0.0 and times[-1] == pytest.approx(-0.1 * 359 / 360)
+    end = Pose(0.3, 0.2, 0.5)
+    motion = Pose(0.05, 0.0, turn)
+    stamps, poses = np.array([-0.1, 0.0]), np.array([(end @ motion.inverse()).array(), end.array()])
+    ranges = cast_sweep(interpolated(stamps, poses, times), beam_bearings(config), ROOM, 10.0)
+    scan = dataclasses.replace(Scan.from_config(ranges, config), time_increment=np.float32(-0.1 / 360))
+    deskew = Deskewer()
+    deskew.moved(0, STANDSTILL)
+    deskew.moved(100_000_000, Odometry(motion, np.zeros((3, 3))))
+    moved = deskew(scan)
+    assert off_walls(scan, end).max() > 0.05
+    assert off_walls(moved, end).max() < 2e-3  # one tick of 0.1 s: its arc is a chord
+    assert moved.closed == closed == (len(moved.ranges) < 360)
+
+
+def test_a_sweep_from_one_place_is_cast_as_an_instant() -> None:
+    pose, bearings = Pose(0.4, -0.3, 1.0), beam_bearings(LaserConfig())
+    swept = cast_sweep(np.tile(pose.array(), (360, 1)), bearings, ROOM, 3.0)
+    assert np.array_equal(swept, cast_rays(pose, bearings, ROOM, 3.0))
+
+
+def test_poses_are_interpolated_the_short_way_round_and_held_beyond_the_ends() -> None:
+    poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
+    found = interpolated(np.array([0.0, 2.0]), poses, np.array([-1.0, 0.0, 1.0, 2.0, 9.0]))
+    assert np.allclose(found[[0, 1]], poses[0]) and np.allclose(found[[3, 4], :2], poses[1, :2])
+    assert found[2, :2] == pytest.approx([0.5, 1.0])
+    assert abs(found[2, 2]) == pytest.approx(math.pi, abs=1e-9)
+    assert np.array_equal(interpolated(np.array([0.0]), poses[:1], np.array([-1.0, 1.0])), poses[[0, 0]])
+
+
+@pytest.mark.parametrize("landmarks", ["corners", "both"])
+def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instant(landmarks: str) -> None:
+    config = merge(SWEPT, {"features": {"landmarks": landmarks}})
+    for speed, turn_rate in ((0.5, 0.0), (0.2, 0.8), (0.2, -0.8)):
+        _, moved, truth = last_scan(config, speed, turn_rate)
+        mount = Pose(*config.laser.mount)
+        ranges = cast_rays(truth @ mount, beam_bearings(config.laser), ROOM, config.laser.max_range)
+        instant = Scan.from_config(ranges, dataclasses.replace(config.laser, sweep_s=0.0))
+        one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).sightings for s in (moved, instant))
+        for sighting in one:
+            assert any(
+                s.kind == sighting.kind and np.hypot(*((sighting.z - s.z + math.pi) % (2 * math.pi) - math.pi)) < 0.02
+                for s in two
+            )
+        assert len(one) >= len(two) - 2
+
+
+def test_the_time_that_a_scan_took_makes_its_sightings_less_sure_the_earlier_the_less() -> None:
+    config = merge(SWEPT, {"features": {"landmarks": "corners"}})
+    _, moved, _ = last_scan(config, 0.5, 0.5)
+    assert moved.sweep is not None
+    sure = dataclasses.replace(moved, sweep=dataclasses.replace(moved.sweep, cov=np.zeros((3, 3))))
+    one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).sightings for s in (moved, sure))
+    extra = {float(np.arctan2(a.z[1], a.z[0])): float(np.trace(a.cov - b.cov)) for a, b in zip(one, two, strict=True)}
+    assert len(extra) == 4 and all(value > 0.0 for value in extra.values())
+
+
+def test_the_noise_of_a_sweep_is_that_of_the_odometry_within_it() -> None:
+    """De-skewed by noisy odometry a far point errs by as much as the sweep's covariance says, by its lag."""
+    rng, errors, covs = np.random.default_rng(3), [], []
+    step, cov = Pose(0.01, 0.0, 0.02), np.diag([1e-4, 1e-4, 2e-3]) ** 2
+    config = LaserConfig(beams=360, sweep_s=0.1)
+    for _ in range(300):
+        deskew, true = Deskewer(), Pose()
+        deskew.moved(0, STANDSTILL)
+        for k in range(5):
+            noise = Pose(*(np.sqrt(np.diag(cov)) * rng.standard_normal(3)))
+            true = true @ step
+            deskew.moved((k + 1) * 20_000_000, Odometry(step @ noise, cov))
+        ranges = np.full(360, np.inf)
+        ranges[10] = 4.0
+        moved = deskew(Scan.from_config(ranges, config))
+        point = moved.points_robot[np.isfinite(moved.ranges)][0]
+        assert moved.sweep is not None
+        lag = moved.sweep.lags[np.isfinite(moved.ranges)][0]
+        by_motion = np.array([[1.0, 0.0, -point[1]], [0.0, 1.0, point[0]]])
+        errors.append(point)
+        covs.append(by_motion @ (lag * moved.sweep.cov) @ by_motion.T)
+    spread, said = np.cov(np.array(errors).T), np.mean(covs, axis=0)
+    across = np.array([-np.mean(errors, axis=0)[1], np.mean(errors, axis=0)[0]])
+    across /= np.linalg.norm(across)
+    assert across @ spread @ across == pytest.approx(across @ said @ across, rel=0.3)
+
+
+def folder_of(config: Config, path: Path) -> tuple[Trace, Path]:
+    folder = RunFolder(path, config)
+    with BagWriter(folder.partial) as bag:
+        trace = run(config, bag)
+    folder.write(trace)
+    folder.finish()
+    return trace, folder.out
+
+
+def test_a_recorded_sweep_replays_exactly_and_others_read_when_it_began(tmp_path: Path) -> None:
+    config = preset(
+        scene="rectangle", task="tour", max_time=6.0, laser={"sweep_s": 0.08}, features={"landmarks": "both"}
+    )
+    trace, out = folder_of(config, tmp_path / "run")
+    log = read_run(out, config.laser)
+    assert all(scan.time_increment == np.float32(0.08 / 360) for scan in log.scans)
+    again = replay(log, config)
+    assert np.abs(np.array(again.estimates) - np.array(trace.estimates)).max() < 1e-9
+    foreign = read_bag(out / "bag", config.laser)
+    scans = [tick for tick in foreign.ticks if tick.scan is not None]
+    began = round(1e9 * 0.08 * 359 / 360)
+    assert scans[5].log_stamp_s == pytest.approx(1e-9 * (trace.stamps_ns[5] - began), abs=1e-8)
+    assert scans[5].stamp_ns == pytest.approx(trace.stamps_ns[5], abs=1)
+    assert scans[5].scan is not None and scans[5].scan.time_increment == np.float32(0.08 / 360)
+
+
+def test_with_a_sweep_the_estimate_is_honest_and_without_de_skewing_it_is_not() -> None:
+    figures = {}
+    for on in (True, False):
+        changes = {"laser": {"sweep_s": 0.1}, "features": {"landmarks": "both", "deskew": on}}
+        nees = []
+        for seed in range(3):
+            config = preset(
+                scene="rectangle", task="tour", max_time=20.0, seed=seed, estimator="ekf-invariant", **changes
+            )
+            trace = run(config)
+            estimates = trace.key_estimates[5:]
+            error = np.array([e.pose.array() for e in estimates]) - np.array(trace.key_truths)[5:]
+            nees.append(nees_world(error, np.array([e.pose_cov for e in estimates])).mean())
+        figures[on] = float(np.mean(nees))
+    assert figures[True] < 5.0 < 20.0 < figures[False]
+
+
+@pytest.mark.parametrize(
+    ("table", "line"),
+    [
+        (
+            {"laser": {"sweep_s": 0.11}},
+            r"laser\.sweep_s: found 0\.11, allowed: at most 0\.1, the time between two scans",
+        ),
+        ({"laser": {"sweep_s": -0.1}}, r"laser\.sweep_s: found -0\.1, allowed: 0 to 1"),
+        ({"safety": {"probability": 0.0}}, r"safety\.probability: found 0\.0, allowed: 0\.5 to 0\.999999"),
+        ({"safety": {"probability": 1.0}}, r"safety\.probability: found 1\.0, allowed: 0\.5 to 0\.999999"),
+        ({"robot": {"deceleration": -1.0}}, r"robot\.deceleration: found -1\.0, allowed: above 0"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(table: dict[str, object], line: str) -> None:
+    with pytest.raises(ConfigError, match=f"^{line}$"):
+        merge(Config(), table)
+
+
+def test_a_sweep_as_long_as_the_time_between_two_scans_is_allowed() -> None:
+    for ticks in range(1, 20):
+        assert merge(Config(), {"laser": {"period_ticks": ticks, "sweep_s": ticks * 0.02}})

@@ -1,0 +1,361 @@
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import LaserNoise, PartitionConfig, merge, preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, predict_walls
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.slam.features import extract
+from sixthsense.slam.features.landmarks import intersect, loose_end
+from sixthsense.slam.features.lines import fit_line, fit_lines, parallel_line, ransac
+from sixthsense.slam.features.partition import partition
+from sixthsense.slam.features.split import split
+
+
+def corners():
+    """The default with the report's landmarks."""
+    return preset(features={"landmarks": "corners"})
+
+
+def box(x0, y0, x1, y1):
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
+
+
+# A room with a doorway between two stub walls, and a cupboard.
+WALLS = np.array([*box(0, 0, 6, 4), [(3, 0), (3, 1.5)], [(3, 2.5), (3, 4)], *box(4.5, 2.5, 5, 3)], dtype=float)
+LANDMARKS = np.unique(np.concatenate([WALLS.reshape(-1, 2)]), axis=0)
+
+
+def scan_from(pose, config, rng=None, sigma=0.01, walls=WALLS):
+    ranges = cast_rays(pose @ Pose(*config.laser.mount), beam_bearings(config.laser), walls, config.laser.max_range)
+    return Scan.from_config(ranges if rng is None else ranges + rng.normal(0, sigma, len(ranges)), config.laser)
+
+
+def free_poses(rng, count):
+    while count:
+        pose = Pose(rng.uniform(0.3, 5.7), rng.uniform(0.3, 3.7), rng.uniform(-math.pi, math.pi))
+        in_cupboard = 4.2 < pose.x < 5.3 and 2.2 < pose.y < 3.3
+        if not in_cupboard and abs(pose.x - 3) > 0.2:
+            count -= 1
+            yield pose
+
+
+def test_a_jump_of_the_range_parts_the_scan_and_a_missing_return_belongs_to_none():
+    ranges = np.array([1.0, 1.1, 3.0, 3.1, np.inf, 3.2, 3.3])
+    fixed = PartitionConfig(method="fixed", epsilon_m=1.0)
+    offset, pieces, cyclic = partition(ranges, 0.01, False, 0.01, fixed)
+    assert offset == 0 and not cyclic
+    assert pieces.tolist() == [[0, 2], [2, 4], [5, 7]]
+
+
+def test_a_closed_scan_begins_at_a_break_so_that_no_piece_straddles_the_seam():
+    ranges = np.array([3.0, 3.0, 1.0, 1.0, 3.0, 3.0])
+    fixed = PartitionConfig(method="fixed", epsilon_m=1.0)
+    offset, pieces, cyclic = partition(ranges, 2 * math.pi / 6, True, 0.01, fixed)
+    covered = [[(offset + k) % 6 for k in range(a, b)] for a, b in pieces]
+    assert sorted(map(sorted, covered)) == [[0, 1, 4, 5], [2, 3]] and not cyclic
+    offset, pieces, cyclic = partition(np.ones(6), 2 * math.pi / 6, True, 0.01, fixed)
+    assert cyclic and pieces.tolist() == [[0, 6]]
+
+
+def test_the_adaptive_jump_grows_with_range_and_spacing():
+    """A wall met at 20 degrees is one partition near and far; a fixed threshold tears it apart far away."""
+    for distance in (0.2, 4.0):
+        spacing = math.radians(1.0)
+        angles = np.arange(0.0, math.radians(69.0), spacing)
+        ranges = distance / np.cos(angles)
+        _, pieces, _ = partition(ranges, spacing, False, 0.0, PartitionConfig())
+        assert len(pieces) == 1
+        _, torn, _ = partition(ranges, spacing, False, 0.0, PartitionConfig(method="fixed", epsilon_m=0.05))
+        assert (len(torn) > 1) == (distance > 1.0)
+
+
+def reference_split(points, first, last, epsilon):
+    """The report's algorithm 1, as it is written there."""
+    chord = points[last] - points[first]
+    offset = points[first + 1 : last] - points[first]
+    length = math.hypot(*chord)
+    away = np.abs(offset[:, 0] * chord[1] - offset[:, 1] * chord[0]) / length if length > 1e-9 else np.hypot(*offset.T)
+    if len(away) == 0 or away.max() <= epsilon:
+        return [first, last]
+    index = first + 1 + int(np.argmax(away))
+    return reference_split(points, first, index, epsilon)[:-1] + reference_split(points, index, last, epsilon)
+
+
+def test_splitting_agrees_with_the_recursion_of_the_report():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        points = np.cumsum(rng.normal(size=(rng.integers(2, 60), 2)), axis=0)
+        if rng.random() < 0.2:
+            points[-1] = points[0]
+        expected = reference_split(points, 0, len(points) - 1, 0.5)
+        assert split(points, 0, len(points) - 1, 0.5).tolist() == expected
+
+
+def test_ransac_finds_the_line_among_outliers_and_is_repeatable():
+    rng = np.random.default_rng(1)
+    for seed in range(1, 30):
+        alpha, d = rng.uniform(-math.pi, math.pi), rng.uniform(0.5, 4.0)
+        n, t = np.array([math.cos(alpha), math.sin(alpha)]), np.array([-math.sin(alpha), math.cos(alpha)])
+        inliers = d * n + rng.uniform(-2, 2, (40, 1)) * t + rng.normal(0, 0.005, (40, 1)) * n
+        points = np.concatenate([inliers, rng.uniform(-5, 5, (20, 2))])
+        found = ransac(points, np.ones(60, dtype=bool), 0.02, 500, seed)
+        assert abs(wrap_angle(found[0] - alpha)) < 0.05 and abs(found[1] - d) < 0.1 and found[2] >= 36
+        assert np.array_equal(found, ransac(points, np.ones(60, dtype=bool), 0.02, 500, seed))
+
+
+def total_least_squares(points):
+    mean = points.mean(axis=0)
+    normal = np.linalg.svd(points - mean)[2][1]
+    d = normal @ mean
+    return (math.atan2(*(normal * np.sign(d))[::-1]), abs(d))
+
+
+def test_with_equal_noise_across_the_line_the_fit_is_the_orthogonal_one():
+    """Far off and head on all beams meet the wall alike, so that the weights are equal."""
+    rng = np.random.default_rng(2)
+    points = np.stack([100.0 + rng.normal(0, 0.01, 50), np.linspace(-1, 1, 50)], axis=1)
+    fit = fit_line(points, np.arange(50), 0.01, 0.0)
+    alpha, d = total_least_squares(points)
+    assert wrap_angle(fit[0] - alpha) == pytest.approx(0.0, abs=1e-5) and fit[1] == pytest.approx(d, abs=1e-5)
+
+
+@pytest.mark.parametrize("sigma_bearing", [0.0, 0.002])
+@pytest.mark.parametrize("span", [(-1.2, 1.2), (0.3, 1.3), (-0.2, 0.1)])
+def test_the_covariance_of_a_line_is_that_of_its_errors(span, sigma_bearing):
+    rng, sigma = np.random.default_rng(3), 0.01
+    alpha, d = 2.9, 1.5
+    bearings = alpha + np.arange(*span, math.radians(1.0))
+    nees, errors = [], []
+    for _ in range(1500):
+        hit = bearings + rng.normal(0, sigma_bearing, len(bearings))
+        ranges = d / np.cos(hit - alpha) + rng.normal(0, sigma, len(bearings))
+        points = np.stack([ranges * np.cos(bearings), ranges * np.sin(bearings)], axis=1)
+        fit = fit_line(points, np.arange(len(points)), sigma, sigma_bearing)
+        error = np.array([wrap_angle(fit[0] - alpha), fit[1] - d])
+        cov = np.array([[fit[2], fit[3]], [fit[3], fit[4]]])
+        nees.append(error @ np.linalg.solve(cov, error))
+        errors.append(error / np.sqrt(np.diag(cov)))
+    assert np.mean(nees) == pytest.approx(2.0, abs=0.3)  # sigma of the mean: 0.05
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.15  # no bias worth a seventh of a sigma
+
+
+def test_lines_follow_each_other_in_the_order_of_the_scan():
+    config = corners()
+    scan = scan_from(Pose(1.5, 1.0, 0.3), config)
+    points = scan.points_robot
+    spans = np.array([[0, 360]])
+    lines, where, owner = fit_lines(points, spans, True, 0.05, 200, True, 6, 0.2, 0.01, 0.0, 7)
+    assert (np.diff(where[:, 1]) > 0).all()
+    for k, (_, first, last) in enumerate(where):
+        mine = np.flatnonzero(owner == k)
+        assert mine[0] == first and mine[-1] == last
+        off = points[mine] @ [math.cos(lines[k, 0]), math.sin(lines[k, 0])] - lines[k, 1]
+        assert np.abs(off).max() < 0.1
+
+
+def numeric_cov(function, fits):
+    """First-order covariance of a point made of lines, by finite differences."""
+    total = np.zeros((2, 2))
+    for k, fit in enumerate(fits):
+        jacobian = np.zeros((2, 2))
+        for column in range(2):
+            ahead = [f.copy() for f in fits]
+            ahead[k][column] += 1e-6
+            jacobian[:, column] = (function(*ahead)[:2] - function(*fits)[:2]) / 1e-6
+        total += jacobian @ np.array([[fit[2], fit[3]], [fit[3], fit[4]]]) @ jacobian.T
+    return total
+
+
+def test_the_covariance_of_a_corner_agrees_with_finite_differences():
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        fits = []
+        for alpha in rng.uniform(-3, 3) + np.array([0.0, rng.uniform(0.5, 2.5)]):
+            factor = rng.normal(size=(2, 2)) * 0.01
+            cov = factor @ factor.T
+            fits.append(np.array([alpha, rng.uniform(0.5, 3), cov[0, 0], cov[0, 1], cov[1, 1]]))
+        found = intersect(*fits)
+        assert np.allclose(numeric_cov(intersect, fits), [[found[2], found[3]], [found[3], found[4]]], atol=1e-7)
+
+
+def test_a_loose_end_lies_half_a_spacing_beyond_the_last_beam_and_is_known_along_the_wall_to_a_spacing():
+    spacing = math.radians(1.0)
+    line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])  # the wall x = 2, known exactly
+    found = loose_end(line, 0.3, spacing, 0.0)
+    assert found[:2] == pytest.approx([2.0, 2.0 * math.tan(0.3 + 0.5 * spacing)])
+    gap = 2.0 * (math.tan(0.3 + spacing) - math.tan(0.3))
+    assert found[2] == pytest.approx(0.0, abs=1e-12) and math.sqrt(found[4]) == pytest.approx(gap / 12**0.5, rel=1e-3)
+    line[2:] = [1e-4, 2e-5, 1e-4]
+    exact = numeric_cov(lambda fit: loose_end(fit, 0.3, spacing, 0.0), [line])
+    across = loose_end(line, 0.3, spacing, 0.0)
+    assert across[2] == pytest.approx(exact[0, 0], rel=1e-3)
+
+
+def sightings_and_truth(config, rng, poses, sigma):
+    for pose in poses:
+        features = extract(scan_from(pose, config, rng, sigma), config.assumed, config.features, rng)
+        for sighting in features.sightings:
+            world = pose @ sighting.z
+            nearest = LANDMARKS[np.argmin(np.linalg.norm(LANDMARKS - world, axis=1))]
+            yield sighting, pose.inverse() @ nearest - sighting.z
+
+
+def test_landmarks_are_true_and_their_covariance_is_honest():
+    """Over a thousand scans: no false landmark, and a NEES of 2 for either kind."""
+    config, rng = corners(), np.random.default_rng(5)
+    nees = {Kind.CORNER: [], Kind.END: []}
+    for sighting, error in sightings_and_truth(config, rng, free_poses(rng, 1000), 0.01):
+        assert math.hypot(*error) < 0.3
+        nees[sighting.kind].append(error @ np.linalg.solve(sighting.cov, error))
+    for values in nees.values():
+        assert len(values) > 2000
+        assert 1.8 < np.mean(values) < 2.2
+
+
+@pytest.mark.parametrize("sigma", [0.003, 0.03])
+def test_the_covariances_follow_the_noise(sigma):
+    stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"ransac_threshold_m": 5 * sigma}}
+    config = merge(corners(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
+    rng = np.random.default_rng(6)
+    values = [e @ np.linalg.solve(s.cov, e) for s, e in sightings_and_truth(config, rng, free_poses(rng, 400), sigma)
+              if s.kind == Kind.CORNER and math.hypot(*e) < 0.5]  # fmt: skip
+    assert len(values) > 500 and 1.7 < np.mean(values) < 2.3
+
+
+def test_two_corners_of_one_wall_have_independent_errors():
+    """Each return is evidence once: the halves of a wall's returns make its two ends."""
+    config, rng = corners(), np.random.default_rng(7)
+    room, pose = np.array(box(-2, -1.5, 2, 1.5), dtype=float), Pose(0.2, 0.1, 0.0)
+    pairs = []
+    for _ in range(1500):
+        features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features, rng)
+        ends = {(z[0] > 0, z[1] > 0): pose @ z for z in (s.z for s in features.sightings)}
+        if len(ends) == 4:
+            # Errors across the upper wall, of its left and right corner.
+            pairs.append((ends[False, True][1] - 1.5, ends[True, True][1] - 1.5))
+    assert len(pairs) > 1000
+    assert abs(np.corrcoef(np.array(pairs).T)[0, 1]) < 0.1
+
+
+def test_the_rules_for_loose_ends():
+    config = corners()
+    rng = np.random.default_rng(8)
+
+    def ends(walls, pose, settings=config):
+        features = extract(scan_from(pose, settings, walls=np.array(walls, float)), settings.assumed,
+                           settings.features, rng)  # fmt: skip
+        return [pose @ s.z for s in features.sightings if s.kind == Kind.END]
+
+    stub, back = [(2, -1), (2, 1)], [(5, -30), (5, 30)]
+    found = ends([stub, back], Pose())
+    assert len(found) == 2 and all(min(math.dist(p, e) for e in ((2, -1), (2, 1))) < 0.05 for p in found)
+    half = merge(config, {"laser": {"beams": 45, "fov": math.radians(44.0)}})
+    assert ends([stub, back], Pose(), half) == []  # rule 1: the sensor sees no further
+    near = merge(config, {"laser": {"max_range": 2.2}})
+    assert ends([stub], Pose(0.0, 0.0, 0.0), near) == []  # rule 2: close to the maximum range
+    assert len(ends([back, stub], Pose())) == 2  # rule 3: the far wall, hidden by the stub, has no ends there
+    few = merge(config, {"features": {"points": {"min_points": 80}}})
+    assert ends([stub, back], Pose(), few) == []  # rule 4
+
+
+def test_a_wall_that_goes_on_flatly_has_no_loose_end():
+    rng = np.random.default_rng(9)
+    config = corners()
+    corridor = np.array([[(-9, -0.5), (9, -0.5)], [(-9, 0.5), (9, 0.5)]], float)
+    for x in np.linspace(-3, 3, 40):
+        features = extract(scan_from(Pose(x, 0.05, 0.01 * x), config, rng, walls=corridor), config.assumed,
+                           config.features, rng)  # fmt: skip
+        assert features.sightings == ()
+
+
+@pytest.mark.parametrize("change", [
+    {"split": {"enabled": False}}, {"lines": {"ransac": False}}, {"lines": {"least_squares": False}},
+    {"points": {"corners": False}}, {"points": {"ends": False}}, {"partition": {"method": "fixed"}},
+])  # fmt: skip
+def test_every_stage_can_be_switched_off(change):
+    config, rng = merge(corners(), {"features": change}), np.random.default_rng(10)
+    features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features, rng)
+    kinds = {s.kind for s in features.sightings}
+    assert len(features.walls) >= 3
+    if "landmarks" in change:
+        assert kinds == ({Kind.END} if "corners" in change["landmarks"] else {Kind.CORNER})
+
+
+def test_walls_lie_on_the_true_walls_and_the_mount_is_honoured():
+    config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
+    rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
+    features = extract(scan_from(pose, config, rng), config.assumed, config.features, rng)
+    for sighting in features.sightings:
+        world = pose @ sighting.z
+        assert np.linalg.norm(LANDMARKS - world, axis=1).min() < 0.1
+    for a, b in pose @ features.walls:
+        middle = 0.5 * (a + b)
+        along = WALLS[:, 1] - WALLS[:, 0]
+        t = np.clip(np.einsum("ij,ij->i", middle - WALLS[:, 0], along) / np.einsum("ij,ij->i", along, along), 0, 1)
+        assert np.linalg.norm(WALLS[:, 0] + t[:, None] * along - middle, axis=1).min() < 0.05
+
+
+@pytest.mark.parametrize("ranges", [np.full(360, np.inf), np.zeros(360), np.full(360, 1e-3), np.full(360, 9.99)])
+def test_odd_scans_have_no_landmarks_and_do_no_harm(ranges):
+    config = corners()
+    features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features,
+                       np.random.default_rng(0))  # fmt: skip
+    assert isinstance(features.sightings, tuple)
+    assert np.isfinite(features.walls).all()
+
+
+def test_the_same_scan_and_stream_give_the_same_bits():
+    config = corners()
+    scan = scan_from(Pose(1.5, 1.0, 0.3), config, np.random.default_rng(1))
+    one, two = (extract(scan, config.assumed, config.features, np.random.default_rng(5)) for _ in range(2))
+    assert np.array_equal(one.walls, two.walls)
+    assert all(np.array_equal(a.z, b.z) and np.array_equal(a.cov, b.cov)
+               for a, b in zip(one.sightings, two.sightings, strict=True))  # fmt: skip
+
+
+def test_uniform_noise_counts_by_its_variance():
+    gaussian = merge(corners(), {"assumed": {"laser": {"range_m": 0.03 / math.sqrt(3)}}})
+    uniform = merge(corners(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
+    assert uniform.assumed.laser == LaserNoise("uniform", 0.03, 0.0)
+    scan = scan_from(Pose(1.5, 1.0, 0.3), gaussian)
+    covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).sightings]
+            for c in (gaussian, uniform)]  # fmt: skip
+    assert np.allclose(covs[0], covs[1])
+
+
+def test_a_walls_distance_is_as_well_known_about_its_middle_as_is_said_however_short_and_far_it_is():
+    """An error of its angle turns a wall about its middle: to second order that is a bias of its distance."""
+    rng, config = np.random.default_rng(0), preset(features={"landmarks": "walls"})
+    wall = np.array([[[3.0, 0.2], [3.0, -0.5]]])
+    bias, nees = [], []
+    for _ in range(1500):
+        pose = Pose(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0))
+        for sighting in extract(
+            scan_from(pose, config, rng, walls=wall), config.assumed, config.features, rng
+        ).sightings:
+            expected, _, _ = predict_walls(pose, np.array([[math.pi, -3.0]]))
+            error = sighting.z - expected[0]
+            error[0] = wrap_angle(float(error[0]))
+            across = np.array([-sighting.cov[0, 1] / sighting.cov[0, 0], 1.0])  # what its angle does not tell
+            bias.append(across @ error / math.sqrt(across @ sighting.cov @ across))
+            nees.append(error @ np.linalg.solve(sighting.cov, error))
+    assert len(bias) > 1000
+    assert abs(np.mean(bias)) < 4.0 / math.sqrt(len(bias))
+    assert np.mean(nees) == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_parallel_line_is_the_weighted_mean_of_its_returns():
+    rng = np.random.default_rng(1)
+    bearings = np.linspace(0.2, 0.3, 6)
+    alpha, off, sure = 0.1, [], np.array([0.1, 2.0, 0.0, 0.0, 0.0])
+    for _ in range(2000):
+        ranges = 2.0 / np.cos(bearings - alpha) + rng.normal(0.0, 0.01, 6)
+        points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+        line = parallel_line(points, np.arange(6), sure, 0.01, 0.0)
+        off.append((line[1] - 2.0) / math.sqrt(line[4]))
+        assert line[0] == alpha and line[2] == line[3] == 0.0
+    assert abs(np.mean(off)) < 0.1 and np.std(off) == pytest.approx(1.0, abs=0.06)

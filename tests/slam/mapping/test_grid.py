@@ -1,0 +1,435 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sixthsense.config import GridConfig
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid, line_cells
+
+NO_WALLS = np.empty((0, 2, 2))
+ROOM = np.array(
+    [
+        [[-4.0, -3.0], [5.0, -3.0]],
+        [[5.0, -3.0], [5.0, 4.0]],
+        [[5.0, 4.0], [-4.0, 4.0]],
+        [[-4.0, 4.0], [-4.0, -3.0]],
+        [[1.0, 1.0], [2.0, 2.5]],
+    ]
+)
+ORIGIN = Pose()
+
+
+def scan_of(ranges: Array, angle_min: float = 0.0, increment: float = 0.1, max_range: float = 10.0) -> Scan:
+    return Scan(np.asarray(ranges, dtype=np.float32), np.float32(angle_min), np.float32(increment), max_range)
+
+
+def scan_of_room(T_world_robot: Pose, walls: Array = ROOM, max_range: float = 6.0, mount: Pose = ORIGIN) -> Scan:
+    increment = np.float32(2 * math.pi / 120)
+    bearings = -np.pi + np.arange(120) * np.float64(increment)
+    ranges = cast_rays(T_world_robot @ mount, bearings, walls, max_range).astype(np.float32)
+    return Scan(ranges, np.float32(-math.pi), increment, max_range, mount)
+
+
+def random_pose(rng: np.random.Generator) -> Pose:
+    return Pose(rng.uniform(-3.0, 0.5), rng.uniform(-2.5, 3.5), rng.uniform(-3.0, 3.0))
+
+
+def cells_by_world(grid: Grid, values: Array) -> dict[tuple[int, int], int]:
+    """The non-zero cells of an array of the grid by row and column counted from the world's origin."""
+    x0, y0 = grid.origin
+    row0, col0 = round(y0 / CONFIG.cell_m), round(x0 / CONFIG.cell_m)
+    return {(int(r) + row0, int(c) + col0): int(values[r, c]) for r, c in np.argwhere(values)}
+
+
+CONFIG = GridConfig(cell_m=0.1)
+
+
+class PlainGrid:
+    """The rules of evidence in plain Python, on dictionaries of cells."""
+
+    def __init__(self, config: GridConfig) -> None:
+        self.config = config
+        self.hits: dict[tuple[int, int], int] = {}
+        self.passes: dict[tuple[int, int], int] = {}
+        self.seen: set[tuple[int, int]] = set()
+
+    def cell(self, point: Array) -> tuple[int, int]:
+        return math.floor(point[1] / self.config.cell_m), math.floor(point[0] / self.config.cell_m)
+
+    def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> None:
+        T_world_laser = T_world_robot @ scan.T_robot_laser
+        laser = self.cell(T_world_laser.position)
+        hit, crossed = set(), set()
+        for reading, bearing in zip(scan.ranges.astype(float), scan.bearings, strict=True):
+            if not reading > 0.0:
+                continue
+            reach = min(reading, scan.max_range)
+            angle = T_world_laser.theta + bearing
+            end = self.cell(T_world_laser.position + reach * np.array([np.cos(angle), np.sin(angle)]))
+            line = [tuple(map(int, cell)) for cell in line_cells(*laser, *end)]
+            self.seen.update(line)
+            if reading < scan.max_range:
+                hit.add(end)
+                line = line[:-1]
+            crossed.update(line)
+        for a, b in T_world_robot @ walls_robot:
+            hit.update(tuple(map(int, cell)) for cell in line_cells(*self.cell(a), *self.cell(b)))
+        for cell in hit:
+            self.hits[cell] = min(self.hits.get(cell, 0) + 1, self.config.max_hits)
+            if cell in self.passes:
+                self.passes[cell] = min(self.passes[cell], int(self.config.passes_per_hit * self.hits[cell]))
+        for cell in crossed - hit:
+            self.passes[cell] = self.passes.get(cell, 0) + 1
+
+    @property
+    def obstacles(self) -> set[tuple[int, int]]:
+        least, ratio = self.config.min_hits, self.config.passes_per_hit
+        return {c for c, n in self.hits.items() if n >= least and self.passes.get(c, 0) <= ratio * n}
+
+
+def inflated(obstacles: Array, radius_cells: float) -> Array:
+    """Cells from whose centre the square of an obstacle cell is within reach, one by one."""
+    blocked = np.zeros(obstacles.shape, dtype=bool)
+    for r, c in np.argwhere(obstacles):
+        near = np.s_[max(r - 6, 0) : r + 7, max(c - 6, 0) : c + 7]
+        rows, cols = np.ogrid[near]
+        gap = np.hypot(np.maximum(abs(rows - r) - 0.5, 0), np.maximum(abs(cols - c) - 0.5, 0))
+        blocked[near] |= gap <= radius_cells + 1e-9
+    return blocked
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_a_bresenham_line_is_connected_thin_and_near_the_true_line(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    r0, c0, r1, c1 = (int(n) for n in rng.integers(-40, 40, 4))
+    cells = line_cells(r0, c0, r1, c1)
+    assert tuple(cells[0]) == (r0, c0) and tuple(cells[-1]) == (r1, c1)
+    steps = np.abs(np.diff(cells, axis=0))
+    major = max(abs(r1 - r0), abs(c1 - c0))
+    assert len(cells) == major + 1 and (steps.max(axis=1, initial=0) == 1).all()
+    along = np.linspace(0.0, 1.0, major + 1)[:, None]
+    exact = np.array([r0, c0]) + along * np.array([r1 - r0, c1 - c0])
+    assert np.abs(cells - exact).max() <= 0.5 + 1e-9
+
+
+def test_a_bresenham_line_to_itself_is_one_cell() -> None:
+    assert line_cells(3, -2, 3, -2).tolist() == [[3, -2]]
+    assert line_cells(0, 0, 3, 0).tolist() == [[0, 0], [1, 0], [2, 0], [3, 0]]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    config = replace(CONFIG, min_hits=1 + seed % 2, max_hits=3, passes_per_hit=1.0 + seed % 3)
+    grid, plain = Grid(config, 0.2), PlainGrid(config)
+    for _ in range(8):
+        pose = random_pose(rng)
+        mount = Pose(0.2, -0.1, 0.4) if seed % 2 else Pose()
+        scan = scan_of_room(pose, max_range=4.0, mount=mount)
+        noisy = scan.ranges + rng.normal(0.0, 0.2, 120).astype(np.float32)
+        noisy[rng.integers(0, 120, 6)] = [np.nan, np.inf, -np.inf, 0.0, 99.0, 4.0]
+        walls_robot = pose.inverse() @ (ROOM[rng.integers(0, 5, 2)] + rng.normal(0.0, 0.05, (2, 2, 2)))
+        for each in (grid, plain):
+            each.add(pose, replace(scan, ranges=noisy), walls_robot)
+    assert cells_by_world(grid, grid.hits) == plain.hits
+    assert cells_by_world(grid, grid.passes) == plain.passes
+    assert set(cells_by_world(grid, grid.seen)) == plain.seen
+    assert set(cells_by_world(grid, grid.obstacles)) == plain.obstacles
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("radius", [0.0, 0.05, 0.17, 0.3])
+def test_the_inflation_kept_by_counting_equals_the_inflation_computed_anew(seed: int, radius: float) -> None:
+    rng = np.random.default_rng(seed)
+    grid = Grid(replace(CONFIG, clearance_m=0.0, passes_per_hit=0.6), radius)
+    toggled_off = 0
+    for _ in range(10):
+        before = cells_by_world(grid, grid.obstacles)
+        pose = random_pose(rng)
+        scan = scan_of_room(pose)
+        noisy = scan.ranges + rng.normal(0.0, 0.5, 120).astype(np.float32)
+        grid.add(pose, replace(scan, ranges=noisy), NO_WALLS)
+        toggled_off += len(set(before) - set(cells_by_world(grid, grid.obstacles)))
+        assert np.array_equal(grid.free_space().blocked, inflated(grid.obstacles, radius / CONFIG.cell_m))
+    assert toggled_off > 0
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.12, 0.31])
+def test_a_disc_at_the_centre_of_a_free_cell_touches_no_obstacle_cell(radius: float) -> None:
+    grid = Grid(replace(CONFIG, clearance_m=0.0), radius)
+    pose = Pose(0.03, -0.21, 0.3)
+    grid.add(pose, scan_of_room(pose), NO_WALLS)
+    space, obstacles = grid.free_space(), np.argwhere(grid.obstacles)
+    angles = np.linspace(0.0, 2 * math.pi, 90)
+    rim = radius * np.stack([np.sin(angles), np.cos(angles)], axis=1) / CONFIG.cell_m
+    occupied = {(int(r), int(c)) for r, c in obstacles}
+    for row, col in np.argwhere(~space.blocked):
+        if np.abs(obstacles - (row, col)).max(axis=1).min() > 5:
+            continue
+        touched = np.floor(np.array([row + 0.5, col + 0.5]) + rim).astype(int)
+        assert occupied.isdisjoint(map(tuple, touched.tolist()))
+
+
+def test_a_stray_return_is_cleared_by_enough_passes() -> None:
+    grid = Grid(replace(CONFIG, passes_per_hit=4.0), 0.2)
+    stray = scan_of([2.05])
+    through = scan_of([5.05])
+    grid.add(Pose(0.05, 0.05), stray, NO_WALLS)
+    assert grid.free_space().is_blocked((2.05, 0.05))
+    for _ in range(4):
+        grid.add(Pose(0.05, 0.05), through, NO_WALLS)
+        assert grid.free_space().is_blocked((2.05, 0.05))
+    grid.add(Pose(0.05, 0.05), through, NO_WALLS)
+    assert not grid.free_space().is_blocked((2.05, 0.05))
+    assert grid.free_space().is_blocked((5.05, 0.05))
+
+
+def test_an_obstacle_where_all_was_free_for_long_blocks_at_once() -> None:
+    grid = Grid(CONFIG, 0.2)
+    for _ in range(100):
+        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
+    assert not grid.free_space().is_blocked((2.05, 0.05))
+    grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
+    assert grid.free_space().is_blocked((2.05, 0.05))
+
+
+def test_a_wall_that_was_seen_for_long_and_is_gone_goes() -> None:
+    config = replace(CONFIG, max_hits=5, passes_per_hit=4.0)
+    grid = Grid(config, 0.2)
+    for _ in range(100):
+        grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
+    for gone in range(22):
+        assert grid.free_space().is_blocked((2.05, 0.05)) == (gone <= 20)
+        grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
+
+
+def test_fewer_hits_than_asked_make_no_obstacle() -> None:
+    grid = Grid(replace(CONFIG, min_hits=3), 0.0)
+    for n in range(1, 5):
+        grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
+        assert grid.obstacles.any() == (n >= 3)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_beams_that_graze_along_a_wall_do_not_erase_it(fitted: bool) -> None:
+    wall = np.array([[[0.0, 0.04], [8.0, 0.06]]])
+    grid = Grid(CONFIG, 0.0)
+    increment = 0.01
+    for k in range(60):
+        pose = Pose(0.5 + 0.1 * k, 0.3, 0.0)
+        bearings = -math.pi + np.arange(628) * increment
+        ranges = cast_rays(pose, bearings, wall, 9.0)
+        scan = scan_of(ranges, -math.pi, increment, 9.0)
+        grid.add(pose, scan, pose.inverse() @ wall if fitted else NO_WALLS)
+    standing = {col for row, col in cells_by_world(grid, grid.obstacles) if row == 0}
+    assert standing >= set(range(2, 78))
+
+
+def test_in_one_scan_a_cell_gains_one_hit_at_most_and_a_hit_beats_a_pass() -> None:
+    grid = Grid(CONFIG, 0.0)
+    grid.add(Pose(0.05, 0.05), scan_of([2.05, 2.051, 5.0], increment=0.0001), NO_WALLS)
+    assert grid.hits.max() == 1 and grid.passes.max() == 1
+    assert not (grid.hits.astype(bool) & grid.passes.astype(bool)).any()
+    assert (20, 0) not in cells_by_world(grid, grid.passes)
+    assert cells_by_world(grid, grid.hits)[0, 20] == 1
+
+
+def test_a_beam_without_return_passes_up_to_the_maximum_and_hits_nothing() -> None:
+    for reading in (np.inf, 3.0, 50.0):
+        grid = Grid(CONFIG, 0.0)
+        grid.add(Pose(0.05, 0.05), scan_of([reading], max_range=3.0), NO_WALLS)
+        assert grid.hits.sum() == 0
+        assert set(cells_by_world(grid, grid.seen)) == {(0, col) for col in range(31)}
+        assert cells_by_world(grid, grid.passes) == {(0, col): 1 for col in range(31)}
+
+
+def test_a_reading_that_is_no_range_is_no_evidence() -> None:
+    grid = Grid(CONFIG, 0.0)
+    grid.add(Pose(0.05, 0.05), scan_of([np.nan, -1.0, 0.0, -np.inf]), NO_WALLS)
+    assert grid.hits.sum() == 0 and grid.passes.sum() == 0 and not grid.seen.any()
+
+
+def test_the_mount_of_the_laser_is_honoured() -> None:
+    grid = Grid(CONFIG, 0.0)
+    mounted = replace(scan_of([1.0]), T_robot_laser=Pose(0.5, 0.0, math.pi / 2))
+    grid.add(Pose(0.05, 0.05, math.pi / 2), mounted, NO_WALLS)
+    # The laser sits at (0.05, 0.55) and looks along -x.
+    assert set(cells_by_world(grid, grid.hits)) == {(5, -10)}
+    assert set(cells_by_world(grid, grid.passes)) == {(5, col) for col in range(-9, 1)}
+
+
+def test_fitted_walls_count_only_when_the_configuration_says_so() -> None:
+    wall_robot = np.array([[[1.05, -0.5], [1.05, 0.45]]])
+    for walls in (True, False):
+        grid = Grid(replace(CONFIG, walls=walls), 0.0)
+        grid.add(Pose(0.05, 0.05), scan_of([np.inf]), wall_robot)
+        assert (grid.hits.sum() > 1) == walls
+        assert grid.obstacles.any() == walls
+        assert set(cells_by_world(grid, grid.seen)) == {(0, col) for col in range(101)}
+
+
+def test_growth_keeps_what_was_counted() -> None:
+    """A grid that grows with every scan ends up as one that was large from the start."""
+    rng = np.random.default_rng(7)
+    poses = [Pose(0.0, 0.0, 0.0), Pose(-40.0, 3.0, 1.0), Pose(30.0, -35.0, 2.0), Pose(2.0, 45.0, -1.0)]
+    scans = [scan_of(rng.uniform(0.5, 9.0, 60)) for _ in poses]
+    growing, roomy = Grid(CONFIG, 0.25), Grid(CONFIG, 0.25)
+    for x, y in ((-60.0, -60.0), (60.0, 60.0)):
+        roomy.add(Pose(x, y), scan_of([1.0]), NO_WALLS)
+    for pose, scan in zip(poses, scans, strict=True):
+        growing.add(pose, scan, NO_WALLS)
+        roomy.add(pose, scan, NO_WALLS)
+    for x, y in ((-60.0, -60.0), (60.0, 60.0)):
+        growing.add(Pose(x, y), scan_of([1.0]), NO_WALLS)
+    for name in ("hits", "passes", "seen", "obstacles"):
+        assert cells_by_world(growing, getattr(growing, name)) == cells_by_world(roomy, getattr(roomy, name))
+    blocked = cells_by_world(growing, growing.free_space().blocked)
+    assert blocked == cells_by_world(roomy, roomy.free_space().blocked)
+
+
+def test_a_cleared_grid_is_as_good_as_new() -> None:
+    used, new = Grid(CONFIG, 0.2), Grid(CONFIG, 0.2)
+    used.add(Pose(3.0, 9.0), scan_of([2.0, 4.0]), NO_WALLS)
+    used.clear()
+    assert used.hits.size == 0 and used.free_space().blocked.size == 0
+    for grid in (used, new):
+        grid.add(Pose(0.0, 0.0), scan_of_room(Pose()), NO_WALLS)
+    assert used.origin == new.origin and np.array_equal(used.hits, new.hits)
+    assert np.array_equal(used.free_space().blocked, new.free_space().blocked)
+
+
+def test_a_snapshot_is_read_only_and_does_not_change_later() -> None:
+    grid = Grid(CONFIG, 0.2)
+    grid.add(Pose(), scan_of([2.0]), NO_WALLS)
+    space = grid.free_space()
+    before = space.blocked.copy()
+    with pytest.raises(ValueError, match="read-only"):
+        space.blocked[0, 0] = True
+    grid.hits[:] = 99
+    grid.obstacles[:] = True
+    grid.add(Pose(0.0, 0.0, 1.0), scan_of([2.0]), NO_WALLS)
+    assert np.array_equal(space.blocked, before) and grid.hits.max() == 1
+
+
+def test_the_occupancy_tells_free_from_occupied_and_unknown() -> None:
+    grid = Grid(CONFIG, 0.2)
+    grid.add(Pose(0.05, 0.05), scan_of([1.05]), NO_WALLS)
+    occupancy, space = grid.occupancy(), grid.free_space()
+    assert occupancy.dtype == np.int8
+    assert occupancy[space.cell_of((1.05, 0.05))] == 100
+    assert occupancy[space.cell_of((0.55, 0.05))] == 0
+    assert (occupancy == -1).sum() == occupancy.size - 11
+
+
+def test_a_grid_that_would_not_fit_into_memory_is_refused_and_left_alone() -> None:
+    grid = Grid(GridConfig(cell_m=0.01), 0.2)
+    grid.add(Pose(), scan_of([2.0]), NO_WALLS)
+    before = grid.hits
+    with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
+        grid.add(Pose(), scan_of([1e6], max_range=1e7), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
+        grid.add(Pose(1e30, 0.0), scan_of([2.0]), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most"):
+        grid.free_space((1e6, 1e6))
+    assert np.array_equal(grid.hits, before)
+
+
+@pytest.mark.parametrize(
+    ("pose", "max_range", "walls"),
+    [
+        (Pose(0.0, 0.0, 0.0), np.inf, NO_WALLS),
+        (Pose(0.0, 0.0, 0.0), np.nan, NO_WALLS),
+        (Pose(np.nan, 0.0, 0.0), 10.0, NO_WALLS),
+        (Pose(0.0, 0.0, 0.0), 10.0, np.full((1, 2, 2), np.nan)),
+        (Pose(0.0, 0.0, 0.0), 10.0, np.zeros((2, 2))),
+    ],
+)
+def test_input_that_is_not_finite_or_misshapen_is_refused(pose: Pose, max_range: float, walls: Array) -> None:
+    grid = Grid(CONFIG, 0.2)
+    with pytest.raises(ValueError, match=r"allowed|expected"):
+        grid.add(pose, scan_of([np.inf], max_range=max_range), walls)
+    with pytest.raises(ValueError, match="radius_m"):
+        Grid(CONFIG, -0.1)
+
+
+def random_space(rng: np.random.Generator, density: float = 0.2) -> FreeSpace:
+    blocked = rng.random((12, 15)) < density
+    return FreeSpace(blocked, np.zeros_like(blocked), (-0.7, 0.3), 0.1)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_line_is_free_exactly_when_dense_samples_of_it_are(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    space = random_space(rng)
+    for _ in range(30):
+        a, b = rng.uniform((-1.2, -0.2), (1.3, 2.0), (2, 2))
+        samples = a + np.linspace(0.0, 1.0, 20_001)[:, None] * (b - a)
+        cols, rows = np.floor((samples - space.origin) / space.cell_m).astype(int).T
+        inside = (rows >= 0) & (rows < 12) & (cols >= 0) & (cols < 15)
+        assert space.line_is_free(a, b) == (not space.blocked[rows[inside], cols[inside]].any())
+        assert space.line_is_free(a, b) == space.line_is_free(b, a)
+
+
+def test_a_line_through_the_corner_of_a_blocked_cell_is_not_free() -> None:
+    blocked = np.zeros((4, 4), dtype=bool)
+    blocked[1, 2] = True
+    space = FreeSpace(blocked, blocked, (0.0, 0.0), 1.0)
+    assert not space.line_is_free((1.5, 0.5), (2.5, 1.5)) and not space.line_is_free((0.5, 2.5), (2.5, 0.5))
+    assert not space.line_is_free((1.5, 1.5), (2.5, 2.5))
+    assert not space.line_is_free((2.0, 0.2), (2.0, 3.2)) and space.line_is_free((1.9, 0.2), (1.9, 3.2))
+    assert space.line_is_free((-1e300, 0.5), (1e300, 0.5)) and not space.line_is_free((-1e9, 1.5), (1e9, 1.5))
+
+
+def test_a_point_on_an_edge_belongs_to_one_cell_alone() -> None:
+    blocked = np.zeros((3, 3), dtype=bool)
+    blocked[0:2, 0] = True
+    space = FreeSpace(blocked, blocked, (0.0, 0.0), 1.0)
+    assert not space.is_blocked((1.0, 0.5)) and space.line_is_free((1.0, 0.5), (1.5, 0.5))
+    assert space.line_is_free((1.0, 0.2), (1.0, 0.8)) and space.line_is_free((1.0, 0.2), (1.0, 0.2))
+    assert not space.line_is_free((1.0, 0.2), (1.0, 1.8))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_nearest_free_place_is_the_nearest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    space = random_space(rng, 0.9)
+    for _ in range(10):
+        point, within = rng.uniform((-1.0, 0.0), (1.1, 1.8)), rng.uniform(0.0, 0.6)
+        found = space.nearest_free(point, within)
+        if not space.is_blocked(point):
+            assert np.array_equal(found, point)
+            continue
+        around = [space.centre(r, c) for r in range(-8, 21) for c in range(-8, 24)]
+        distances = [np.linalg.norm(c - point) for c in around if not space.is_blocked(c)]
+        if min(distances) <= within:
+            assert found is not None and not space.is_blocked(found)
+            assert np.linalg.norm(found - point) == pytest.approx(min(distances), abs=1e-12)
+        else:
+            assert found is None
+    assert space.nearest_free(space.centre(6, 7), math.inf) is not None
+
+
+def test_a_space_extended_to_cover_points_keeps_its_cells_where_they_were() -> None:
+    rng = np.random.default_rng(3)
+    space = random_space(rng)
+    wide = space.covering((3.04, -2.0), (-5.0, 0.9))
+    assert wide.contains((3.04, -2.0)) and wide.contains((-5.0, 0.9))
+    assert wide.blocked.sum() == space.blocked.sum()
+    for row, col in np.argwhere(space.blocked):
+        assert wide.is_blocked(space.centre(int(row), int(col)))
+    assert space.covering(space.centre(2, 3)) is space and space.covering() is space
+    empty = Grid(CONFIG, 0.2).free_space((1e5, 1e5), (1e5 + 3.0, 1e5))
+    assert empty.contains((1e5, 1e5)) and empty.blocked.size < 1000 and not empty.blocked.any()
+
+
+def test_a_point_that_is_none_is_refused_by_name() -> None:
+    space = random_space(np.random.default_rng(0))
+    for bad in ((1.0,), (1.0, 2.0, 3.0), (np.nan, 0.0), (0.0, np.inf)):
+        with pytest.raises(ValueError, match="point"):
+            space.cell_of(bad)
+    with pytest.raises(ValueError, match="seen"):
+        FreeSpace(np.zeros((2, 2), dtype=bool), np.zeros((3, 2), dtype=bool), (0.0, 0.0), 1.0)

@@ -1,0 +1,305 @@
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from sixthsense import cli
+from sixthsense.config import LaserConfig, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.loop import replay
+from sixthsense.sources.logs import LogError, open_log
+from sixthsense.sources.logs.rosbag import BagLog
+
+ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)
+MOUNT = Pose(0.2, -0.1, 0.4)
+LASER = LaserConfig(beams=240, fov=math.radians(239.0), max_range=8.0)
+KINDS = ["ros1", "mcap", "sqlite"]
+LASER_SCAN, ODOMETRY, TF = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+
+
+class Bag:
+    """A bag of somebody else's robot, as the library writes it."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        self.one = kind == "ros1"
+        self.store = get_typestore(Stores.ROS1_NOETIC if self.one else Stores.ROS2_JAZZY)
+        if self.one:  # it does not know tf2
+            self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TF))
+        plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+        self.path = path.with_suffix(".bag") if self.one else path
+        self.writer = Writer1(self.path) if self.one else Writer2(path, version=8, storage_plugin=plugin)
+        self.topics: dict = {}
+
+    def __enter__(self) -> "Bag":
+        self.writer.open()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.writer.close()
+
+    def make(self, name: str, *values):
+        return self.store.types[name](*values)
+
+    def header(self, stamp_ns: int, frame: str):
+        time = self.make("builtin_interfaces/msg/Time", *divmod(stamp_ns, 10**9))
+        return self.make("std_msgs/msg/Header", *((0,) if self.one else ()), time, frame)
+
+    def write(self, topic: str, name: str, message, record_ns: int) -> None:
+        if topic not in self.topics:
+            self.topics[topic] = self.writer.add_connection(topic, name, typestore=self.store)
+        put = self.store.serialize_ros1 if self.one else self.store.serialize_cdr
+        self.writer.write(self.topics[topic], record_ns, put(message, name))
+
+    def pose(self, pose: Pose):
+        place = self.make("geometry_msgs/msg/Point", pose.x, pose.y, 0.0)
+        turn = (0.0, 0.0, math.sin(pose.theta / 2), math.cos(pose.theta / 2))
+        return self.make("geometry_msgs/msg/Pose", place, self.make("geometry_msgs/msg/Quaternion", *turn))
+
+    def odometry(self, topic: str, stamp_ns: int, pose: Pose, late_ns: int = 0) -> None:
+        zero, cov = self.make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0), np.zeros(36)
+        spread = self.make("geometry_msgs/msg/PoseWithCovariance", self.pose(pose), cov)
+        twist = self.make(
+            "geometry_msgs/msg/TwistWithCovariance", self.make("geometry_msgs/msg/Twist", zero, zero), cov
+        )
+        message = self.make(ODOMETRY, self.header(stamp_ns, "odom"), "base_footprint", spread, twist)
+        self.write(topic, ODOMETRY, message, stamp_ns + late_ns)
+
+    def scan(
+        self, topic: str, stamp_ns: int, ranges, late_ns: int = 0, first=None, step=None, low=0.1, high=8.0
+    ) -> None:
+        first = -math.radians(119.5) if first is None else first
+        step = math.radians(1.0) if step is None else step
+        row = np.asarray(ranges, dtype=np.float32)
+        last = first + step * (len(row) - 1)
+        message = self.make(
+            LASER_SCAN, self.header(stamp_ns, "/laser_link"), first, last, step, 0.0, 0.1, low, high, row, row[:0]
+        )
+        self.write(topic, LASER_SCAN, message, stamp_ns + late_ns)
+
+    def transform(self, parent: str, child: str, place: Pose, turn=None, up: float = 0.0) -> None:
+        turn = turn or (0.0, 0.0, math.sin(place.theta / 2), math.cos(place.theta / 2))
+        shift = self.make("geometry_msgs/msg/Vector3", place.x, place.y, up)
+        link = self.make("geometry_msgs/msg/Transform", shift, self.make("geometry_msgs/msg/Quaternion", *turn))
+        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(0, parent), child, link)
+        self.write("/tf_static", TF, self.make(TF, [stamped]), 0)
+
+
+def way(seconds: float) -> Pose:
+    return Pose(0.5 * math.sin(0.3 * seconds), 0.2 * seconds, 0.4 * seconds)
+
+
+def ranges_at(seconds: float) -> np.ndarray:
+    return cast_rays(way(seconds) @ MOUNT, beam_bearings(LASER), ROOM, LASER.max_range)
+
+
+def foreign(path: Path, kind: str, late_ns: int = 0, duration_s: float = 4.0) -> Path:
+    """A walk through the room: odometry at 50 Hz, scans at 8 Hz between, other names, a mount in two steps."""
+    with Bag(path, kind) as bag:
+        bag.transform("base_footprint", "base_link", Pose(), up=0.1)
+        bag.transform("base_link", "laser_link", MOUNT, up=0.3)
+        messages = [(k * 20_000_000, "odometry") for k in range(int(50 * duration_s))]
+        messages += [(7_000_000 + k * 125_000_000, "scan") for k in range(int(8 * duration_s) - 1)]
+        # Whoever records gets a scan late: it stands behind odometry that is younger.
+        for stamp, what in sorted(messages, key=lambda m: m[0] + late_ns * (m[1] == "scan")):
+            if what == "scan":
+                bag.scan("/robot/front/scan", stamp + 10**9, ranges_at(stamp * 1e-9), late_ns)
+            else:
+                bag.odometry("/wheels", stamp + 10**9, way(stamp * 1e-9))
+    return bag.path
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_of_others_gives_scans_odometry_and_the_mount(kind, tmp_path):
+    log = open_log(foreign(tmp_path / "theirs", kind), LaserConfig())
+    assert isinstance(log, BagLog) and not log.backward_stamps
+    assert len(log.scans) == 31 and log.start == way(0.0)
+    mount = log.scans[0].T_robot_laser
+    assert (mount.x, mount.y, mount.theta) == pytest.approx((MOUNT.x, MOUNT.y, MOUNT.theta))
+    assert (log.laser.beams, log.laser.max_range, log.laser.mount) == (240, 8.0, (mount.x, mount.y, mount.theta))
+    assert log.laser.fov == pytest.approx(math.radians(239.0), rel=1e-6)
+    stamps = [tick.stamp_ns for tick in log.ticks]
+    assert stamps == sorted(set(stamps))
+    for tick in log.ticks:
+        if tick.scan is not None:
+            seconds = tick.stamp_ns * 1e-9 - 1.0
+            assert tick.log_stamp_s == pytest.approx(seconds + 1.0)
+            true = way(seconds)
+            assert tick.odometry.array() == pytest.approx(true.array(), abs=1e-4)
+            assert np.array_equal(tick.scan.ranges, ranges_at(seconds).astype(np.float32))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_of_others_replays_through_the_command_and_its_folder_replays_again(kind, tmp_path, capsys):
+    file = foreign(tmp_path / "theirs", kind)
+    assert cli.main(["replay", str(file), "--out", str(tmp_path / "out")]) == cli.DONE
+    assert cli.main(["replay", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == cli.DONE
+    first, second = ((tmp_path / name / "estimate.tum").read_bytes() for name in ("out", "again"))
+    assert first == second
+    table = np.loadtxt(tmp_path / "out" / "estimate.tum")
+    assert len(table) == 31
+    true = np.array([way(stamp).position for stamp in table[:, 0]])
+    assert np.abs(table[:, 1:3] - true).max() < 0.02
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_late_scan_is_put_where_its_stamp_says(tmp_path):
+    prompt = open_log(foreign(tmp_path / "a", "mcap"), LaserConfig())
+    late = open_log(foreign(tmp_path / "b", "mcap", late_ns=90_000_000), LaserConfig())
+    assert [(t.stamp_ns, t.odometry) for t in late.ticks] == [(t.stamp_ns, t.odometry) for t in prompt.ticks]
+
+
+def test_stamps_that_run_backwards_keep_the_files_order_and_an_ascending_clock(tmp_path):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        for k, stamp in enumerate([5, 3, 4, 9]):
+            bag.odometry("/odom", stamp * 10**9, Pose(k, 0, 0), late_ns=(20 + k - stamp) * 10**9)
+            bag.scan("/scan", stamp * 10**9, np.ones(240), late_ns=(20 + k - stamp) * 10**9 + 1)
+    log = open_log(bag.path, LaserConfig())
+    assert [tick.odometry.x for tick in log.ticks] == [0, 1, 2, 3]
+    assert [tick.log_stamp_s for tick in log.ticks] == [5, 3, 4, 9]
+    assert [tick.stamp_ns for tick in log.ticks] == [5 * 10**9, 5 * 10**9 + 1, 5 * 10**9 + 2, 9 * 10**9]
+    assert log.backward_stamps == 1
+
+
+def scan_of(tmp_path: Path, ranges, laser: LaserConfig | None = None, turn=None, **how) -> Scan:
+    with Bag(tmp_path / "x", "mcap") as bag:
+        if turn is not None:
+            bag.transform("base_footprint", "laser_link", Pose(), turn)
+        bag.odometry("/odom", 10**9, Pose())
+        bag.scan("/scan", 10**9, ranges, **how)
+    return open_log(bag.path, laser or LaserConfig()).scans[0]
+
+
+def test_ranges_outside_their_limits_and_nan_met_nothing(tmp_path):
+    row = scan_of(tmp_path, [0.05, 0.1, 8.0, 8.1, np.nan, -1.0, np.inf, 3.0]).ranges
+    assert row.tolist() == [np.inf, pytest.approx(0.1), 8.0, *[np.inf] * 4, 3.0]
+
+
+def test_a_scan_that_runs_clockwise_sees_the_same_points(tmp_path):
+    scan = scan_of(tmp_path, [1.0, 2.0, 3.0], first=0.5, step=-0.25)
+    assert scan.ranges.tolist() == [3.0, 2.0, 1.0] and scan.bearings.tolist() == [0.0, 0.25, 0.5]
+
+
+def test_a_laser_that_hangs_upside_down_sees_the_room_mirrored(tmp_path):
+    scan = scan_of(tmp_path, [1.0, 2.0, 3.0], first=0.0, step=0.25, turn=(1.0, 0.0, 0.0, 0.0))
+    assert scan.ranges.tolist() == [3.0, 2.0, 1.0] and scan.bearings.tolist() == [-0.5, -0.25, 0.0]
+
+
+def test_a_beam_that_repeats_the_first_is_left_out(tmp_path):
+    scan = scan_of(tmp_path, np.arange(1.0, 6.0), first=-math.pi, step=math.pi / 2)
+    assert scan.ranges.tolist() == [1.0, 2.0, 3.0, 4.0] and scan.closed
+
+
+def test_a_mount_that_is_given_counts_more_than_the_bags(tmp_path):
+    given = replace(LaserConfig(), mount=(1.0, 2.0, 0.5))
+    assert scan_of(tmp_path, np.ones(9), given).T_robot_laser == Pose(1.0, 2.0, 0.5)
+
+
+BAD_SCANS = [
+    ({"ranges": [1.0]}, "found a scan of 1 ranges, allowed: 2 to 100000"),
+    ({"ranges": [1.0, 1.0], "step": 0.0}, "and steps not zero"),
+    ({"ranges": [1.0, 1.0], "first": math.nan}, "found angle_min nan"),
+    ({"ranges": [1.0, 1.0], "high": math.nan}, "found range_max nan"),
+    ({"ranges": [1.0, 1.0], "turn": (0.7, 0.0, 0.0, 0.7)}, "tilted out of the plane"),
+    ({"ranges": [1.0, 1.0], "turn": (0.0, 0.0, 0.0, 0.0)}, "a quaternion that is not zero"),
+]
+
+
+@pytest.mark.parametrize(("how", "said"), BAD_SCANS, ids=[said for _, said in BAD_SCANS])
+def test_numbers_that_will_not_do_end_in_one_line(how, said, tmp_path):
+    with pytest.raises(LogError, match=said) as caught:
+        scan_of(tmp_path, **how)
+    assert "\n" not in str(caught.value)
+
+
+def complaint(args: list[str], capsys) -> str:
+    assert cli.main(args) == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
+    return err
+
+
+def test_of_several_topics_one_must_be_named(tmp_path, capsys):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        for k in range(3):
+            bag.odometry("/odom", k * 10**9, Pose())
+            bag.scan("/front", k * 10**9, np.ones(240))
+            bag.scan("/rear", k * 10**9, 2.0 * np.ones(240))
+    args = ["replay", str(bag.path), "--out", str(tmp_path / "out")]
+    assert "2 topics of type LaserScan, allowed: one, by --topic /front or /rear" in complaint(args, capsys)
+    assert "--topic: found '/up', no topic of" in complaint([*args, "--topic", "/up"], capsys)
+    assert "allowed: /front, /odom, /rear" in complaint([*args, "--topic", "/up"], capsys)
+    assert open_log(bag.path, LaserConfig(), ["/rear", "/odom"]).scans[0].ranges[0] == 2.0
+    assert cli.main([*args, "--topic", "/rear"]) == cli.DONE
+
+
+def test_a_bag_without_the_topics_lists_those_it_has(tmp_path, capsys):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        bag.odometry("/odom", 10**9, Pose())
+    args = ["replay", str(bag.path), "--out", str(tmp_path / "out")]
+    assert "found no topic of type LaserScan, but /odom (Odometry)" in complaint(args, capsys)
+    with Bag(tmp_path / "y", "ros1") as bag:
+        pass
+    assert "found no topic of type LaserScan, but no topic at all" in complaint(
+        ["replay", str(bag.path), "--out", str(tmp_path / "out")], capsys
+    )
+
+
+def test_clocks_that_have_nothing_in_common_are_named(tmp_path):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        bag.odometry("/odom", 10**9, Pose())
+        bag.scan("/scan", 10**15, np.ones(240))
+    with pytest.raises(LogError, match=r"odometry from 1.000 to 1.000 s, allowed: one clock"):
+        open_log(bag.path, LaserConfig())
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_bag_that_is_cut_short_ends_in_one_line(kind, share, tmp_path, capsys):
+    path = foreign(tmp_path / "theirs", kind, duration_s=1.0)
+    file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    complaint(["replay", str(path), "--out", str(tmp_path / "out")], capsys)
+    assert not (tmp_path / "out.partial").exists()
+
+
+@pytest.mark.parametrize("name", ["x.bag", "x.mcap", "x.db3", "x/metadata.yaml", "x/bag/bag_0.mcap"])
+@given(noise=st.binary(max_size=300), magic=st.sampled_from([b"", b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"]))
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+def test_noise_is_no_bag(name, noise, magic, tmp_path):
+    file = tmp_path / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(magic + noise)
+    path = tmp_path / "x" if "/" in name else file
+    if "bag_0" in name:
+        (path / "config.toml").write_text("")
+    with pytest.raises(LogError) as caught:
+        open_log(path, LaserConfig())
+    assert "\n" not in str(caught.value)
+
+
+def test_options_that_go_with_another_kind_of_log_are_refused(tmp_path, capsys):
+    file = str(foreign(tmp_path / "theirs", "mcap", duration_s=1.0))
+    out = ["--out", str(tmp_path / "out")]
+    assert cli.main(["replay", file, *out]) == cli.DONE
+    capsys.readouterr()
+    more = ["--out", str(tmp_path / "more")]
+    assert "--laser.beams: found on a bag" in complaint(["replay", file, *more, "--laser.beams", "9"], capsys)
+    assert "--topic: found on a log that is no bag" in complaint(["replay", out[1], *more, "--topic", "/a"], capsys)
+    assert "--preset: found on the folder of a run" in complaint(["replay", out[1], *more, "--preset", "intel"], capsys)
+
+
+def test_a_bag_is_replayed_to_its_end_with_the_default_robot(tmp_path):
+    log = open_log(foreign(tmp_path / "theirs", "mcap"), LaserConfig())
+    trace = replay(log, preset())
+    assert trace.outcome == "log ended" and trace.scene is None and not trace.truths
+    assert len(trace.records) >= 4

@@ -1,0 +1,115 @@
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import merge, preset
+from sixthsense.core.geometry import Pose, point_segment_distance, wrap_angle
+from sixthsense.core.source import Command
+from sixthsense.sources.world import World
+
+ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=float)
+
+
+def world(config=None, start=None, walls=ROOM, radius=0.2, seed=0):
+    return World(walls, start or Pose(), radius, config or preset("noiseless"), np.random.default_rng(seed))
+
+
+def test_without_noise_odometry_is_the_truth():
+    source = world(start=Pose(0.3, -0.2, 1.0))
+    source.step(Command())
+    for k in range(100):
+        tick = source.step(Command(0.3, math.sin(0.1 * k)))
+    assert np.allclose(tick.odometry.array(), tick.truth.array(), atol=1e-12)
+
+
+def test_the_clock_counts_whole_nanoseconds_and_scans_come_on_time():
+    source = world(preset("report"))
+    ticks = [source.step(Command()) for _ in range(41)]
+    assert [t.stamp_ns for t in ticks[:3]] == [0, 16_666_667, 33_333_334]
+    assert [k for k, t in enumerate(ticks) if t.scan is not None] == [0, 10, 20, 30, 40]
+
+
+def test_commands_are_clipped_to_what_the_drive_can_do():
+    source = world()
+    source.step(Command())
+    tick = source.step(Command(5.0, 0.0))
+    assert tick.truth.x == pytest.approx(0.5 * 0.02)
+    tick = source.step(Command(0.0, -9.0))
+    assert tick.truth.theta == pytest.approx(-0.02)
+
+
+def test_a_robot_that_drives_at_a_wall_collides_and_stands_where_it_touched():
+    source = world()
+    while not (tick := source.step(Command(0.5, 0.0))).collided:
+        assert point_segment_distance(tick.truth.position, ROOM).min() >= 0.2
+    assert tick.truth.x == pytest.approx(1.8, abs=0.01) and tick.truth.x <= 1.8
+    assert source.step(Command()) is None
+
+
+def test_a_thin_wall_is_not_jumped_over_by_a_fast_tick():
+    config = merge(preset("noiseless"), {"robot": {"speed": 50.0, "control_period_s": 0.1, "integration_step_s": 0.1}})
+    walls = np.concatenate([ROOM, [[[1.0, -1.0], [1.0, 1.0]]]])
+    source = world(config, walls=walls, radius=0.05)
+    source.step(Command())
+    assert source.step(Command(50.0, 0.0)).collided
+
+
+def test_passing_the_end_of_a_wall_counts_the_whole_disc():
+    walls = np.concatenate([ROOM, [[[0.5, 0.15], [0.5, 1.0]]]])
+    source = world(walls=walls, radius=0.2)
+    while not (tick := source.step(Command(0.5, 0.0))).collided:
+        assert tick.truth.x < 0.5
+    source = world(walls=walls, radius=0.14)
+    assert not any(source.step(Command(0.5, 0.0)).collided for _ in range(60))
+
+
+def test_the_same_seed_gives_the_same_world_and_another_another():
+    def truth(seed):
+        source = world(preset(), seed=seed)
+        return [source.step(Command(0.2, 0.5)).truth.array() for _ in range(50)]
+
+    assert np.array_equal(truth(1), truth(1))
+    assert not np.array_equal(truth(1), truth(2))
+
+
+@pytest.mark.parametrize("v, w", [(0.4, 0.0), (0.0, 0.8), (0.3, 0.6)])
+def test_what_the_world_does_is_what_the_estimators_assume(v, w):
+    """The spread of the truth about the odometry is the covariance that the increments fold to."""
+    from sixthsense.core.motion import STANDSTILL, odometry
+
+    config = preset()
+    errors, cov = [], None
+    for seed in range(600):
+        source = world(config, seed=seed)
+        before, folded = source.step(Command()).odometry, STANDSTILL
+        for _ in range(50):
+            tick = source.step(Command(v, w))
+            if cov is None:
+                folded = folded.then(odometry(before, tick.odometry, config.assumed))
+            before = tick.odometry
+        cov = folded.cov if cov is None else cov
+        errors.append(tick.truth.array() - tick.odometry.array())
+    errors = np.array(errors)
+    errors[:, 2] = wrap_angle(errors[:, 2])
+    nees = np.einsum("ij,jk,ik->i", errors, np.linalg.inv(cov), errors)
+    assert 3 - 0.45 < nees.mean() < 3 + 0.45  # 600 runs: sigma of the mean is 0.1
+
+
+def test_worn_wheels_drift_and_fall_short():
+    config = merge(preset("noiseless"), {"world": {"wheel_scale_error": 0.02, "drift_rad_per_m": 0.01}})
+    source = world(config, walls=ROOM * 10)
+    for _ in range(101):
+        tick = source.step(Command(0.5, 0.0))
+    assert tick.odometry.x == pytest.approx(1.0)
+    assert tick.truth.theta == pytest.approx(0.01 * 1.02)
+    assert math.hypot(tick.truth.x, tick.truth.y) == pytest.approx(1.02, rel=1e-4)
+
+
+def test_range_noise_has_the_configured_spread():
+    source, scans = world(preset()), []
+    while len(scans) < 200:
+        tick = source.step(Command())
+        if tick.scan is not None:
+            scans.append(tick.scan.ranges.astype(float))
+    assert np.std(scans, axis=0).mean() == pytest.approx(0.01, rel=0.03)
