@@ -24,8 +24,9 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.matches import judge_matches, true_identities
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
-from sixthsense.loop import mission, run, warm_up
+from sixthsense.loop import run, warm_up
 from sixthsense.record.trace import Trace
+from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import load_scene
 
 Row = dict[str, Any]

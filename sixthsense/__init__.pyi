@@ -17,6 +17,8 @@ from .slam.estimators import make_estimator as make_estimator
 from .slam.estimators import register_estimator as register_estimator
 from .slam.features import Features as Features
 from .slam.features import extract as extract
+from .slam.slam import Slam as Slam
+from .slam.slam import Step as Step
 from .core.geometry import Pose as Pose
 from .slam.mapping.grid import Grid as Grid
 from .core.landmarks import Kind as Kind

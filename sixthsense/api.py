@@ -72,6 +72,7 @@ def run(
 
     """
     from sixthsense import loop
+    from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
     given = _named(fields)
@@ -83,7 +84,7 @@ def run(
         config = _over(given.pop("preset", "default"), {**given, "scene": str(scene)})
     config = with_task(config, given)
     there = load_scene(config.scene)
-    loop.mission(there, config)
+    mission(there, config)
 
     def go(hook: OnTick | None) -> Trace:
         return loop.run(config, hook)

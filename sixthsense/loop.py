@@ -1,89 +1,127 @@
-"""The loop, from evidence to command, for a simulated world and for a log alike (CONTRIBUTING.md draws it)."""
+"""The loop, from evidence to command: a simulated world and a log drive the same `Slam` (CONTRIBUTING.md draws it)."""
 
 from __future__ import annotations
 
 import gc
-import math
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
-from sixthsense.config import AssumedConfig, Config, KeyScanConfig, merge
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.config import Config, merge
+from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.core.motion import STANDSTILL, Odometry, odometry
+from sixthsense.core.motion import STANDSTILL
+from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.navigation.explore import Explorer
 from sixthsense.navigation.follow import Follower
 from sixthsense.navigation.navigate import Driver, Navigator, Passenger
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.safety import Guard
-from sixthsense.record.live import Live
+from sixthsense.record.recorder import Recorder
+from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
-from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import make_estimator
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.slam import DEFAULT_RADIUS_M, Slam, Step
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
-from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.sources.mission import mission
+from sixthsense.sources.scene import Scene, SceneError, load_scene
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
+"""A hook of the user's: called after every tick with it and the record so far."""
+
+Watcher = Callable[[Tick, Step, Command], str | None]
+"""Called after every turn of the loop; a word that it returns is the outcome, and ends the run."""
 
 NO_WALLS = np.zeros((0, 2, 2))
 
-LOG_RADIUS_M = 0.2  # of a recorded robot whose configuration names none
+
+def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
+    """Turn the loop until the task is over, a watcher ends it, or the source has no more; returns the outcome."""
+    sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
+    command = Command()
+    while (tick := sense(command)) is not None:
+        step = slam.take(tick)
+        command = steer(step)
+        outcome: str | None = "collided" if tick.collided else pilot.navigator.outcome
+        for watch in watchers:
+            ended = watch(tick, step, command)
+            outcome = outcome or ended
+        if outcome is not None:
+            return outcome
+    return "log ended"
 
 
-def run(config: Config, on_tick: OnTick | None = None) -> Trace:
+def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = None) -> Trace:
     """Simulate `config.scene` and drive its task.
 
-    Raises SceneError for a scene, start or goal that will not do. `on_tick` is called after every tick with
-    it and the trace so far; Ctrl-C ends the run in order, as "interrupted".
+    `scene` is that scene where it is loaded already; `on_tick` is called after every tick with it and the trace so far.
+    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for a scene, start or goal that will not do.
     """
-    scene = load_scene(config.scene)
+    scene = scene or load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
-    world_rng, ransac_rng, planner_rng, explore_rng = _streams(config.seed)
-    source = World(scene.walls, start, radius_m, config, world_rng)
+    streams = random_streams(config.seed)
+    source = World(scene.walls, start, radius_m, config, streams.world)
     follower = Follower(config.follow, config.robot)
-    planner = make_planner(config.planner, config.rrtstar, planner_rng)
+    planner = make_planner(config.planner, config.rrtstar, streams.planner)
     navigator: Navigator
     if config.task == "explore":
         region = config.region or scene.region
-        navigator = Explorer(start, region, radius_m, planner, follower, config, explore_rng)
+        navigator = Explorer(start, region, radius_m, planner, follower, config, streams.exploration)
     else:
         navigator = Driver(goals, config.task == "tour", planner, follower, config)
-    trace = Trace(config, scene, radius_m, name=scene.name)
-    drive(source, start, navigator, trace, ransac_rng, on_tick)
-    return trace
+    return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick)
 
 
 def replay(log: Log, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
-    """Digest a recorded log with the same middle of the loop; the robot goes where it went.
+    """Digest a recorded log with the same loop; the robot goes where it went.
 
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
     scene, if that still loads, in `config`.
     """
     log.rewind()
     scene = _recorded_scene(log, config)
-    radius_m = config.robot.radius or (LOG_RADIUS_M if scene is None else scene.radius)
-    _, ransac_rng, *_ = _streams(config.seed)
+    radius_m = config.robot.radius or (DEFAULT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
-    drive(log, log.start, Passenger(), trace, ransac_rng, on_tick)
+    return recorded_drive(log, log.start, Passenger(), trace, on_tick)
+
+
+def recorded_drive(
+    source: Source, start: Pose, navigator: Navigator, trace: Trace, on_tick: OnTick | None = None
+) -> Trace:
+    """Drive the loop with all that watches it, and return its record."""
+    config, clock = trace.config, trace.stopwatch
+    pilot = Pilot(navigator, Guard(config, trace.radius_m))
+    with Slam(config, start, radius_m=trace.radius_m, timed=clock.timed) as slam:
+        recorder = Recorder(trace, slam, pilot)
+        with deferred_interrupt() as interrupted:
+            watchers: list[Watcher] = [recorder]
+            if on_tick is not None:
+                watchers.append(lambda tick, step, command: on_tick(tick, trace))
+            watchers.append(_Deadline(config.max_time, navigator.at_the_end))
+            watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
+            outcome = drive(source, slam, pilot, watchers, clock)
+        recorder.finish(outcome)
     return trace
 
 
-def _streams(seed: int) -> list[np.random.Generator]:
-    """Randomness of the world, of RANSAC, of the planner and of exploration, apart.
+class _Deadline:
+    """Ends a run when so much of the source's time is over."""
 
-    So a replay repeats the second alone, and a change of planner leaves the noise alone.
-    """
-    return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(4)]
+    def __init__(self, max_time_s: float, outcome: str) -> None:
+        self._max_ns, self._outcome = round(max_time_s * 1e9), outcome
+        self._first_ns: int | None = None
+
+    def __call__(self, tick: Tick, step: Step, command: Command) -> str | None:
+        if self._first_ns is None:
+            self._first_ns = tick.stamp_ns
+        return self._outcome if tick.stamp_ns >= self._first_ns + self._max_ns else None
 
 
 def _recorded_scene(log: Log, config: Config) -> Scene | None:
@@ -93,34 +131,6 @@ def _recorded_scene(log: Log, config: Config) -> Scene | None:
         return load_scene(config.scene)
     except SceneError:
         return None  # the record outlives the file
-
-
-def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
-    """Start, goals (N, 2) and robot radius of a task, from the configuration or else from the scene.
-
-    An exploration has no goals.
-
-    Raises SceneError, naming the field, for a place that is missing, outside the region or too near a wall.
-    """
-    start = Pose(*config.start) if config.start is not None else scene.start
-    goal = config.goal if config.goal is not None else scene.goal
-    if config.task == "goal" and goal is None:
-        raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
-    if config.task == "tour" and not scene.tour:
-        raise SceneError(
-            f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: explore, goal"
-        )
-    if config.task == "explore" and config.goal is not None:
-        raise SceneError(
-            f"goal: found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore, allowed: with task goal"
-        )
-    if config.task != "goal":
-        goal = None
-    tour = scene.tour if config.task == "tour" else ()
-    check_placement(scene, start, goal, config.region, config.robot.radius, tour)
-    assert start is not None  # check_placement has seen to it
-    goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
-    return start, goals, config.robot.radius or scene.radius
 
 
 def warm_up() -> None:
@@ -133,7 +143,7 @@ def warm_up() -> None:
     planner = make_planner("astar")
     driver = Explorer(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
-    drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace, rng)
+    recorded_drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace)
     measure(trace)
     assert trace.grid is not None
     space = trace.grid.free_space()
@@ -151,141 +161,3 @@ def warm_up() -> None:
     # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
     gc.collect()
     gc.freeze()
-
-
-class KeyScans:
-    """Decides which scans are used: those after enough motion since the last one used; folds the motion between."""
-
-    def __init__(self, config: KeyScanConfig) -> None:
-        self._config = config
-        self._first = True
-        self.since = STANDSTILL
-        """motion since the last key scan"""
-
-    def moved(self, increment: Odometry) -> None:
-        """Take an increment of motion in."""
-        self.since = self.since.then(increment) if self.since is not STANDSTILL else increment
-
-    def due(self, tick: Tick) -> bool:
-        """Whether what the tick brings is used: a scan after enough motion, or sightings of landmarks known by name."""
-        if tick.scan is None:
-            return bool(tick.sightings)
-        motion = self.since.motion
-        distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-        far = distance >= self._config.distance_m or turn >= self._config.turn_rad
-        return self._first or (far and (distance > 0.0 or turn > 0.0))
-
-    def take(self) -> Odometry:
-        """The motion since the last key scan; counting starts anew."""
-        motion, self.since, self._first = self.since, STANDSTILL, False
-        return motion
-
-
-def drive(
-    source: Source,
-    start: Pose,
-    navigator: Navigator,
-    trace: Trace,
-    rng: np.random.Generator,
-    on_tick: OnTick | None = None,
-) -> None:
-    """Run until the task is over, the source ends or `max_time` is reached; `start` is where the estimator begins."""
-    config, watch = trace.config, trace.stopwatch
-    estimator = make_estimator(config.estimator, start, np.zeros((3, 3)), config.isam2)
-    associator = Associator(config.association)
-    mapper = Mapper(config.grid, trace.radius_m)
-    keyscans = KeyScans(config.keyscans)
-    guard, deskew = Guard(config, trace.radius_m), Deskewer(config.features.deskew)
-    command, pose = Command(), start
-    trace.plans, trace.grid = navigator.plans, mapper.grid
-    trace.live = live = Live(estimator, associator.records)
-    before: Pose | None = None
-    deadline_ns, T_world_odom = 0, Pose()
-    began = time.perf_counter()
-    # One BLAS thread: with more, results differ from run to run, and small matrices are slower.
-    with threadpool_limits(limits=1, user_api="blas"), deferred_interrupt() as interrupted:
-        while True:
-            watch.start()
-            tick = source.step(command)
-            watch.lap("sense")
-            if tick is None:
-                trace.outcome = "log ended"
-                break
-            if before is None:
-                deadline_ns = tick.stamp_ns + round(config.max_time * 1e9)
-                T_world_odom = start @ tick.odometry.inverse()
-                deskew.moved(tick.stamp_ns, STANDSTILL)
-            else:
-                increment = _increment(before, tick, config.assumed)
-                keyscans.moved(increment)
-                guard.moved(increment.motion)
-                deskew.moved(tick.stamp_ns, increment)
-                pose = pose @ increment.motion
-            before = tick.odometry
-            scan = None
-            if tick.scan is not None:
-                live.scan = scan = deskew(tick.scan)
-                guard.see(scan)
-            watch.lap("predict")
-            if keyscans.due(tick):
-                motion = keyscans.take()
-                estimator.predict(motion)
-                watch.lap("predict")
-                if scan is not None:
-                    live.features = features = extract(scan, config.assumed, config.features, rng)
-                    walls = features.walls
-                    watch.lap("extract")
-                    association = associator.associate(features.sightings, estimator)
-                else:
-                    walls = NO_WALLS
-                    association = associator.known(tick.sightings or {}, estimator)
-                watch.lap("associate")
-                estimator.update(association.sightings)
-                estimator.forget([*associator.cull(), *associator.merged(estimator)])
-                estimate = estimator.estimate()
-                pose = estimate.pose
-                watch.lap("update")
-                if scan is not None:
-                    mapper.add(estimator.trajectory(), scan, walls)
-                watch.lap("grid")
-                navigator.look(mapper.grid, estimate)
-                watch.lap("plan")
-                watch.key_scan()
-                trace.add_key_scan(tick, motion, estimate, association, walls)
-            command = guard.check(navigator.step(pose, tick.stamp_ns))
-            if guard.blocked:
-                navigator.blocked(pose)
-            watch.lap("plan")
-            dead_reckoned = T_world_odom @ tick.odometry
-            trace.add_tick(tick, dead_reckoned)
-            if tick.scan is not None or tick.sightings is not None:
-                trace.add_scan(tick, pose, dead_reckoned, keyscans.since.motion)
-            if on_tick is not None:
-                on_tick(tick, trace)
-            outcome: str | None = "collided" if tick.collided else navigator.outcome
-            if outcome is None and tick.stamp_ns >= deadline_ns:
-                outcome = navigator.at_the_end
-            if outcome is None and interrupted():
-                outcome = "interrupted"
-            if outcome is not None:
-                trace.outcome = outcome
-                break
-    trace.wall_time_s = time.perf_counter() - began
-    trace.live = None
-    if navigator.plans_below_margin is not None:
-        trace.guard_stops, trace.plans_below_margin = guard.stops, navigator.plans_below_margin
-        trace.plans_by_astar = navigator.plans_by_astar
-    trace.left = navigator.left
-    estimator.predict(keyscans.take())
-    trace.final = estimator.estimate()
-    trace.joint_cov = estimator.joint_covariance(trace.final.ids.tolist())
-    trace.trajectory = estimator.trajectory()
-    trace.records, trace.culled, trace.walls_merged = associator.records, associator.culled, associator.walls_merged
-    trace.rebuilds = mapper.rebuilds
-
-
-def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:
-    """The motion since the last tick, with the covariance that the log states, or else that of the assumed noise."""
-    if tick.increment_cov is None:
-        return odometry(before, tick.odometry, assumed)
-    return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)

@@ -51,7 +51,7 @@ class Campaign:
 
         Raises ConfigError for a name or field that is not allowed, SceneError for a scene, start or goal.
         """
-        from sixthsense.loop import mission
+        from sixthsense.sources.mission import mission
         from sixthsense.sources.scene import load_scene
 
         bases = [merge(preset(name), self.fields, "--") for name in self.presets]

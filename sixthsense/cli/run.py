@@ -46,8 +46,9 @@ def command(args: list[str]) -> int:
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
     from sixthsense.api import with_task
-    from sixthsense.loop import mission, run, warm_up
+    from sixthsense.loop import run, warm_up
     from sixthsense.record.bag import BagWriter
+    from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
     config = with_task(config, flags, "--")

@@ -1,8 +1,11 @@
-"""Where the time of a run goes: the stages of the loop, timed."""
+"""Processing times of the stages of the loop."""
 
 from __future__ import annotations
 
+import functools
 import time
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +15,7 @@ STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan")
 
 
 class Stopwatch:
-    """Times the stages of the loop; a key scan's whole processing is the sum of its stages after sensing."""
+    """Times the stages of the loop. The processing of a key scan is the sum of its stages without sensing."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
@@ -20,25 +23,27 @@ class Stopwatch:
         self.totals = dict.fromkeys(STAGES, 0.0)
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
-        self._last = time.perf_counter()
 
-    def start(self) -> None:
-        """Begin a turn of the loop."""
+    def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, each of whose calls adds its time to `stage`."""
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Any:
+            began = time.perf_counter()
+            out = function(*args)
+            elapsed = 1e3 * (time.perf_counter() - began)
+            self._row[stage] = self._row.get(stage, 0.0) + elapsed
+            self.totals[stage] += elapsed
+            return out
+
+        return call
+
+    def end_turn(self, is_key_scan: bool) -> None:
+        """End a turn of the loop; the times of a key scan's turn are kept as a row."""
+        if is_key_scan:
+            self.rows.append(self._row)
         self._row = {}
-        self._last = time.perf_counter()
-
-    def lap(self, stage: str) -> None:
-        """Book the time since the last lap on `stage`."""
-        now = time.perf_counter()
-        elapsed = 1e3 * (now - self._last)
-        self._row[stage] = self._row.get(stage, 0.0) + elapsed
-        self.totals[stage] += elapsed
-        self._last = now
-
-    def key_scan(self) -> None:
-        """Keep this turn's laps as a key scan's."""
-        self.rows.append(self._row)
 
     def key_scan_ms(self) -> Array:
-        """(K,) the whole processing of each key scan, sensing left out; milliseconds."""
+        """(K,) processing time of each key scan without sensing, milliseconds."""
         return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])

@@ -23,6 +23,7 @@ from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.slam import KeyScan, Step
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import Scene
 
@@ -145,28 +146,26 @@ class Trace:
             self.path_length_m += float(np.hypot(*(position - self.last_position)))
         self.last_position = position
 
-    def add_scan(self, tick: Tick, pose: Pose, odometry: Pose, since_key: Pose) -> None:
-        """Record one scan, after whatever the loop made of it."""
+    def add_scan(self, tick: Tick, step: Step) -> None:
+        """Record a scan, after the loop has used it."""
         self.stamps_ns.append(tick.stamp_ns)
         self.log_stamps_s.append(np.nan if tick.log_stamp_s is None else tick.log_stamp_s)
-        self.estimates.append(pose.array())
-        self.odometry.append(odometry.array())
+        self.estimates.append(step.pose.array())
+        self.odometry.append(step.dead_reckoned.array())
         if tick.truth is not None:
             self.truths.append(tick.truth.array())
         self.last_key.append(len(self.key_stamps_ns) - 1)
-        self.since_key.append(since_key.array())
+        self.since_key.append(step.since_key_scan.array())
 
-    def add_key_scan(
-        self, tick: Tick, motion: Odometry, estimate: Estimate, association: Association, walls: Array
-    ) -> None:
-        """Record one key scan after its update; `motion` is that since the one before."""
-        self.key_odometry.append(motion)
+    def add_key_scan(self, tick: Tick, key_scan: KeyScan) -> None:
+        """Record a key scan after its update."""
+        self.key_odometry.append(key_scan.motion)
         self.key_stamps_ns.append(tick.stamp_ns)
-        self.key_estimates.append(estimate)
+        self.key_estimates.append(key_scan.estimate)
         if tick.truth is not None:
             self.key_truths.append(tick.truth.array())
-        self.associations.append(association)
-        self.walls_found.append(walls)
+        self.associations.append(key_scan.association)
+        self.walls_found.append(key_scan.walls_robot)
 
     def scan_poses(self) -> Array:
         """(S, 3) final pose of every scan: its last key scan's, and the odometry since."""

@@ -8,7 +8,8 @@ from test_planners import CELL, WORLDS, assert_without_path, random_free_point, 
 
 from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Array
-from sixthsense.loop import _streams, run
+from sixthsense.core.random_streams import random_streams
+from sixthsense.loop import run
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.planners.base import Plan
 from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _inside, reachable
@@ -160,7 +161,7 @@ def test_a_change_of_planner_leaves_the_noise_alone() -> None:
         run(config, lambda tick, _, seen=seen: seen.append(tick.scan.ranges) if tick.scan is not None else None)
     assert np.array_equal(scans["astar"][0], scans["rrtstar"][0])
     world, ransac = (np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2))
-    streams = _streams(7)
+    streams = random_streams(7)
     assert [rng.random() for rng in streams[:2]] == [world.random(), ransac.random()]
 
 

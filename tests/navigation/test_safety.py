@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
-from sixthsense.loop import drive
+from sixthsense.loop import recorded_drive
 from sixthsense.navigation.follow import Follower
 from sixthsense.navigation.navigate import Driver
 from sixthsense.navigation.planners import make_planner
@@ -185,13 +185,12 @@ class Sudden(World):
 
 
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
-    world_rng, rng = (np.random.default_rng(s) for s in np.random.SeedSequence(config.seed).spawn(2))
-    source = kind(HALL, Pose(), RADIUS, config, world_rng)
+    source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
     follower = Follower(config.follow, config.robot)
     driver = Driver(np.array([goal]), False, make_planner("astar"), follower, config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
-    drive(source, Pose(), driver, trace, rng)
+    recorded_drive(source, Pose(), driver, trace)
     return trace
 
 

@@ -10,8 +10,10 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
-from sixthsense.loop import KeyScans, mission, run
+from sixthsense.loop import run
 from sixthsense.record.trace import Trace
+from sixthsense.slam.key_scans import KeyScans
+from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import SceneError, load_scene
 from sixthsense.sources.world import World
 

@@ -1,0 +1,50 @@
+"""Fills the record of a run: a watcher of the loop."""
+
+from __future__ import annotations
+
+import time
+
+from sixthsense.core.source import Command, Tick
+from sixthsense.navigation.pilot import Pilot
+from sixthsense.record.live import Live
+from sixthsense.record.trace import Trace
+from sixthsense.slam.slam import Slam, Step
+
+
+class Recorder:
+    """Appends what each turn of the loop brought to a trace."""
+
+    def __init__(self, trace: Trace, slam: Slam, pilot: Pilot) -> None:
+        """Record into `trace`, which shows the plans and the map from now on."""
+        self._trace, self._slam, self._pilot = trace, slam, pilot
+        trace.plans, trace.grid = pilot.navigator.plans, slam.grid
+        trace.live = Live(slam.estimator, slam.associator.records)
+        self._began = time.perf_counter()
+
+    def __call__(self, tick: Tick, step: Step, command: Command) -> None:
+        """Record a turn."""
+        trace, key_scan = self._trace, step.key_scan
+        trace.stopwatch.end_turn(key_scan is not None)
+        assert trace.live is not None
+        trace.live.scan = step.scan or trace.live.scan
+        if key_scan is not None:
+            trace.live.features = key_scan.features or trace.live.features
+            trace.add_key_scan(tick, key_scan)
+        trace.add_tick(tick, step.dead_reckoned)
+        if tick.scan is not None or tick.sightings is not None:
+            trace.add_scan(tick, step)
+
+    def finish(self, outcome: str) -> None:
+        """Record how the run ended, and what is known then."""
+        trace, navigator = self._trace, self._pilot.navigator
+        trace.outcome = outcome
+        trace.wall_time_s = time.perf_counter() - self._began
+        trace.live = None
+        trace.left = navigator.left
+        if navigator.plans_below_margin is not None:
+            trace.guard_stops, trace.plans_below_margin = self._pilot.guard.stops, navigator.plans_below_margin
+            trace.plans_by_astar = navigator.plans_by_astar
+        result = self._slam.finish()
+        trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
+        trace.records = dict(result.landmarks)
+        trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds

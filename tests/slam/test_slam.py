@@ -1,0 +1,118 @@
+"""`Slam` fed by hand: what the loop makes of a world, and readings that change nothing."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+import sixthsense as ss
+from sixthsense.core.geometry import Pose
+from sixthsense.core.source import Command, Tick
+from sixthsense.slam.slam import Slam, SlamResult
+from sixthsense.sources.scene import load_scene
+from sixthsense.sources.world import World
+
+ESTIMATORS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2"]
+START = Pose(1.0, 1.0, 0.3)
+
+
+def circle_ticks(config: ss.Config, seconds: float) -> list[Tick]:
+    """Ticks of a robot that drives a circle in the apartment."""
+    scene = load_scene("apartment")
+    assert scene.start is not None
+    source = World(scene.walls, scene.start, scene.radius, config, np.random.default_rng(3))
+    ticks = [source.step(Command(0.2, 0.5)) for _ in range(round(50 * seconds))]
+    return [tick for tick in ticks if tick is not None]
+
+
+def config_of(estimator: str) -> ss.Config:
+    return ss.preset(scene="apartment", estimator=estimator)
+
+
+def assert_same(one: SlamResult, two: SlamResult) -> None:
+    assert np.array_equal(one.estimate.landmarks, two.estimate.landmarks)
+    assert np.array_equal(one.joint_cov, two.joint_cov)
+    assert np.array_equal(one.trajectory, two.trajectory)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_reading_changes_no_later_bit(estimator: str) -> None:
+    config = config_of(estimator)
+    ticks = circle_ticks(config, 12.0)
+    with Slam(config, START) as quiet, Slam(config, START) as read:
+        for tick in ticks:
+            quiet.take(tick)
+            read.take(tick)
+            estimate = read.estimate()
+            estimate.landmarks[:] = np.nan
+            read.trajectory()[:] = np.nan
+            _ = read.pose, read.grid.occupancy(), read.estimator.joint_covariance(estimate.ids.tolist())
+        assert len(quiet.trajectory()) > 5
+        assert_same(quiet.finish(), read.finish())
+        assert np.array_equal(quiet.grid.hits, read.grid.hits)
+
+
+def test_scans_and_odometry_by_hand_give_what_ticks_give() -> None:
+    config = config_of("ekf-invariant")
+    ticks = circle_ticks(config, 6.0)
+    with Slam(config, START) as by_tick, Slam(config, START) as by_hand:
+        for tick in ticks:
+            one = by_tick.take(tick)
+            if tick.scan is None:
+                two = by_hand.odometry(tick.stamp_ns, tick.odometry)
+            else:
+                two = by_hand.scan(tick.stamp_ns, tick.scan.ranges, tick.odometry)
+            assert one.pose == two.pose
+            assert (one.key_scan is None) == (two.key_scan is None)
+        assert_same(by_tick.finish(), by_hand.finish())
+
+
+def test_the_pose_between_key_scans_is_the_estimate_and_the_odometry_since() -> None:
+    config = config_of("ekf")
+    with Slam(config, START) as slam:
+        for tick in circle_ticks(config, 4.0):
+            step = slam.take(tick)
+            assert slam.pose == step.pose
+            if step.key_scan is not None:
+                assert step.pose == slam.estimate().pose
+                assert step.since_key_scan == Pose()
+        last = Pose.from_array(slam.trajectory()[-1]) @ step.since_key_scan
+        assert np.allclose(slam.finish().estimate.pose.array(), last.array(), atol=1e-12)
+
+
+def test_a_start_that_is_not_exact_keeps_its_covariance_until_something_is_seen() -> None:
+    cov = np.diag([0.04, 0.01, 0.02])
+    with Slam(config_of("ekf-invariant"), START, start_cov=cov) as slam:
+        assert np.allclose(slam.estimate().pose_cov, cov)
+
+
+def test_blas_keeps_to_one_thread_inside_and_has_its_threads_back_after() -> None:
+    def threads() -> list[int]:
+        return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+    before = threads()
+    with Slam(config_of("ekf")):
+        assert set(threads()) == {1}
+    assert threads() == before
+
+
+def test_what_cannot_be_taken_is_refused() -> None:
+    config = config_of("ekf")
+    with Slam(config) as slam:
+        slam.scan(100, np.ones(360), Pose())
+        with pytest.raises(ValueError, match=r"^ranges: expected shape \(360,\), got \(181,\)"):
+            slam.scan(200, np.ones(181), Pose())
+        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
+            slam.odometry(100, Pose())
+        slam.finish()
+        with pytest.raises(RuntimeError, match="finish"):
+            slam.odometry(300, Pose())
+
+
+def test_an_own_laser_is_described_by_the_configuration() -> None:
+    config = dataclasses.replace(config_of("ekf"), laser=ss.preset(laser={"beams": 181, "fov": np.pi}).laser)
+    with Slam(config) as slam:
+        step = slam.scan(0, np.full(181, 2.0), Pose())
+        assert step.scan is not None
+        assert len(step.scan.ranges) == 181
