@@ -5,4 +5,5 @@ The public names are flat; `__init__.pyi` lists them, and each is imported when 
 
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = [name for name in _names if not name.startswith("_")]
