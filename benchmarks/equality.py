@@ -1,0 +1,288 @@
+"""Run a tree and an earlier commit on the same cases and say whether their results are equal, bit for bit.
+
+    python benchmarks/equality.py --base main~3              # this repository against an earlier commit of its own
+    python benchmarks/equality.py --base main~3 --tree ../other --only office intel.isam2
+
+Compared are estimates, landmarks with their joint covariance, all metrics but clocks, and exit codes. Results of the
+base stay in the work folder (`.equality-USER` in the system's temporary folder) by commit and case. They are used again
+as long as the case and the libraries' versions are the same, so it must be the same machine. Exit codes: 0 all are
+equal (a case without its data is skipped, and counted), 1 one or more differ, 2 bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import getpass
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from equality_cases import Case, cases
+
+TRAJECTORIES = ("estimate.tum", "smoothed.tum")
+LANDMARKS, METRICS = "landmarks.npz", "metrics.json"
+CLOCKS = ("wall_time_s", "realtime_factor", "scan_ms_", "stage_ms_mean.")  # what such keys begin with
+SEED = 3
+LONGEST_S = 3600.0  # of a case
+
+
+class BadInputError(Exception):
+    """One line."""
+
+
+@dataclass(frozen=True)
+class Tree:
+    """Code to run and a folder for what comes of it."""
+
+    code: Path
+    folder: Path
+
+    def out(self, case: Case) -> Path:
+        """The folder of a case's run."""
+        return self.folder / "cases" / case.name
+
+    def record(self, case: Case) -> Path:
+        """What is known of that run."""
+        return self.folder / "cases" / f"{case.name}.json"
+
+
+def identity(case: Case) -> dict[str, Any]:
+    """What else, beside the commit, a result depends on."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "gtsam")}
+    return {"words": list(case.words), "seed": SEED, "python": sys.version, **libraries}
+
+
+def perform(case: Case, tree: Tree, keep: bool) -> None:
+    """Run a case; of its folder only what is compared stays, unless all of it is to be kept."""
+    out, record = tree.out(case), tree.record(case)
+    partial = out.with_name(out.name + ".partial")
+    for folder in (out, partial):
+        shutil.rmtree(folder, ignore_errors=True)
+    record.unlink(missing_ok=True)
+    elsewhere = tree.folder / "elsewhere"  # the module must come from PYTHONPATH
+    for folder in (out.parent, elsewhere):
+        folder.mkdir(parents=True, exist_ok=True)
+    words = [sys.executable, "-m", "sixthsense.cli", *case.words, "--seed", str(SEED), "--out", str(out)]
+    # The compiled kernels of one tree must not serve another, nor a later state of this one.
+    env = os.environ | {"PYTHONPATH": str(tree.code), "NUMBA_CACHE_DIR": str(tree.folder / "numba")}
+    code: int | None = None
+    try:
+        done = subprocess.run(words, cwd=elsewhere, env=env, capture_output=True, timeout=LONGEST_S)
+        code, said = done.returncode, done.stderr.decode(errors="replace")
+    except subprocess.TimeoutExpired:
+        said = f"no end within {LONGEST_S:.0f} s"
+    if not keep:
+        for file in out.glob("*"):
+            if file.is_dir():
+                shutil.rmtree(file)
+            elif file.name not in (*TRAJECTORIES, LANDMARKS, METRICS):
+                file.unlink()
+    last = [line.strip() for line in said.splitlines() if line.strip()][-1:]
+    record.write_text(json.dumps({"code": code, "said": "".join(last), **identity(case)}, indent=1) + "\n")
+
+
+def is_recorded(case: Case, tree: Tree) -> bool:
+    """Whether the case has been run before, to its end, as it would be now."""
+    if not tree.record(case).is_file() or not tree.out(case).is_dir():
+        return False
+    record = json.loads(tree.record(case).read_text())
+    code, _ = record.pop("code"), record.pop("said")
+    return code in (0, 1) and bool(record == identity(case))
+
+
+def compare_folders(base: Path, new: Path, ignored: Collection[str] = ()) -> list[str]:
+    """What differs between the results in two folders, a line each; none if they are equal."""
+    found: list[str] = []
+    for name in (*TRAJECTORIES, LANDMARKS, METRICS):
+        lacking = [side for side, folder in (("base", base), ("new", new)) if not (folder / name).is_file()]
+        if lacking:
+            found.append(f"{name}: missing in {' and '.join(lacking)}")
+        elif name == METRICS:
+            found += compare_metrics(base / name, new / name, ignored)
+        elif (base / name).read_bytes() != (new / name).read_bytes():
+            found += compare_arrays(base / name, new / name) if name == LANDMARKS else [compare_tum(base, new, name)]
+    return found
+
+
+def compare_tum(base: Path, new: Path, name: str) -> str:
+    """Where two trajectories that are not equal part, and how far."""
+    a, b = ((folder / name).read_text().splitlines() for folder in (base, new))
+    common = min(len(a), len(b))
+    first = next((k for k in range(common) if a[k] != b[k]), common) + 1
+    said = f"{name}: first differs in line {first}"
+    if len(a) != len(b):
+        said += f", {len(a)} lines, now {len(b)}"
+    try:
+        gaps = np.subtract(*([list(map(float, line.split()[1:3])) for line in rows[:common]] for rows in (a, b)))
+        return f"{said}, at most {np.hypot(*gaps.reshape(-1, 2).T).max(initial=0.0):.3g} m apart"
+    except ValueError:
+        return f"{said}, and cannot be read"
+
+
+def compare_arrays(base: Path, new: Path) -> list[str]:
+    """Arrays of two NPZ files that differ in name, type, shape or any bit."""
+    found = []
+    with np.load(base) as a, np.load(new) as b:
+        for key in sorted({*a, *b}):
+            if key not in a or key not in b:
+                found.append(f"{base.name}: {key}: only in {'base' if key in a else 'new'}")
+                continue
+            x, y = a[key], b[key]
+            if (x.dtype, x.shape) != (y.dtype, y.shape):
+                found.append(f"{base.name}: {key}: {x.dtype} {x.shape}, now {y.dtype} {y.shape}")
+            elif x.tobytes() != y.tobytes():
+                gap = np.abs(x.astype(np.float64) - y.astype(np.float64)).max()
+                found.append(f"{base.name}: {key}: values differ by {gap:.3g} at most")
+    return found
+
+
+def compare_metrics(base: Path, new: Path, ignored: Collection[str] = ()) -> list[str]:
+    """Metrics that are not the same, clocks and `ignored` keys left out; NaN is equal to NaN."""
+    a, b = (json.loads(file.read_text()) for file in (base, new))
+    keys = sorted(key for key in {*a, *b} if not key.startswith(CLOCKS) and key not in ignored)
+    shown = [(key, *(json.dumps(side[key]) if key in side else "missing" for side in (a, b))) for key in keys]
+    return [f"{base.name}: {key}: {old}, now {now}" for key, old, now in shown if old != now]
+
+
+def compare(case: Case, base: Tree, new: Tree, ignored: Collection[str]) -> list[str]:
+    """What differs between two trees' results of a case; a case that fails in either is not equal."""
+    a, b = (json.loads(tree.record(case).read_text()) for tree in (base, new))
+    codes = [a["code"], b["code"]]
+    found = [] if codes[0] == codes[1] and codes[0] in (0, 1) else [_ending("base", a), _ending("new", b)]
+    if all(code in (0, 1) for code in codes):  # 1: the robot failed, in order
+        found += compare_folders(base.out(case), new.out(case), ignored)
+    return found
+
+
+def _ending(name: str, record: dict[str, Any]) -> str:
+    return f"{name} ends with exit code {record['code']}" + (f": {record['said']}" if record["code"] != 0 else "")
+
+
+def git(folder: Path, *words: str) -> str:
+    """What git says, in one line."""
+    done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True)
+    if done.returncode != 0:
+        raise BadInputError(f"git {words[0]}: {''.join(done.stderr.splitlines()[-1:])}")
+    return done.stdout.strip()
+
+
+def trees(options: argparse.Namespace) -> tuple[Tree, Tree]:
+    """The base's tree, which may have to be made yet, and the one under test, with nothing compiled."""
+    where, revision = (options.base_tree, "HEAD") if options.base_tree else (options.tree, options.base)
+    commit = git(where, "rev-parse", "--verify", f"{revision}^{{commit}}")
+    if options.base_tree and git(where, "status", "--porcelain", "--untracked-files=no"):
+        raise BadInputError(f"--base-tree: {where} has changes, allowed: a commit as it is")
+    folder = options.work / f"base-{commit[:12]}"
+    folder.mkdir(exist_ok=True)
+    base = Tree(options.base_tree or folder / "tree", folder)
+    key = hashlib.sha256(str(options.tree).encode()).hexdigest()[:8]
+    new = Tree(options.tree, options.work / f"tree-{options.tree.name}-{key}")
+    if not options.record_only:
+        shutil.rmtree(new.folder, ignore_errors=True)
+        new.folder.mkdir()
+    return base, new
+
+
+def prepare(tree: Tree, options: argparse.Namespace) -> None:
+    """See that a tree's own code will run; the base's is made where it is to come from git."""
+    if not tree.code.exists():
+        commit = git(options.tree, "rev-parse", f"{options.base}^{{commit}}")
+        git(options.tree, "worktree", "add", "--force", "--detach", str(tree.code), commit)
+    words = [sys.executable, "-c", "import sixthsense; print(sixthsense.__file__)"]
+    env = os.environ | {"PYTHONPATH": str(tree.code)}
+    found = subprocess.run(words, cwd=tree.folder, env=env, capture_output=True, text=True).stdout.strip()
+    if not Path(found).is_relative_to(tree.code):
+        raise BadInputError(
+            f"{tree.code}: found the package in {found or 'no place'}, allowed: a tree that has its own"
+        )
+
+
+def carry_out(case: Case, base: Tree, new: Tree, options: argparse.Namespace) -> list[str]:
+    """Run what has to be run of a case; what differs."""
+    if not is_recorded(case, base):
+        perform(case, base, options.keep)
+    if options.record_only:
+        return compare(case, base, base, ())
+    perform(case, new, options.keep)
+    return compare(case, base, new, options.ignore)
+
+
+def carry_out_all(chosen: Sequence[Case], base: Tree, new: Tree, options: argparse.Namespace) -> int:
+    """Run the cases side by side and print a row for each; how many are equal."""
+    width, equal = max(len(case.name) for case in chosen), 0
+    pool = ThreadPoolExecutor(options.jobs)
+    try:
+        waiting = [(case, None if case.needs else pool.submit(carry_out, case, base, new, options)) for case in chosen]
+        for case, future in waiting:
+            if future is None:
+                print(f"{case.name:{width}}  skipped: needs {case.needs}")
+                continue
+            found = future.result()
+            equal += not found
+            good, bad = ("recorded", "not usable") if options.record_only else ("equal", "differs")
+            print("\n    ".join([f"{case.name:{width}}  {bad if found else good}", *found]), flush=True)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return equal
+
+
+def arguments() -> argparse.Namespace:
+    """What the command line says."""
+    form = argparse.RawDescriptionHelpFormatter
+    cli = argparse.ArgumentParser(description=__doc__, formatter_class=form)
+    which = cli.add_mutually_exclusive_group(required=True)
+    which.add_argument("--base", metavar="REV", help="earlier commit; a worktree of it is made in the work folder")
+    which.add_argument("--base-tree", type=Path, metavar="DIR", help="a tree of the earlier commit that exists")
+    here = Path(__file__).resolve().parent.parent
+    cli.add_argument("--tree", type=Path, default=here, metavar="DIR", help="the tree under test (this one)")
+    work = Path(tempfile.gettempdir()) / f".equality-{getpass.getuser()}"
+    cli.add_argument("--work", type=Path, default=work, metavar="DIR", help=f"work folder ({work})")
+    cli.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="cases with one of these in their name")
+    cli.add_argument("--ignore", nargs="+", default=[], metavar="KEY", help="metrics to leave out")
+    cli.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time (2)")
+    cli.add_argument("--keep", action="store_true", help="keep all that the runs write, not only what is compared")
+    cli.add_argument("--record-only", action="store_true", help="run the base alone, where it has not been yet")
+    options = cli.parse_args()
+    if options.jobs < 1:
+        cli.error(f"--jobs: found {options.jobs}, allowed: at least 1")
+    options.tree, options.work = options.tree.resolve(), options.work.resolve()
+    options.base_tree = options.base_tree and options.base_tree.resolve()
+    return options
+
+
+def main() -> int:
+    options = arguments()
+    try:
+        inputs = options.work / "inputs"
+        inputs.mkdir(parents=True, exist_ok=True)
+        chosen = [case for case in cases(inputs) if any(text in case.name for text in options.only)]
+        ready = [case for case in chosen if not case.needs]
+        if not chosen:
+            raise BadInputError(f"--only: found {' '.join(options.only)}, which is in no case's name")
+        base, new = trees(options)
+        if not all(is_recorded(case, base) for case in ready):
+            prepare(base, options)
+        if not options.record_only:
+            prepare(new, options)
+    except BadInputError as error:
+        print(f"equality.py: {error}", file=sys.stderr)
+        return 2
+    equal = carry_out_all(chosen, base, new, options)
+    skipped = f", {len(chosen) - len(ready)} skipped" if len(chosen) > len(ready) else ""
+    print(f"{equal} of {len(ready)} {'recorded' if options.record_only else 'equal'}{skipped}")
+    return int(equal < len(ready))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
