@@ -92,13 +92,21 @@ def perform(case: Case, tree: Tree, keep: bool) -> None:
     record.write_text(json.dumps({"code": code, "said": "".join(last), **identity(case)}, indent=1) + "\n")
 
 
+def has_ended(case: Case, tree: Tree) -> bool:
+    """Whether a case came to its end in order, the robot's failure included; a crash has that exit code, too."""
+    return _record(case, tree)["code"] in (0, 1) and (tree.out(case) / METRICS).is_file()
+
+
 def is_recorded(case: Case, tree: Tree) -> bool:
     """Whether the case has been run before, to its end, as it would be now."""
-    if not tree.record(case).is_file() or not tree.out(case).is_dir():
+    if not tree.record(case).is_file() or not has_ended(case, tree):
         return False
-    record = json.loads(tree.record(case).read_text())
-    code, _ = record.pop("code"), record.pop("said")
-    return code in (0, 1) and bool(record == identity(case))
+    return _record(case, tree).items() >= identity(case).items()
+
+
+def _record(case: Case, tree: Tree) -> dict[str, Any]:
+    record: dict[str, Any] = json.loads(tree.record(case).read_text())
+    return record
 
 
 def compare_folders(base: Path, new: Path, ignored: Collection[str] = ()) -> list[str]:
@@ -157,12 +165,10 @@ def compare_metrics(base: Path, new: Path, ignored: Collection[str] = ()) -> lis
 
 def compare(case: Case, base: Tree, new: Tree, ignored: Collection[str]) -> list[str]:
     """What differs between two trees' results of a case; a case that fails in either is not equal."""
-    a, b = (json.loads(tree.record(case).read_text()) for tree in (base, new))
-    codes = [a["code"], b["code"]]
-    found = [] if codes[0] == codes[1] and codes[0] in (0, 1) else [_ending("base", a), _ending("new", b)]
-    if all(code in (0, 1) for code in codes):  # 1: the robot failed, in order
-        found += compare_folders(base.out(case), new.out(case), ignored)
-    return found
+    in_order = has_ended(case, base) and has_ended(case, new)
+    a, b = _record(case, base), _record(case, new)
+    found = [] if in_order and a["code"] == b["code"] else [_ending("base", a), _ending("new", b)]
+    return found + (compare_folders(base.out(case), new.out(case), ignored) if in_order else [])
 
 
 def _ending(name: str, record: dict[str, Any]) -> str:
@@ -173,7 +179,7 @@ def git(folder: Path, *words: str) -> str:
     """What git says, in one line."""
     done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True)
     if done.returncode != 0:
-        raise BadInputError(f"git {words[0]}: {''.join(done.stderr.splitlines()[-1:])}")
+        raise BadInputError(f"git {' '.join(words)}: {''.join(done.stderr.splitlines()[-1:])}")
     return done.stdout.strip()
 
 

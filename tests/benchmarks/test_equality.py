@@ -6,7 +6,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 TUM = "0.000000000 0 0 0 0 0 0 1\n0.100000000 0.5 0 0 0 0 0 1\n"
 MEASURED = {"outcome": "explored", "ate_rmse_m": 0.0125, "nis_mean_per_dof": float("nan")}
 CLOCKS = {"wall_time_s": 2.5, "realtime_factor": 40.0, "scan_ms_p99": 7.0, "stage_ms_mean.update": 0.5}
