@@ -1,7 +1,7 @@
-r"""Formulae as MathML, made when the site is built: browsers draw it themselves, without a script.
+r"""Convert formulae to MathML when the site is built, so that browsers draw them without a script.
 
-Arithmatex marks what stands between `$` or `$$`; here LaTeX becomes MathML. Brackets that grow need a font for
-mathematics, which not every system has: STIX Two Math, from the package ziamath, goes with the site.
+Arithmatex marks the text between `$` or `$$`; this hook converts its LaTeX to MathML. Stretched brackets need a
+mathematical font, which not every system has. The site includes STIX Two Math from the package ziamath.
 """
 
 from __future__ import annotations
@@ -12,14 +12,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-_MARKED = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
-
-
+_FORMULA = re.compile(r'<(span|div) class="arithmatex">\\([(\[])(.*?)\\[)\]]</\1>', re.DOTALL)
 _FONT = "STIXTwoMath-Regular.ttf"
 
 
 def on_files(files: Any, config: Any, **_: Any) -> Any:
-    """Add the font beside the style that names it."""
+    """Add the font to the folder of the style sheet that uses it."""
     from mkdocs.exceptions import PluginError
     from mkdocs.structure.files import File
 
@@ -32,7 +30,7 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 
 
 def on_page_content(content: str, page: Any, **_: Any) -> str:
-    """The page with its formulae replaced; a command that the converter does not know stops the build."""
+    """Replace the formulae of a page; an unknown LaTeX command stops the build."""
     from latex2mathml.converter import convert
     from mkdocs.exceptions import PluginError
 
@@ -44,4 +42,4 @@ def on_page_content(content: str, page: Any, **_: Any) -> str:
             raise PluginError(f"{page.file.src_uri}: found {formula!r}, allowed: LaTeX that latex2mathml knows")
         return f'<{tag} class="formula">{mathml}</{tag}>'
 
-    return _MARKED.sub(replaced, content)
+    return _FORMULA.sub(replaced, content)

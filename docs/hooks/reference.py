@@ -1,4 +1,4 @@
-"""Pages of the reference that the package itself tells: every field of the configuration, every option."""
+"""Reference pages generated from the package: fields of the configuration, options of the commands, metrics."""
 
 from __future__ import annotations
 
@@ -18,47 +18,47 @@ from sixthsense.config import PRESETS, Config, Section, preset
 from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
-_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
+_UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
 
-_ABOUT_METRICS = """\
-Flat keys: `run.metrics`, `metrics.json`, the table at the end of a run, the columns of a campaign. What cannot be
-measured is left out: no errors without truth, no relations without a file of them. The error of an estimate is
-estimate minus truth. `run.metrics.frame()` is a pandas frame with units and meanings.
+_METRICS_INTRO = """\
+The metrics are flat keys in `run.metrics`, in `metrics.json`, in the table at the end of a run, and in the columns of
+a campaign. Metrics that cannot be computed are left out: errors without truth, relations without a relations file. An
+error is estimate minus truth. `run.metrics.frame()` is a pandas frame with units and meanings.
 
-This page is made from the package when the site is built.
+This page is generated from the package when the site is built.
 """.splitlines()
-_MORE = {
+_GROUP_NOTES = {
     "Outcome": [
-        "The outcome is [in words](../concepts/index.md#how-a-run-ends), and judged by what the robot believes: a goal",
-        "reached by the estimate may truly be `goal_error_m` away. Coverage is measured against [what can be",
+        "The [outcome](../concepts/index.md#how-a-run-ends) is decided by the estimate: the true distance to a goal",
+        "that is reached is `goal_error_m`. Coverage is measured against [what can be",
         "seen](../concepts/exploration.md#coverage). `places_left.csv` has each place left and its reason.",
     ],
     "Accuracy": [
-        "Trajectories are not aligned: the start is known. `ate_rmse_m` is of `estimate.tum`, one pose a scan, as it",
-        "was believed then; relations (Kümmerle et al. 2009) judge the final trajectory.",
+        "Trajectories are not aligned, because the start is known. `ate_rmse_m` is computed from `estimate.tum`, the",
+        "causal estimate at each scan. The relation errors (Kümmerle et al. 2009) are those of the final trajectory.",
     ],
-    "Consistency": ["See [Consistency](../concepts/consistency.md) for what they mean and how to read them."],
+    "Consistency": ["See [Consistency](../concepts/consistency.md) for their meaning and interpretation."],
     "Map and way": [
-        "Paths keep a [margin](../concepts/planning.md#how-far-to-keep-away) where there is room;",
-        "the [guard](../concepts/planning.md#the-guard) watches every command.",
+        "Paths keep a [margin](../concepts/planning.md#how-far-to-keep-away) where there is room. Every command",
+        "passes the [guard](../concepts/planning.md#the-guard).",
     ],
     "Time": [
-        "A key scan's processing leaves sensing out. A stage's mean is all its time in the run over the key scans.",
+        "The time of a key scan excludes sensing. A stage's mean is its total time divided by the key scans.",
     ],
 }
 _SHARED = ("config", "out", "overwrite")
-_ABOUT_FIELDS = """\
-A `Config` is a tree of frozen sections that check themselves. Every field is an option of `sixthsense run`
+_FIELDS_INTRO = """\
+A `Config` is a tree of frozen sections that validate their fields. Every field is an option of `sixthsense run`
 (`--laser.beams 181`), a line of a TOML file (`[laser]`, `beams = 181`) and an argument of `ss.preset`
-(`laser={"beams": 181}`). A value comes from, each over the last: defaults, preset, file, options. What is
-not allowed is refused in one line that names the field, what was found and what is allowed.
+(`laser={"beams": 181}`). Values come from defaults, preset, file and options; later ones override earlier ones. An
+invalid value is rejected in one line that names the field, the value found and the allowed values.
 
-This page is made from the classes when the site is built.
+This page is generated from the classes when the site is built.
 """.splitlines()
-_ABOUT_COMMANDS = """\
-Exit codes: 0 done (an exploration in part, too); 1 the robot failed (stuck, collided, goal unreachable, out of time);
-2 bad input, named in one line; 130 interrupted. `run`, `replay`, `calibrate` and `campaign` take every field of the
-[configuration](configuration.md) as an option beside those below.
+_COMMANDS_INTRO = """\
+Exit codes: 0 done (also "explored in part"); 1 the robot failed (stuck, collided, goal unreachable, out of time);
+2 bad input, reported in one line; 130 interrupted. `run`, `replay`, `calibrate` and `campaign` accept every field of
+the [configuration](configuration.md) as an option in addition to those below.
 """.splitlines()
 
 
@@ -72,10 +72,10 @@ def on_files(files: Any, config: Any, **_: Any) -> Any:
 
 
 def configuration() -> str:
-    """The page of all fields, section by section."""
-    lines = ["# Configuration", "", *_ABOUT_FIELDS, ""]
+    """Return the page of all fields, section by section."""
+    lines = ["# Configuration", "", *_FIELDS_INTRO, ""]
     lines += _section(Config, "", 2)
-    lines += ["## Presets", "", "What a preset sets over the defaults; `default` sets nothing.", ""]
+    lines += ["## Presets", "", "The fields that each preset sets; `default` sets none.", ""]
     for name in PRESETS:
         changes = list(_changes(preset(name), Config(preset=name)))
         if changes:
@@ -85,18 +85,18 @@ def configuration() -> str:
 
 
 def command_line() -> str:
-    """The page of the commands and of the options that are not the configuration's."""
+    """Return the page of the commands and their options, without the fields of the configuration."""
     from sixthsense.cli.calibrate import Calibrate
     from sixthsense.cli.replay import Replay
     from sixthsense.cli.run import Run
 
     lines = ["# Command line", "", "```text", _printed("--help"), "```", ""]
-    lines += [*_ABOUT_COMMANDS, ""]
+    lines += [*_COMMANDS_INTRO, ""]
     own = {"run": Run, "replay": Replay, "calibrate": Calibrate}
     for name in COMMANDS:
         lines += [f"## {name}", ""]
         if name in own:
-            lines += [(inspect.getdoc(own[name]) or "").strip(), "", "| option | what |", "| --- | --- |"]
+            lines += [(inspect.getdoc(own[name]) or "").strip(), "", "| option | meaning |", "| --- | --- |"]
             lines += [f"| `{option}` | {_cell(text)} |" for option, text in _options(own[name])] + [""]
         else:
             lines += ["```text", _printed(name, "--help"), "```", ""]
@@ -104,15 +104,15 @@ def command_line() -> str:
 
 
 def metrics() -> str:
-    """The page of what a run measures, by its headings."""
+    """Return the page of the metrics, by group."""
     groups: dict[str, list[str]] = {quantity.group: [] for quantity in QUANTITIES.values()}
     for key, quantity in QUANTITIES.items():
         unit = "" if quantity.unit == "1" else quantity.unit
         groups[quantity.group].append(f"| `{key}` | {unit} | {_cell(quantity.meaning)} |")
-    lines = ["# Metrics", "", *_ABOUT_METRICS, ""]
+    lines = ["# Metrics", "", *_METRICS_INTRO, ""]
     for group, rows in groups.items():
-        lines += [f"## {group}", "", "| key | unit | what |", "| --- | --- | --- |", *rows, ""]
-        lines += [*_MORE[group], ""] if group in _MORE else []
+        lines += [f"## {group}", "", "| key | unit | meaning |", "| --- | --- | --- |", *rows, ""]
+        lines += [*_GROUP_NOTES[group], ""] if group in _GROUP_NOTES else []
     return "\n".join(lines)
 
 
@@ -136,7 +136,7 @@ def _options(command: type) -> Iterator[tuple[str, str]]:
 
 
 def _section(section: type[Section], path: str, level: int) -> list[str]:
-    """Heading, text and table of a section, then those of the sections in it."""
+    """Return heading, text and table of a section, then those of its subsections."""
     hints, texts, default = typing.get_type_hints(section, include_extras=True), _texts(section), section()
     title = path.rstrip(".") or "Top level"
     lines = ["#" * min(level, 4) + f" {title}", "", inspect.getdoc(section) or "", ""]
@@ -160,7 +160,7 @@ def _section(section: type[Section], path: str, level: int) -> list[str]:
 
 
 def _texts(cls: type) -> dict[str, str]:
-    """The text under each field, as the sources of the class and of those above it have it."""
+    """Return the docstring under each field, from the source of the class and of its base classes."""
     found: dict[str, str] = {}
     for one in reversed(cls.__mro__):
         if not dataclasses.is_dataclass(one):
@@ -174,7 +174,7 @@ def _texts(cls: type) -> dict[str, str]:
 
 
 def _unit(name: str, text: str) -> str:
-    """By the field's name, or else by its text."""
+    """Return the unit given by the field's name, or otherwise by its docstring."""
     numerator, per, denominator = name.partition("_per_sqrt_")
     if per:
         return ("m" if numerator.endswith("position") else "rad") + f"/√{denominator}"
@@ -182,7 +182,7 @@ def _unit(name: str, text: str) -> str:
         return "rad/m"
     if (unit := _UNITS.get(name.rpartition("_")[2])) and "_" in name:
         return unit
-    found = _IN_TEXT.search(text)
+    found = _UNIT_IN_TEXT.search(text)
     return found.group(1).replace("^2", "²") if found else ""
 
 
