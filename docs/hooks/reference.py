@@ -39,7 +39,7 @@ _GROUP_NOTES = {
     ],
     "Consistency": ["See [Consistency](../concepts/consistency.md) for their meaning and interpretation."],
     "Map and way": [
-        "Paths keep a [margin](../concepts/planning.md#how-far-to-keep-away) where there is room. Every command",
+        "Paths keep a [margin](../concepts/planning.md#clearance-and-margin) where there is room. Every command",
         "passes the [guard](../concepts/planning.md#the-guard).",
     ],
     "Time": [
