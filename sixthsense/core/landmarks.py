@@ -17,7 +17,7 @@ LandmarkId = int
 class Kind(enum.IntEnum):
     """What a landmark is: a point (x, y), or a wall, a line (alpha, d) with the points x cos alpha + y sin alpha = d.
 
-    Corners and loose ends are one family that may be matched with each other. A wall's normal points to the side it was
+    Corners and free ends are one family that may be matched with each other. A wall's normal points to the side it was
     seen from, so that the two sides of a thin wall are two landmarks.
     """
 
@@ -93,7 +93,7 @@ def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
     return z, by_pose, world_to_robot
 
 
-def born_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
+def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
     """Where a point sighted at z (2,) lies in the world, and its Jacobians by pose (2, 3) and by z (2, 2)."""
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     by_z = np.array([[c, -s], [s, c]])
@@ -138,10 +138,10 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
     return np.asarray(difference)
 
 
-def born(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
+def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
     """The landmark (2,) that a sighting from a pose shows, world frame; Jacobians by pose (2, 3) and by z (2, 2)."""
     if not sighting.is_wall:
-        return born_point(pose, sighting.z)
+        return initialize_point(pose, sighting.z)
     alpha = wrap_angle(float(sighting.z[0]) + pose.theta)
     c, s = math.cos(alpha), math.sin(alpha)
     lever = -s * pose.x + c * pose.y
@@ -149,7 +149,7 @@ def born(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
     return mean, np.array([[0.0, 0.0, 1.0], [c, s, lever]]), np.array([[1.0, 0.0], [lever, 1.0]])
 
 
-def turned(landmarks: Array, walls: NDArray[np.bool_] | None = None) -> Array:
+def rotation_generator(landmarks: Array, walls: NDArray[np.bool_] | None = None) -> Array:
     """How landmarks (m, 2) change when the world turns about its origin, per radian.
 
     Points, or a single (2,), by a quarter turn of themselves; those marked in `walls` (m,) by their angle alone.

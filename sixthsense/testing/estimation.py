@@ -9,7 +9,7 @@ import numpy as np
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, born_point, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, initialize_point, predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator, make_estimator
 
@@ -167,6 +167,6 @@ def assert_same(one: tuple[Estimate, Array], two: tuple[Estimate, Array], atol: 
 def expected_birth(name: str, before: Estimate, sighting: Sighting) -> tuple[Array, Array, Array]:
     """Mean, covariance (2, 2) and covariance with the pose (2, 3) that a landmark is born with."""
     sighting = taken_in(name, sighting)
-    mean, by_pose, by_z = born_point(before.pose, sighting.z)
+    mean, by_pose, by_z = initialize_point(before.pose, sighting.z)
     cov = by_pose @ before.pose_cov @ by_pose.T + by_z @ sighting.cov @ by_z.T
     return mean, cov, by_pose @ before.pose_cov

@@ -11,7 +11,7 @@ import numpy as np
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import turned
+from sixthsense.core.landmarks import rotation_generator
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.testing.estimation import (
     START,
@@ -35,7 +35,7 @@ def coordinates(name: str, estimate: Estimate) -> Array:
     A = np.eye(size)
     if name != "ekf":
         rest = [i for i in range(size) if i != 2]
-        A[rest, 2] = turned(np.vstack([estimate.pose.position, estimate.landmarks])).ravel()
+        A[rest, 2] = rotation_generator(np.vstack([estimate.pose.position, estimate.landmarks])).ravel()
     return A
 
 

@@ -14,7 +14,7 @@ from sixthsense.loop import replay
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.slam.features import extract
-from sixthsense.slam.features.landmarks import loose_end
+from sixthsense.slam.features.endpoints import free_end
 from sixthsense.slam.features.partition import partition
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.sources.logs.log import Log
@@ -50,14 +50,14 @@ def test_the_floor_of_landmarks_adds_to_every_sighting():
         assert np.allclose(a.cov + 0.0025 * np.eye(2), b.cov, atol=1e-12)
 
 
-def test_an_unsure_beam_makes_a_loose_end_less_sure_along_its_wall():
+def test_an_unsure_beam_makes_a_free_end_less_sure_along_its_wall():
     line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])
-    sure, unsure = (loose_end(line, 0.3, 0.02, sigma) for sigma in (0.0, 0.01))
+    sure, unsure = (free_end(line, 0.3, 0.02, sigma) for sigma in (0.0, 0.01))
     along = 2.0 / math.cos(0.31) ** 2  # d(y)/d(bearing) on the wall x = 2
     assert unsure[4] - sure[4] == pytest.approx((0.01 * along) ** 2, rel=1e-6)
 
 
-def test_the_margin_below_the_maximum_range_hides_loose_ends():
+def test_the_margin_below_the_maximum_range_hides_free_ends():
     def ends(margin):
         config = preset(laser={"max_range": 3.0}, features={"points": {"range_margin_m": margin}})
         return [s for s in features_at(config, Pose(-1.5, -0.5, 0.0)).sightings if s.kind == Kind.END]

@@ -1,7 +1,7 @@
 import numpy as np
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import born_point, predict_points
+from sixthsense.core.landmarks import initialize_point, predict_points
 
 
 def test_jacobians_agree_with_finite_differences():
@@ -15,17 +15,17 @@ def test_jacobians_agree_with_finite_differences():
         for k in range(2):
             ahead, _, _ = predict_points(pose, points + 1e-6 * np.eye(2)[k])
             assert np.allclose((ahead - z) / 1e-6, np.tile(by_landmark[:, k], (4, 1)), atol=1e-4)
-        mean, by_pose, by_z = born_point(pose, z[0])
+        mean, by_pose, by_z = initialize_point(pose, z[0])
         for k in range(3):
-            ahead = born_point(Pose.from_array(pose.array() + 1e-6 * np.eye(3)[k]), z[0])[0]
+            ahead = initialize_point(Pose.from_array(pose.array() + 1e-6 * np.eye(3)[k]), z[0])[0]
             assert np.allclose((ahead - mean) / 1e-6, by_pose[:, k], atol=1e-4)
         for k in range(2):
-            assert np.allclose((born_point(pose, z[0] + 1e-6 * np.eye(2)[k])[0] - mean) / 1e-6, by_z[:, k], atol=1e-4)
+            assert np.allclose((initialize_point(pose, z[0] + 1e-6 * np.eye(2)[k])[0] - mean) / 1e-6, by_z[:, k], atol=1e-4)
 
 
 def test_a_landmark_is_born_where_it_would_be_predicted():
     rng = np.random.default_rng(1)
     for _ in range(20):
         pose, z = Pose(*rng.normal(size=3)), rng.normal(size=2)
-        mean, _, _ = born_point(pose, z)
+        mean, _, _ = initialize_point(pose, z)
         assert np.allclose(predict_points(pose, mean[None])[0][0], z)

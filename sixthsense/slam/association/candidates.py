@@ -9,7 +9,7 @@ import numpy as np
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Sighting, born
+from sixthsense.core.landmarks import Sighting, initialize_landmark
 from sixthsense.slam.association.walls import ends, in_line
 
 
@@ -39,7 +39,7 @@ class Candidates:
         needed = self._config.candidate_sightings
         if needed == 1:
             return True
-        mean, _, _ = born(pose, sighting)
+        mean, _, _ = initialize_landmark(pose, sighting)
         extent = ends(pose, sighting) if sighting.is_wall else None
         for candidate in self._all:
             if not self._is_of(candidate, mean, extent):

@@ -11,7 +11,15 @@ from scipy.linalg.blas import dsyrk
 
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting, born, innovations, predict, translated, turned
+from sixthsense.core.landmarks import (
+    LandmarkId,
+    Sighting,
+    initialize_landmark,
+    innovations,
+    predict,
+    rotation_generator,
+    translated,
+)
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.slam.estimators.base import Estimate, Trajectory, check_sightings
 
@@ -132,7 +140,7 @@ class EKF:
             return
         pose = self._pose @ self._pending.motion
         phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
-        phi[:2, 2] = turned(self._on_moved(pose.position - self._pose.position))
+        phi[:2, 2] = rotation_generator(self._on_moved(pose.position - self._pose.position))
         pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
         self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
         self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
@@ -179,8 +187,8 @@ class EKF:
         position, _ = self._linearised_at(np.zeros(0, dtype=np.int64))
         at = Pose(position[0], position[1], self._pose.theta)
         for sighting in sightings.values():
-            mean, _, by_z = born(self._pose, sighting)
-            _, by_pose, _ = born(at, sighting)
+            mean, _, by_z = initialize_landmark(self._pose, sighting)
+            _, by_pose, _ = initialize_landmark(at, sighting)
             means.append(mean)
             rows.append(by_pose)
             noise.append(by_z @ sighting.cov @ by_z.T)

@@ -9,20 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting, born, turned
+from sixthsense.core.landmarks import LandmarkId, Sighting, initialize_landmark, rotation_generator
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
 
 
 class AnchoredEKF(EKF):
-    """An EKF whose Jacobians are taken at points that keep the unobservable directions: three, as in truth.
+    """An EKF whose Jacobians are taken at points that keep all three unobservable directions of SLAM.
 
-    Turning the whole world is invisible if each Jacobian has the same null vector: `turned` of the robot's point of
-    linearisation, which moves with the robot, 1, and `turned` of each landmark's anchor, which never moves. So the
-    levers are anchors less that point (Huang et al. 2010, eq. 20-23); the variants choose the point.
+    A turn of the whole world is unobservable if each Jacobian has the same null vector: `rotation_generator` of the
+    robot's linearisation point, which moves with the robot; 1; and `rotation_generator` of each landmark's anchor,
+    which never moves. So the levers are anchors less that point (Huang et al. 2010, eq. 20-23). The variants choose
+    the point.
 
-    The filter's covariance is that of errors about these points: what an error of the heading does to a position is
-    taken there. What is handed out is turned into that of errors about the estimates, which have moved on since.
+    The filter's covariance is that of errors about these points: the effect of a heading error on a position is taken
+    there. `estimate` and `joint_covariance` transport it to errors about the estimates, which have moved on since.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
@@ -41,9 +42,9 @@ class AnchoredEKF(EKF):
         joint = super().joint_covariance(ids)
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
         walls = self._walls[slots]
-        robot = turned(self._pose.position - self._point)
-        moved = turned(self._means[slots], walls) - turned(self._anchors[slots], walls)
-        u = np.concatenate([robot, [0.0], moved.ravel()])
+        robot = rotation_generator(self._pose.position - self._point)
+        landmarks = rotation_generator(self._means[slots], walls) - rotation_generator(self._anchors[slots], walls)
+        u = np.concatenate([robot, [0.0], landmarks.ravel()])
         # T joint T^T with T = I + u e_theta^T: from the null vector at the points to that at the estimates
         half = np.outer(u, joint[:, 2] + 0.5 * joint[2, 2] * u)
         return np.asarray(joint + (half + half.T))
@@ -53,7 +54,7 @@ class AnchoredEKF(EKF):
 
     def _on_born(self, sightings: Collection[Sighting]) -> None:
         at = Pose(self._point[0], self._point[1], self._pose.theta)
-        self._anchors = np.vstack([self._anchors, *(born(at, sighting)[0] for sighting in sightings)])
+        self._anchors = np.vstack([self._anchors, *(initialize_landmark(at, sighting)[0] for sighting in sightings)])
 
     def _on_kept(self, slots: NDArray[np.int64]) -> None:
         self._anchors = self._anchors[slots]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dsyr2
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import turned
+from sixthsense.core.landmarks import rotation_generator
 from sixthsense.slam.estimators.ekf import EKF
 
 
@@ -27,14 +27,14 @@ class InvariantEKF(EKF):
         before = np.vstack([self._pose.position, self._means])  # (1 + n, 2)
         step = np.vstack([shift[:2], shift[3:].reshape(-1, 2)])
         # xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17).
-        xi = step - theta * turned(before)
+        xi = step - theta * rotation_generator(before)
         after = before @ rotation(theta).T + xi @ _left_jacobian(theta).T
         # A turn adds to a wall's angle, wherever it is, and leaves its offset from the origin alone: A is the identity.
         after[~points] = before[~points] + step[~points]
         after[~points, 0] = wrap_angle(after[~points, 0])
         self._pose = Pose(after[0, 0], after[0, 1], self._pose.theta + theta)
         self._means = after[1:]
-        self._lean(np.where(points[:, None], turned(after - before), 0.0))
+        self._lean(np.where(points[:, None], rotation_generator(after - before), 0.0))
 
     def _lean(self, moved: Array) -> None:
         """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T, u the rows (1 + n, 2) of `moved`."""

@@ -1,11 +1,12 @@
 """Line fitting: RANSAC (Fischler and Bolles 1981), then orthogonal least squares with the line's covariance.
 
-A line is (alpha, d): the points with x cos(alpha) + y sin(alpha) = d, d >= 0, seen from the laser.
+A line is (alpha, d), the points with x cos(alpha) + y sin(alpha) = d and d >= 0, in the laser's frame.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,7 +15,46 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array
 from sixthsense.slam.features.partition import Indices
 
-_NEVER_FLATTER = 0.02  # cosine: a wall met flatter than 1.1 degrees says nothing exact
+_MIN_INCIDENCE_COSINE = 0.02  # a wall met flatter than 1.1 degrees is weighted as if met at that angle
+
+
+class LaserSigmas(NamedTuple):
+    """Assumed noise of the laser."""
+
+    range_m: float
+    """sigma of a range"""
+    bearing_rad: float
+    """sigma of a beam's direction"""
+
+
+class LineRules(NamedTuple):
+    """When returns make a line, and how it is fitted."""
+
+    ransac: bool
+    """off: a span is fitted as one line"""
+    threshold_m: float
+    """greatest distance of an inlier from its line"""
+    iterations: int
+    """pairs drawn at most"""
+    least_squares: bool
+    """off: the line through RANSAC's best pair"""
+    min_points: int
+    """fewest inliers"""
+    min_length_m: float
+    """a shorter line is dropped"""
+
+
+class FittedLines(NamedTuple):
+    """All lines of one scan, in the order of their first return."""
+
+    fits: Array
+    """(L, 5) alpha, d and the entries aa, ad, dd of its covariance"""
+    ends: Indices
+    """(L, 2) first and last inlier"""
+    piece: Indices
+    """(L,) first-level partition that the line lies in"""
+    owner: Indices
+    """(N,) line that owns each return, -1 for none"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -93,7 +133,7 @@ def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: f
         for i in index:
             x, y = points[i, 0], points[i, 1]
             r = math.hypot(x, y)
-            cosine = max((x * c + y * s) / r, _NEVER_FLATTER)  # of the angle between beam and normal
+            cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)  # of the angle between beam and normal
             sine = (y * c - x * s) / r
             arm = min(d / cosine, 2.0 * r) * sine
             across_sq = (sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2
@@ -125,7 +165,7 @@ def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float
     for i in index:
         x, y = points[i, 0], points[i, 1]
         r = math.hypot(x, y)
-        cosine = max((x * c + y * s) / r, _NEVER_FLATTER)
+        cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)
         arm = min(line[1] / cosine, 2.0 * r) * (y * c - x * s) / r
         weight = 1.0 / max((sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2, 1e-18)
         total += weight
@@ -138,49 +178,31 @@ def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float
 
 @numba.njit(cache=True, error_model="numpy")
 def _one_line(
-    points: Array,
-    free: NDArray[np.bool_],
-    use_ransac: bool,
-    threshold: float,
-    iterations: int,
-    least_squares: bool,
-    sigma_range: float,
-    sigma_bearing: float,
-    seed: int,
+    points: Array, free: NDArray[np.bool_], rules: LineRules, sigmas: LaserSigmas, seed: int
 ) -> tuple[Array, Indices]:
     """One line through the free points, as `fit_line` returns it, and the points it was fitted to."""
-    if not use_ransac:
+    if not rules.ransac:
         index = np.flatnonzero(free)
-        return fit_line(points, index, sigma_range, sigma_bearing), index
-    line = ransac(points, free, threshold, iterations, seed)
+        return fit_line(points, index, sigmas.range_m, sigmas.bearing_rad), index
+    line = ransac(points, free, rules.threshold_m, rules.iterations, seed)
     c, s = math.cos(line[0]), math.sin(line[0])
-    near = np.abs(points[:, 0] * c + points[:, 1] * s - line[1]) <= threshold
+    near = np.abs(points[:, 0] * c + points[:, 1] * s - line[1]) <= rules.threshold_m
     index = np.flatnonzero(free & near)
     if len(index) < 2:
         return np.zeros(5), index[:0]
-    fit = fit_line(points, index, sigma_range, sigma_bearing)
-    if not least_squares:
+    fit = fit_line(points, index, sigmas.range_m, sigmas.bearing_rad)
+    if not rules.least_squares:
         fit[0], fit[1] = line[0], line[1]
     return fit, index
 
 
 @numba.njit(cache=True, error_model="numpy")
 def fit_lines(
-    points: Array,
-    spans: Indices,
-    use_ransac: bool,
-    threshold: float,
-    iterations: int,
-    least_squares: bool,
-    min_points: int,
-    min_length: float,
-    sigma_range: float,
-    sigma_bearing: float,
-    seed: int,
+    points: Array, spans: Indices, rules: LineRules, sigmas: LaserSigmas, seed: int
 ) -> tuple[Array, Indices, Indices]:
     """Fit lines to each span of the scan, one after the other until too few points are left (report section 4.2).
 
-    `points` (N, 2) in the laser's frame; `spans` (S, 2) first and past-last index; lengths in metres. Returns the lines
+    `points` (N, 2) metres in the laser's frame; `spans` (S, 2) first and past-last index. Returns the lines
     (L, 5) as `fit_line` does, in the order of their first return; (L, 3) span, first and last inlier of each; and (N,)
     the line that owns each return, -1 for none.
     """
@@ -192,17 +214,15 @@ def fit_lines(
     for k in range(spans.shape[0]):
         free = np.zeros(n, np.bool_)
         free[spans[k, 0] : spans[k, 1]] = True
-        while np.sum(free) >= min_points:
+        while np.sum(free) >= rules.min_points:
             seed = 1 + (seed * 69621) % 2147483645
-            fit, index = _one_line(
-                points, free, use_ransac, threshold, iterations, least_squares, sigma_range, sigma_bearing, seed
-            )
-            if len(index) < min_points:
+            fit, index = _one_line(points, free, rules, sigmas, seed)
+            if len(index) < rules.min_points:
                 break
             free[index] = False
             a, b = points[index[0]], points[index[-1]]
             along = (b[1] - a[1]) * math.cos(fit[0]) - (b[0] - a[0]) * math.sin(fit[0])
-            if abs(along) >= min_length:
+            if abs(along) >= rules.min_length_m:
                 owner[index] = found
                 lines[found] = fit
                 where[found] = (k, index[0], index[-1])

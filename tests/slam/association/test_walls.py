@@ -8,7 +8,7 @@ import pytest
 
 from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, born, predict_walls, translated
+from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark, predict_walls, translated
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.core.motion import Odometry
 from sixthsense.loop import run
@@ -72,9 +72,9 @@ def test_jacobians_of_a_walls_sighting_are_those_of_finite_differences(wall):
     assert np.allclose(by_pose[0], differences(lambda x: predict_walls(Pose(*x), wall[None])[0][0], pose.array()))
     assert np.allclose(by_wall[0], differences(lambda w: predict_walls(pose, w[None])[0][0], wall))
     z = predict_walls(pose, wall[None])[0][0]
-    mean, by_pose, by_z = born(pose, Sighting(Kind.WALL, z, COV))
+    mean, by_pose, by_z = initialize_landmark(pose, Sighting(Kind.WALL, z, COV))
     assert np.allclose([wrap_angle(mean[0] - wall[0]), mean[1] - wall[1]], 0.0, atol=1e-12)
-    there = lambda x, z: born(Pose(*x), Sighting(Kind.WALL, z, COV))[0]  # noqa: E731
+    there = lambda x, z: initialize_landmark(Pose(*x), Sighting(Kind.WALL, z, COV))[0]  # noqa: E731
     assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
     assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
     moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))
@@ -88,7 +88,7 @@ def test_a_new_wall_appears_where_it_is_born(name):
     before = estimator.estimate()
     sighting = Sighting(Kind.WALL, np.array([2.0, -3.0]), COV, (0.5, 2.0))
     estimator.update({77: sighting})
-    after, (mean, by_pose, by_z) = estimator.estimate(), born(before.pose, sighting)
+    after, (mean, by_pose, by_z) = estimator.estimate(), initialize_landmark(before.pose, sighting)
     assert after.ids[-1] == 77 and after.walls.all() and np.allclose(after.landmarks[-1], mean, atol=1e-9)
     joint = estimator.joint_covariance([77])
     expected = by_pose @ before.pose_cov @ by_pose.T + by_z @ COV @ by_z.T

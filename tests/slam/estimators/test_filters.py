@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.landmarks import born_point, predict_points
+from sixthsense.core.landmarks import initialize_point, predict_points
 from sixthsense.core.motion import compose_jacobians
 from sixthsense.testing.estimation import START, START_COV, driven, everything, fed, make, random_log, sight, step
 
@@ -44,7 +44,7 @@ def standard(log):
             K, P = joseph(P, np.vstack(H), block_diag(*(sightings[i].cov for i in known)))
             x = x + K @ np.concatenate(z)
         for i in [i for i in sightings if i not in ids]:
-            mean, by_pose, by_z = born_point(Pose.from_array(x[:3]), sightings[i].z)
+            mean, by_pose, by_z = initialize_point(Pose.from_array(x[:3]), sightings[i].z)
             G = np.hstack([by_pose, np.zeros((2, len(x) - 3))])
             P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + by_z @ sightings[i].cov @ by_z.T]])
             x = np.concatenate([x, mean])

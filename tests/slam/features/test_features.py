@@ -8,8 +8,8 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, predict_walls
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.slam.features import extract
-from sixthsense.slam.features.landmarks import intersect, loose_end
-from sixthsense.slam.features.lines import fit_line, fit_lines, parallel_line, ransac
+from sixthsense.slam.features.endpoints import free_end, intersect
+from sixthsense.slam.features.lines import LaserSigmas, LineRules, fit_line, fit_lines, parallel_line, ransac
 from sixthsense.slam.features.partition import partition
 from sixthsense.slam.features.split import split
 
@@ -148,7 +148,7 @@ def test_lines_follow_each_other_in_the_order_of_the_scan():
     scan = scan_from(Pose(1.5, 1.0, 0.3), config)
     points = scan.points_robot
     spans = np.array([[0, 360]])
-    lines, where, owner = fit_lines(points, spans, True, 0.05, 200, True, 6, 0.2, 0.01, 0.0, 7)
+    lines, where, owner = fit_lines(points, spans, LineRules(True, 0.05, 200, True, 6, 0.2), LaserSigmas(0.01, 0.0), 7)
     assert (np.diff(where[:, 1]) > 0).all()
     for k, (_, first, last) in enumerate(where):
         mine = np.flatnonzero(owner == k)
@@ -182,16 +182,16 @@ def test_the_covariance_of_a_corner_agrees_with_finite_differences():
         assert np.allclose(numeric_cov(intersect, fits), [[found[2], found[3]], [found[3], found[4]]], atol=1e-7)
 
 
-def test_a_loose_end_lies_half_a_spacing_beyond_the_last_beam_and_is_known_along_the_wall_to_a_spacing():
+def test_a_free_end_lies_half_a_spacing_beyond_the_last_beam_and_is_known_along_the_wall_to_a_spacing():
     spacing = math.radians(1.0)
     line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])  # the wall x = 2, known exactly
-    found = loose_end(line, 0.3, spacing, 0.0)
+    found = free_end(line, 0.3, spacing, 0.0)
     assert found[:2] == pytest.approx([2.0, 2.0 * math.tan(0.3 + 0.5 * spacing)])
     gap = 2.0 * (math.tan(0.3 + spacing) - math.tan(0.3))
     assert found[2] == pytest.approx(0.0, abs=1e-12) and math.sqrt(found[4]) == pytest.approx(gap / 12**0.5, rel=1e-3)
     line[2:] = [1e-4, 2e-5, 1e-4]
-    exact = numeric_cov(lambda fit: loose_end(fit, 0.3, spacing, 0.0), [line])
-    across = loose_end(line, 0.3, spacing, 0.0)
+    exact = numeric_cov(lambda fit: free_end(fit, 0.3, spacing, 0.0), [line])
+    across = free_end(line, 0.3, spacing, 0.0)
     assert across[2] == pytest.approx(exact[0, 0], rel=1e-3)
 
 
@@ -241,7 +241,7 @@ def test_two_corners_of_one_wall_have_independent_errors():
     assert abs(np.corrcoef(np.array(pairs).T)[0, 1]) < 0.1
 
 
-def test_the_rules_for_loose_ends():
+def test_the_rules_for_free_ends():
     config = corners()
     rng = np.random.default_rng(8)
 
@@ -262,7 +262,7 @@ def test_the_rules_for_loose_ends():
     assert ends([stub, back], Pose(), few) == []  # rule 4
 
 
-def test_a_wall_that_goes_on_flatly_has_no_loose_end():
+def test_a_wall_that_goes_on_flatly_has_no_free_end():
     rng = np.random.default_rng(9)
     config = corners()
     corridor = np.array([[(-9, -0.5), (9, -0.5)], [(-9, 0.5), (9, 0.5)]], float)

@@ -1,0 +1,175 @@
+"""From a scan to walls and landmarks: partition, split, fit lines, find landmarks (report section 4.2, figure 2)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sixthsense.config import AssumedConfig, FeaturesConfig
+from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import variance
+from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
+from sixthsense.slam.features.lines import FittedLines, LaserSigmas, LineRules, fit_lines
+from sixthsense.slam.features.partition import Indices, partition
+from sixthsense.slam.features.points import find_points
+from sixthsense.slam.features.split import split
+from sixthsense.slam.features.sweep_noise import add_sweep_noise
+from sixthsense.slam.features.walls import find_walls
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """Walls and landmarks of one scan, and the partitions they were found in."""
+
+    walls: Array
+    """(W, 2, 2) fitted segments, clipped to their first and last return; robot's frame, metres"""
+    sightings: tuple[Sighting, ...]
+    """landmarks with their covariance"""
+    pieces: tuple[Indices, ...]
+    """beams of each first-level partition"""
+    spans: tuple[Indices, ...]
+    """beams of each second-level partition"""
+
+
+def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.random.Generator) -> Features:
+    """Extract walls and landmarks from a scan; `assumed` is the estimator's noise model, `rng` seeds RANSAC."""
+    noise = assumed.laser
+    seed = int(rng.integers(1, 2**31 - 2))
+    sigmas = LaserSigmas(
+        math.sqrt(variance(noise.distribution, noise.range_m)),
+        math.sqrt(variance(noise.distribution, noise.bearing_rad)),
+    )
+    offset, rolled = _partitioned(scan, sigmas.range_m, config)
+    spans, piece_of_span = _split_pieces(rolled.points, rolled.pieces, rolled.cyclic, config)
+    lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas, seed)
+    fitted = FittedLines(lines, np.ascontiguousarray(where[:, 1:]), piece_of_span[where[:, 0]], owner)
+    mount = scan.T_robot_laser
+    sightings: list[Sighting] = []
+    if config.landmarks == "corners":
+        kinds, found = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
+    else:
+        rules, reserved = _endpoint_rules(scan, config), config.walls.end_points
+        walls, found = find_walls(rolled, fitted, rules, sigmas, config.walls.min_length_m, reserved)
+        kinds = np.full(len(found), Kind.END)
+        sightings = _wall_sightings(walls, mount, assumed, config)
+    sightings += _point_sightings(kinds, found, mount, assumed, config)
+    n = len(scan.ranges)
+    return Features(
+        mount @ _clip(rolled.points, fitted),
+        add_sweep_noise(sightings, scan),
+        tuple((offset + np.arange(a, b)) % n for a, b in rolled.pieces),
+        tuple((offset + np.arange(a, b)) % n for a, b in spans),
+    )
+
+
+def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tuple[int, RolledScan]:
+    """The scan with its first-level partitions, rolled so that none straddles its seam, and its first beam."""
+    n = len(scan.ranges)
+    ranges, bearings = scan.ranges.astype(np.float64), scan.bearings
+    spacing = float(scan.angle_increment)
+    gaps = None if scan.sweep is None else np.diff(bearings, prepend=bearings[-1] - 2.0 * math.pi)
+    offset, pieces, cyclic = partition(ranges, spacing, scan.closed, sigma_range, config.partition, gaps)
+    ranges = np.roll(ranges, -offset)
+    if scan.sweep is None:
+        bearings = bearings[0] + spacing * (offset + np.arange(n))
+    else:
+        bearings = np.concatenate([bearings[offset:], bearings[:offset] + 2.0 * math.pi])
+    reach = np.where(np.isfinite(ranges), ranges, 0.0)
+    points = np.column_stack([reach * np.cos(bearings), reach * np.sin(bearings)])
+    return offset, RolledScan(points, ranges, bearings, pieces, scan.closed, cyclic)
+
+
+def _split_pieces(points: Array, pieces: Indices, cyclic: bool, config: FeaturesConfig) -> tuple[Indices, Indices]:
+    """Second-level partitions (S, 2), first and past-last return, and (S,) the piece that each is part of.
+
+    A return at which a piece was split may lie on either wall, so it is in neither.
+    """
+    spans: list[tuple[int, int]] = []
+    owners: list[int] = []
+    for p, (first, past) in enumerate(pieces):
+        if past - first < config.lines.min_points:
+            continue
+        ends = split(points, first, past - 1, config.split.epsilon_m) if config.split.enabled else (first, past - 1)
+        for a, b in itertools.pairwise(ends):
+            begin = a if a == first and not cyclic else a + 1
+            end = b + 1 if b == past - 1 and not cyclic else b
+            spans.append((int(begin), int(end)))
+            owners.append(p)
+    return np.array(spans, dtype=np.int64).reshape(-1, 2), np.array(owners, dtype=np.int64)
+
+
+def _line_rules(config: FeaturesConfig) -> LineRules:
+    lines = config.lines
+    return LineRules(
+        lines.ransac,
+        lines.ransac_threshold_m,
+        lines.ransac_iterations,
+        lines.least_squares,
+        lines.min_points,
+        lines.min_length_m,
+    )
+
+
+def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
+    points = config.points
+    return EndpointRules(
+        points.corners,
+        points.ends and config.landmarks != "walls",
+        points.max_gap_m,
+        points.min_angle_rad,
+        scan.max_range,
+        points.range_margin_m,
+        points.min_points,
+        config.lines.ransac_threshold_m,
+    )
+
+
+def _point_sightings(
+    kinds: Indices, found: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
+) -> list[Sighting]:
+    """Sightings in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit."""
+    turn = rotation(mount.theta)
+    sightings = []
+    for kind, (x, y, xx, xy, yy) in zip(kinds, found, strict=True):
+        # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
+        largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
+        if largest <= config.points.max_sigma_m**2:
+            cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
+            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov))
+    return sightings
+
+
+def _wall_sightings(walls: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig) -> list[Sighting]:
+    """Sightings in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser."""
+    sightings = []
+    for alpha, d, aa, ad, dd, low, high in walls.tolist():
+        if not aa <= config.walls.max_sigma_rad**2:
+            continue
+        # A line turns about the middle of its returns, so an error of its angle lengthens d by d/2 times its square.
+        # The mean of that is taken out, its variance added.
+        dd += 0.5 * (d * aa) ** 2
+        d -= 0.5 * d * aa
+        # With its normal towards the laser the wall lies at the distance -d.
+        in_laser = Sighting(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
+        z, _, by_z = initialize_landmark(mount, in_laser)
+        middle = 0.5 * (low + high)
+        # The floor is that of the wall's shape about its middle, whatever the robot's distance: not about its foot.
+        to_foot = np.array([[1.0, 0.0], [middle, 1.0]])
+        floor = to_foot @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ to_foot.T
+        cov = by_z @ (in_laser.cov + floor) @ by_z.T
+        foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
+        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low)))
+    return sightings
+
+
+def _clip(points: Array, lines: FittedLines) -> Array:
+    """(W, 2, 2) segments: each line's first and last return projected onto it (report section 4.2)."""
+    normal = np.column_stack([np.cos(lines.fits[:, 0]), np.sin(lines.fits[:, 0])])
+    ends = points[lines.ends]  # (W, 2, 2)
+    off = np.einsum("wij,wj->wi", ends, normal) - lines.fits[:, 1:2]
+    return np.asarray(ends - off[:, :, None] * normal[:, None, :])

@@ -1,0 +1,151 @@
+"""Evidence per cell: how one scan's beams and walls are counted."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.slam.mapping.freespace import Bools
+
+Ints = NDArray[np.int32]
+
+
+class Cells(NamedTuple):
+    """Arrays of one shape, (H, W) or flat: what is kept of each cell."""
+
+    hits: Ints
+    """scans that ended, or had a wall fitted, in the cell"""
+    passes: Ints
+    """scans that crossed the cell and did not hit it"""
+    cover: Ints
+    """obstacles whose inflation covers the cell"""
+    stamp: Ints
+    """what the latest scan that reached the cell did to it"""
+    seen: Bools
+    """whether a beam has ever crossed the cell or ended in it"""
+    obstacles: Bools
+    """whether the evidence says occupied"""
+
+    @classmethod
+    def empty(cls, height: int, width: int) -> Cells:
+        """Cells without evidence."""
+        hits, passes, cover, stamp = (np.zeros((height, width), dtype=np.int32) for _ in range(4))
+        seen, obstacles = (np.zeros((height, width), dtype=np.bool_) for _ in range(2))
+        return cls(hits, passes, cover, stamp, seen, obstacles)
+
+    def grown(self, height: int, width: int, row: int, col: int) -> Cells:
+        """A larger copy, in which cell (0, 0) of these (H, W) cells is cell (row, col)."""
+        larger = Cells.empty(height, width)
+        if self.hits.size:
+            place = slice(row, row + self.hits.shape[0]), slice(col, col + self.hits.shape[1])
+            old: NDArray[Any]
+            new: NDArray[Any]
+            for new, old in zip(larger, self, strict=True):
+                new[place] = old
+        return larger
+
+
+class EvidenceRules(NamedTuple):
+    """When a cell is an obstacle."""
+
+    min_hits: int
+    """fewest hits of an obstacle"""
+    max_hits: int
+    """further hits are not counted"""
+    passes_per_hit: float
+    """with more passes per hit than this the cell is free again"""
+
+
+class ScanCells(NamedTuple):
+    """The cells (row, col) that one scan touches."""
+
+    laser: NDArray[np.int64]
+    """(2,) cell of the laser"""
+    ends: NDArray[np.int64]
+    """(N, 2) where each beam ends"""
+    returned: Bools
+    """(N,) whether the beam ends at a return"""
+    walls: NDArray[np.int64]
+    """(2 W, 2) both ends of each fitted wall"""
+
+
+def line_cells(r0: int, c0: int, r1: int, c1: int) -> NDArray[np.int64]:
+    """The (N, 2) cells (row, col) of Bresenham's line from (r0, c0) to (r1, c1), both ends included."""
+    width = abs(c1 - c0) + 1
+    cells = np.empty(max(abs(r1 - r0), width - 1) + 1, dtype=np.int64)
+    row, col = min(r0, r1), min(c0, c1)
+    _line(r0 - row, c0 - col, r1 - row, c1 - col, width, cells)
+    return np.stack([cells // width + row, cells % width + col], axis=1)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _line(r0: int, c0: int, r1: int, c1: int, width: int, cells: NDArray[np.int64]) -> int:
+    """Fill `cells` with the flat indices, row * `width` + col, of Bresenham's line; returns how many."""
+    down, across = abs(r1 - r0), abs(c1 - c0)
+    row_step, col_step = width if r1 > r0 else -width, 1 if c1 > c0 else -1
+    major, minor, major_step, minor_step = across, down, col_step, row_step
+    if down > across:
+        major, minor, major_step, minor_step = down, across, row_step, col_step
+    cell, error = r0 * width + c0, major // 2
+    for k in range(major + 1):
+        cells[k] = cell
+        cell += major_step
+        error -= minor
+        if error < 0:
+            cell += minor_step
+            error += major
+    return major + 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _hit(cells: Cells, cell: int, mark: int, stencil: NDArray[np.int64], rules: EvidenceRules) -> None:
+    """Count a hit, once per scan, and inflate the cell if that makes it an obstacle; all arrays flat."""
+    if cells.stamp[cell] == mark:
+        return
+    cells.stamp[cell] = mark
+    cells.hits[cell] = min(cells.hits[cell] + 1, rules.max_hits)
+    # However long a cell has been free: a robot that sees an obstacle there now must not run into it.
+    cells.passes[cell] = min(cells.passes[cell], int(rules.passes_per_hit * cells.hits[cell]))
+    if not cells.obstacles[cell] and cells.hits[cell] >= rules.min_hits:
+        cells.obstacles[cell] = True
+        for offset in stencil:
+            cells.cover[cell + offset] += 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def count_scan(grid: Cells, scan: ScanCells, number: int, stencil: NDArray[np.int64], rules: EvidenceRules) -> None:
+    """Count one scan in the (H, W) cells of `grid`; `number` is that of the scan, `stencil` (K,) flat offsets."""
+    cells = Cells(
+        grid.hits.ravel(), grid.passes.ravel(), grid.cover.ravel(),
+        grid.stamp.ravel(), grid.seen.ravel(), grid.obstacles.ravel(),
+    )  # fmt: skip
+    height, width = grid.hits.shape
+    laser, ends, returned, walls = scan.laser, scan.ends, scan.returned, scan.walls
+    line = np.empty(max(height, width), dtype=np.int64)
+    passed, hit = 2 * number, 2 * number + 1  # stamps of this scan
+    for i in range(len(ends)):
+        cell = ends[i, 0] * width + ends[i, 1]
+        cells.seen[cell] = True
+        if returned[i]:
+            _hit(cells, cell, hit, stencil, rules)
+    for j in range(0, len(walls), 2):
+        for k in range(_line(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1], width, line)):
+            _hit(cells, line[k], hit, stencil, rules)
+    for i in range(len(ends)):
+        count = _line(laser[0], laser[1], ends[i, 0], ends[i, 1], width, line)
+        for k in range(count - 1 if returned[i] else count):
+            cell = line[k]
+            if cells.stamp[cell] == passed:
+                continue
+            cells.seen[cell] = True
+            if cells.stamp[cell] == hit:
+                continue
+            cells.stamp[cell] = passed
+            cells.passes[cell] += 1
+            if cells.obstacles[cell] and cells.passes[cell] > rules.passes_per_hit * cells.hits[cell]:
+                cells.obstacles[cell] = False
+                for offset in stencil:
+                    cells.cover[cell + offset] -= 1

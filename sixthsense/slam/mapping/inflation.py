@@ -1,0 +1,57 @@
+"""Inflation of obstacles by a disc, and where a wider one gives way to a narrower."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
+
+MAX_INFLATION = 1000
+"""Cells; a larger disc takes longer to draw than a robot takes to drive."""
+
+
+def check_inflation(cells: float) -> None:
+    """Raise InputError for an inflation of more than `MAX_INFLATION` cells."""
+    if cells > MAX_INFLATION:
+        raise InputError(f"grid: found an inflation of {cells:.0f} cells, allowed: at most {MAX_INFLATION}")
+
+
+def disc(radius: float) -> NDArray[np.int64]:
+    """(K, 2) offsets (row, col) of the cells about whose centres a disc, in cells, touches the square at (0, 0)."""
+    reach = math.floor(radius + 0.5 + TOUCH)
+    offsets = np.arange(-reach, reach + 1)
+    gap = np.maximum(np.abs(offsets) - 0.5, 0.0)
+    return np.argwhere(np.hypot(gap[:, None], gap[None, :]) <= radius + TOUCH) - reach
+
+
+@numba.njit(cache=True, error_model="numpy")
+def stamp_discs(cells: NDArray[np.int64], stencil: NDArray[np.int64], blocked2: Bools) -> None:
+    """Block the `stencil` (K,) of flat offsets about each of the flat `cells` (N,); it must not leave the array."""
+    blocked = blocked2.ravel()
+    for cell in cells:
+        for offset in stencil:
+            blocked[cell + offset] = True
+
+
+def give_way(blocked: Bools, narrow: FreeSpace, wide: FreeSpace, point: ArrayLike, radius_m: float) -> None:
+    """Near a point, block only those cells of `blocked` that `narrow` blocks too.
+
+    `blocked` has the cells of `wide`; cells with centres within `radius_m` of the point change, its own cell included.
+    `narrow` has cells at the same places, `wide` may have more of them.
+    """
+    row, col = wide.cell_of(point)
+    reach = math.ceil(radius_m / wide.cell_m) + 1
+    height, width = wide.blocked.shape
+    rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
+    cols = np.arange(max(col - reach, 0), min(col + reach + 1, width))
+    x, y = wide.origin[0] + (cols + 0.5) * wide.cell_m, wide.origin[1] + (rows + 0.5) * wide.cell_m
+    at = np.asarray(point, dtype=np.float64)
+    near = np.hypot(x[None, :] - at[0], y[:, None] - at[1]) <= radius_m + wide.cell_m
+    down, across = (round((wide.origin[k] - narrow.origin[k]) / wide.cell_m) for k in (1, 0))
+    blocked_in_narrow = narrow.window(rows + down, cols + across)
+    blocked[np.ix_(rows, cols)] &= blocked_in_narrow | ~near
