@@ -30,7 +30,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.figures.plot import CYCLE, ODOMETRY, new_figure, save
 from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
-from sixthsense.slam.estimators.solver import solver_parameters
+from sixthsense.slam.estimators.isam2_solver import solver_parameters
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 

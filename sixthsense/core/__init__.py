@@ -1,1 +1,1 @@
-"""What every room speaks: poses, motion, scans, landmarks, the seam of a source of evidence."""
+"""Types shared by all rooms: poses, motion, scans, landmarks, and the interface of a source."""

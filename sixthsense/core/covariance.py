@@ -6,11 +6,12 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 
-COVARIANCE_SLACK = 1e-9  # by which rounding may miss symmetry and positive eigenvalues, in terms of the largest entry
+COVARIANCE_SLACK = 1e-9
+"""Tolerance of symmetry and of positive eigenvalues, relative to the largest entry."""
 
 
 def check_covariance(name: str, value: Array) -> Array:
-    """(3, 3) of a pose or a motion as float64; ValueError, naming it, unless it is symmetric and nowhere negative."""
+    """The (3, 3) covariance of a pose or a motion as float64; ValueError naming it if it is invalid."""
     cov = np.asarray(value, dtype=np.float64)
     if cov.shape != (3, 3):
         raise ValueError(f"{name}: expected shape (3, 3), got {cov.shape}")
@@ -21,7 +22,7 @@ def check_covariance(name: str, value: Array) -> Array:
 
 
 def covariance_fault(cov: Array, lowest: float) -> str:
-    """What is wrong with a covariance, if anything; `lowest` is that of its eigenvalues in terms of the largest."""
+    """Why a matrix is no covariance, or an empty text; `lowest` allowed eigenvalue, relative to the largest entry."""
     if not np.isfinite(cov).all():
         return "a value that is not finite"
     scale = float(np.abs(cov).max())

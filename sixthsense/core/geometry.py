@@ -17,7 +17,7 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: Array) -> Array: ...
 def wrap_angle(angle: float | Array) -> float | Array:
-    """Wrap an angle, or an array of them, into [-pi, pi); what lies there already keeps its bits."""
+    """Wrap an angle, or an array of them, into [-pi, pi); an angle in that interval is returned bit for bit."""
     if isinstance(angle, np.ndarray):
         wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
         # The modulo of a tiny negative number rounds up to 2 pi itself.
@@ -25,12 +25,12 @@ def wrap_angle(angle: float | Array) -> float | Array:
         return np.where((angle >= -math.pi) & (angle < math.pi), angle, wrapped)
     if -math.pi <= angle < math.pi:
         return float(angle)
-    turned = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    return -math.pi if turned >= math.pi else float(turned)
+    wrapped_angle = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return -math.pi if wrapped_angle >= math.pi else float(wrapped_angle)
 
 
 def rotation(theta: float) -> Array:
-    """The (2, 2) matrix that turns a vector by `theta`."""
+    """(2, 2) rotation matrix of the angle `theta`."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s], [s, c]])
 
@@ -76,6 +76,15 @@ class Pose:
         c, s = math.cos(self.theta), math.sin(self.theta)
         return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, -self.theta)
 
+    def adjoint(self) -> Array:
+        """(3, 3) adjoint of `T_a_b`: turns a small motion (x, y, theta) in the axes of b into the same in those of a.
+
+        The product of poses keeps it: `(T_a_b @ T_b_c).adjoint()` is the product of both adjoints. Without translation
+        it turns axes only (Sola, Deray and Atchuthan, "A micro Lie theory", arXiv 1812.01537, appendix C).
+        """
+        c, s = math.cos(self.theta), math.sin(self.theta)
+        return np.array([[c, -s, self.y], [s, c, 0.0 - self.x], [0.0, 0.0, 1.0]])  # 0.0 - x, since -0.0 is not 0.0
+
     @overload
     def __matmul__(self, other: Pose) -> Pose: ...
     @overload
@@ -96,18 +105,18 @@ class Pose:
 
 
 def interpolated(stamps_s: Array, poses: Array, times_s: Array) -> Array:
-    """(N, 3) poses at (N,) times on the way through (K, 3) `poses` at ascending (K,) stamps, held beyond both ends.
+    """(N, 3) poses at (N,) times, interpolated in (K, 3) `poses` at ascending (K,) stamps, constant beyond both ends.
 
-    Between two of them x, y and the heading, the short way round, change evenly.
+    x, y and the heading, along the shorter arc, are interpolated linearly.
     """
     if len(stamps_s) == 1:
         return np.repeat(poses, len(times_s), axis=0)
     after = np.clip(np.searchsorted(stamps_s, times_s), 1, len(stamps_s) - 1)
     before = after - 1
     share = np.clip((times_s - stamps_s[before]) / (stamps_s[after] - stamps_s[before]), 0.0, 1.0)
-    way = poses[after] - poses[before]
-    way[:, 2] = wrap_angle(way[:, 2])
-    return np.asarray(poses[before] + share[:, None] * way)
+    motion = poses[after] - poses[before]
+    motion[:, 2] = wrap_angle(motion[:, 2])
+    return np.asarray(poses[before] + share[:, None] * motion)
 
 
 def point_segment_distance(point: Array, segments: Array) -> Array:

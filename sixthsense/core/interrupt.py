@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for the end of a tick, so that a run ends in order with everything written."""
+"""Ctrl-C that takes effect at the end of a tick, so that a run ends in order with all files written."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from contextlib import contextmanager
 from typing import Any
 
 AGAIN_S = 2.0
+"""A second Ctrl-C within this time of the first raises, in a later block too."""
 
-_last_s = -math.inf  # when one was noted, whichever run it ended
+_last_s = -math.inf  # time of the last deferred interrupt of any block
 
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Within the block the first Ctrl-C is only noted, and the function given tells of it; a second one raises.
+    """Defer the first Ctrl-C in the block; the yielded function tells whether there was one. A second one raises.
 
-    So does one within two seconds of the first in a later block: whoever presses twice means the loop over many runs.
-    Outside the main thread signals cannot be caught, and the function says no.
+    One in a later block also raises if it follows the first within two seconds: pressing twice ends a loop over many
+    runs. Outside the main thread signals cannot be caught, and the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False

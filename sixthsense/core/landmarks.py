@@ -1,4 +1,4 @@
-"""Landmarks and their sightings: what a landmark's two numbers mean, how it is predicted, and how it is born."""
+"""Landmarks and their sightings: parameters, predicted sightings and initialization, with Jacobians."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ LandmarkId = int
 
 
 class Kind(enum.IntEnum):
-    """What a landmark is: a point (x, y), or a wall, a line (alpha, d) with the points x cos alpha + y sin alpha = d.
+    """Kind of a landmark: a point (x, y), or a wall, a line (alpha, d) with the points x cos alpha + y sin alpha = d.
 
-    Corners and free ends are one family that may be matched with each other. A wall's normal points to the side it was
-    seen from, so that the two sides of a thin wall are two landmarks.
+    Corners and free ends may be matched with each other, points and walls may not. A wall's normal points to the side
+    it was seen from, so that the two sides of a thin wall are two landmarks.
     """
 
     CORNER = 0
@@ -26,7 +26,7 @@ class Kind(enum.IntEnum):
     END = 1
     """Where a wall ends."""
     WALL = 2
-    """A straight wall; its extent is the associator's."""
+    """A straight wall; the associator keeps its extent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Sighting:
     cov: Array
     """(2, 2) of z"""
     extent: tuple[float, float] = (0.0, 0.0)
-    """of a wall: from where to where it was seen, m along (-sin alpha, cos alpha) from the robot"""
+    """of a wall: first and last place that was seen, m along (-sin alpha, cos alpha) from the robot"""
 
     @property
     def is_wall(self) -> bool:
@@ -49,10 +49,10 @@ class Sighting:
     def bearing_range(self) -> tuple[float, float, Array]:
         """The same sighting of a point in polar coordinates: bearing (rad), range (m) and their covariance (2, 2).
 
-        The mean of a range is longer than the range of the mean, by sigma_t^2 / 2 r for an error sigma_t across the
-        beam; that much is taken out (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993, to second order), and likewise what
-        a correlation of the errors along and across does to the bearing. For a point nearer than its own error none of
-        this holds: there the bearing's sigma is pi at most, and the range is some of the error, not zero.
+        The mean of a range exceeds the range of the mean by sigma_t^2 / 2 r for an error sigma_t across the beam. This
+        bias is removed (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993, to second order), as is the bias of the bearing
+        from a correlation of the errors along and across. For a point nearer than its own error the expansion fails:
+        there the bearing's sigma is at most pi, and the range is kept above zero, at a fraction of the error.
         """
         x, y = float(self.z[0]), float(self.z[1])
         r, bearing = math.hypot(x, y), math.atan2(y, x)
@@ -67,8 +67,8 @@ class Sighting:
 def polar_sighting(distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0) -> Sighting:
     """A sighting from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
 
-    On average a point whose bearing errs lies nearer than it is, by the factor exp(-variance / 2): the mean is freed of
-    that (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` gives range and bearing back.
+    A bearing error biases the mean of the point towards the sensor by the factor exp(-variance / 2); this bias is
+    removed (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` is the inverse.
     """
     reach = distance * math.exp(0.5 * variances[1])
     turn = rotation(bearing)
@@ -94,7 +94,7 @@ def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
 
 
 def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
-    """Where a point sighted at z (2,) lies in the world, and its Jacobians by pose (2, 3) and by z (2, 2)."""
+    """World position of a point sighted at z (2,), and its Jacobians by pose (2, 3) and by z (2, 2)."""
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     by_z = np.array([[c, -s], [s, c]])
     offset = by_z @ z
@@ -139,7 +139,7 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
 
 
 def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
-    """The landmark (2,) that a sighting from a pose shows, world frame; Jacobians by pose (2, 3) and by z (2, 2)."""
+    """The landmark (2,) of a sighting from a pose, world frame; its Jacobians by pose (2, 3) and by z (2, 2)."""
     if not sighting.is_wall:
         return initialize_point(pose, sighting.z)
     alpha = wrap_angle(float(sighting.z[0]) + pose.theta)
@@ -150,16 +150,16 @@ def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, A
 
 
 def rotation_generator(landmarks: Array, walls: NDArray[np.bool_] | None = None) -> Array:
-    """How landmarks (m, 2) change when the world turns about its origin, per radian.
+    """Derivative of landmarks (m, 2), or of one (2,), by a rotation of the world about its origin, per radian.
 
-    Points, or a single (2,), by a quarter turn of themselves; those marked in `walls` (m,) by their angle alone.
+    For a point it is the point rotated by a quarter turn; for those marked in `walls` (m,) only the angle changes.
     """
     change = np.stack([-landmarks[..., 1], landmarks[..., 0]], axis=-1)
     return change if walls is None else np.where(walls[:, None], np.array([1.0, 0.0]), change)
 
 
 def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[Array, Array]:
-    """Landmarks (m, 2) when the world moves by (2,), and the Jacobians (m, 2, 2) of that."""
+    """Landmarks (m, 2) after the world is translated by `by` (2,), and the Jacobians (m, 2, 2) of that."""
     moved, jacobian = landmarks + by, np.tile(np.eye(2), (len(landmarks), 1, 1))
     normal, along = _axes(landmarks[walls, 0])
     moved[walls, 0] = landmarks[walls, 0]
@@ -169,6 +169,6 @@ def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[A
 
 
 def _axes(alpha: Array) -> tuple[Array, Array]:
-    """(m, 2) normals of walls and (m, 2) their directions, a quarter turn on."""
+    """(m, 2) normals of walls and (m, 2) directions, which are a quarter turn counter-clockwise of them."""
     c, s = np.cos(alpha), np.sin(alpha)
     return np.column_stack([c, s]), np.column_stack([-s, c])

@@ -1,4 +1,4 @@
-"""The laser scanner: what a scan is, and how rays meet walls."""
+"""The laser scanner: scans, their beams' angles and times, and ray casting."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from sixthsense.core.geometry import Array, Pose
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """What de-skewing makes of a scan that took time."""
+    """Bearings and noise of a scan that was de-skewed."""
 
     bearings: Array
     """(N,) radians in the laser's frame at the scan's stamp, no longer evenly spaced"""
     closed: bool
     """whether the first beam still follows the last"""
     cov: Array
-    """(3, 3) of the odometry over the sweep, to the tick at or before its begin, axes of the robot at the stamp"""
+    """(3, 3) of the odometry over the sweep, from the tick at or before its begin; axes of the robot at the stamp"""
     lags: Array
-    """(N,) how long before the stamp each beam was taken, as a share of the time that `cov` is of"""
+    """(N,) time from each beam to the stamp, as a share of the time that `cov` covers"""
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """One turn of the laser; ranges and angles are float32 at birth, so that a recorded scan replays exactly."""
+    """One turn of the laser; ranges and angles are float32, so that a recorded scan is replayed exactly."""
 
     ranges: NDArray[np.float32]
-    """(N,) metres, inf where nothing was met"""
+    """(N,) metres, inf for no return"""
     angle_min: np.float32
     """bearing of the first beam in the laser's frame, radians"""
     angle_increment: np.float32
@@ -42,9 +42,9 @@ class Scan:
     T_robot_laser: Pose = Pose()
     """mount"""
     time_increment: np.float32 = np.float32(0.0)
-    """seconds from beam to beam, negative where the last was taken first; 0: all taken at the scan's stamp"""
+    """seconds from beam to beam, negative if the last was taken first; 0: all at the scan's stamp"""
     sweep: Sweep | None = None
-    """of a scan that was de-skewed: how its beams now lie, and what is left of the time it took"""
+    """of a scan that was de-skewed: its bearings and noise"""
 
     @classmethod
     def from_config(cls, ranges: Array, config: LaserConfig) -> Scan:
@@ -72,12 +72,12 @@ class Scan:
 
     @property
     def times_s(self) -> Array:
-        """(N,) seconds at which each beam was taken, before the scan's stamp, which is that of the latest beam."""
+        """(N,) seconds, at most 0, of each beam relative to the scan's stamp, which is that of the latest beam."""
         return sweep_times(len(self.ranges), self.time_increment)
 
     @property
     def points_robot(self) -> Array:
-        """(N, 2) metres in the robot's frame; a beam without a return ends at infinity or NaN."""
+        """(N, 2) metres in the robot's frame; infinite or NaN for a beam without a return."""
         bearings = self.bearings
         ranges = self.ranges.astype(np.float64)
         with np.errstate(invalid="ignore"):
@@ -86,7 +86,7 @@ class Scan:
 
 
 def beam_angles(config: LaserConfig) -> tuple[np.float32, np.float32]:
-    """First bearing and spacing, float32 radians; a full circle leaves out the beam that would repeat the first."""
+    """First bearing and spacing, float32 radians; a full circle has no beam that repeats the first."""
     full = config.fov > 2 * math.pi - 1e-9
     spacing = config.fov / (config.beams if full else config.beams - 1)
     return np.float32(-config.fov / 2), np.float32(spacing)
@@ -98,18 +98,18 @@ def time_increment(config: LaserConfig) -> np.float32:
 
 
 def sweep_times(beams: int, increment: np.float32) -> Array:
-    """(N,) seconds, at most 0, at which each of so many beams is taken, before the latest of them."""
+    """(N,) seconds, at most 0, of each beam relative to the latest one."""
     times = float(increment) * np.arange(beams)
     return np.asarray(times - max(times[-1], 0.0))
 
 
 def sweep_ns(beams: int, increment: np.float32) -> int:
-    """Nanoseconds, at most 0, at which the earliest of so many beams is taken, before the latest."""
+    """Nanoseconds, at most 0, of the earliest beam relative to the latest one."""
     return round(1e9 * float(sweep_times(beams, increment).min()))
 
 
 def beam_bearings(config: LaserConfig) -> Array:
-    """(N,) bearings of the configured beams in the laser's frame, as every scan of it has them; radians."""
+    """(N,) bearings of the configured beams in the laser's frame, radians."""
     angle_min, increment = beam_angles(config)
     return np.asarray(float(angle_min) + float(increment) * np.arange(config.beams))
 
@@ -122,14 +122,14 @@ def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_ran
         ax, ay = walls[j, 0] - x, walls[j, 1] - y
         ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
         length_sq = ex * ex + ey * ey
-        # A wall wholly out of range costs one distance, not one test a beam.
+        # A wall out of range costs one distance instead of one test per beam.
         s = min(max(-(ax * ex + ay * ey) / length_sq, 0.0), 1.0)
         nx, ny = ax + s * ex, ay + s * ey
         if nx * nx + ny * ny > max_range * max_range:
             continue
         across = ax * ey - ay * ex
         for i in range(ranges.shape[0]):
-            # x + t d = a + u e, by Cramer's rule. The slack closes the joint of two walls against leaks.
+            # x + t d = a + u e, by Cramer's rule. The tolerance closes the gap where two walls join.
             inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
             t = across * inverse
             u = (ax * sin[i] - ay * cos[i]) * inverse
@@ -142,13 +142,13 @@ def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_ran
 
 @numba.njit(cache=True, error_model="numpy")
 def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """As `_cast_rays`, each beam from its own place."""
+    """As `_cast_rays`, with a position for each beam."""
     for i in range(ranges.shape[0]):
         _cast_rays(x[i], y[i], cos[i : i + 1], sin[i : i + 1], walls, max_range, ranges[i : i + 1])
 
 
 def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) -> Array:
-    """As `cast_rays`, of a laser that moves: beam i is cast from row i of `poses` (N, 3), world frame."""
+    """As `cast_rays` for a moving laser: beam i is cast from row i of `poses` (N, 3), world frame."""
     angles = bearings + poses[:, 2]
     ranges = np.empty(len(angles))
     x, y = np.ascontiguousarray(poses[:, 0]), np.ascontiguousarray(poses[:, 1])

@@ -10,7 +10,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.geometry import Array, Pose, rotation
 
-_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # the way and the turn over which the floor is added once
+_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two key scans
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
@@ -30,7 +30,7 @@ def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: f
 
 
 def draw(rng: np.random.Generator, distribution: Distribution, scale: float, size: int | None = None) -> Array:
-    """Zero-mean noise: `scale` is sigma if gaussian, the half-width if uniform; one draw is used up either way."""
+    """Zero-mean noise: `scale` is sigma if gaussian, the half-width if uniform; either takes one draw per value."""
     if distribution == "gaussian":
         return np.asarray(scale * rng.standard_normal(size))
     return np.asarray(scale * (2.0 * rng.random(size) - 1.0))
@@ -42,7 +42,7 @@ def variance(distribution: Distribution, scale: float) -> float:
 
 
 def slip_variances(noise: MotionNoise, distance: float, turn: float) -> tuple[float, float]:
-    """Variances of position (m^2, each axis) and heading (rad^2) that slip adds over a way and a turn."""
+    """Variances of position (m^2, each axis) and heading (rad^2) that slip adds over a distance and a turn."""
     d, a = abs(distance), abs(turn)
     position = noise.slip_position_per_sqrt_m**2 * d + noise.slip_position_per_sqrt_rad**2 * a
     heading = noise.slip_heading_per_sqrt_m**2 * d + noise.slip_heading_per_sqrt_rad**2 * a
@@ -59,13 +59,12 @@ def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
             [0.0, 0.0, 1.0],
         ]
     )
-    by_motion = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return by_pose, by_motion
+    return by_pose, Pose(theta=heading).adjoint()
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """An increment of motion in the robot's own frame, and how well it is known."""
+    """An increment of motion in the robot's frame, with its covariance."""
 
     motion: Pose
     """`T_before_after`"""
@@ -73,18 +72,17 @@ class Odometry:
     """(3, 3) of the error of (x, y, theta) of `motion`, axes of the frame before; m, rad"""
 
     def is_standstill(self) -> bool:
-        """Whether nothing moved, and that is certain."""
+        """Whether the motion is zero without uncertainty."""
         return self.motion == STANDSTILL.motion and not np.any(self.cov)
 
     def cov_after(self) -> Array:
-        """(3, 3) of the same error with the axes of the frame after, as factor graphs have it."""
-        turn = np.eye(3)
-        turn[:2, :2] = rotation(-self.motion.theta)
+        """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""
+        turn = Pose(theta=-self.motion.theta).adjoint()
         cov = turn @ self.cov @ turn.T
         return np.asarray(0.5 * (cov + cov.T))
 
     def then(self, later: Odometry) -> Odometry:
-        """Fold two increments with independent errors into one: `self` first, then `later`."""
+        """Compose two increments with independent errors: `self` first, then `later`."""
         by_self, by_later = compose_jacobians(self.motion.theta, later.motion)
         cov = by_self @ self.cov @ by_self.T + by_later @ later.cov @ by_later.T
         return Odometry(self.motion @ later.motion, cov)
@@ -95,7 +93,7 @@ STANDSTILL.cov.flags.writeable = False
 
 
 def arc(motion: Pose) -> tuple[float, float]:
-    """Length (m, signed) and turn (rad) of the circular arc that makes `motion`, as a differential drive does."""
+    """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
     half = 0.5 * motion.theta
     chord = motion.x * math.cos(half) + motion.y * math.sin(half)
     return chord / _sinc(half), motion.theta
@@ -116,13 +114,13 @@ def arc_jacobian(distance: float, turn: float) -> Array:
 
 
 def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
-    """Difference two odometry poses into an increment with the covariance that the assumed noise gives it.
+    """The increment between two odometry poses, with its covariance by the assumed noise.
 
-    The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9); slip
-    adds to it, and so does a small floor without which the covariance has rank 2, or 1 when turning on the spot.
+    The multiplicative part is G Q G^T with Q depending on the command (the correct form of the report's eq. 8-9). Slip
+    adds to it, and a small floor, without which the covariance has rank 2, or 1 when turning on the spot.
     """
     if before == after:
-        return STANDSTILL  # differencing would leave rounding errors that look like motion
+        return STANDSTILL  # the difference would have rounding errors that look like motion
     motion = _corrected(before.inverse() @ after, assumed)
     distance, turn = arc(motion)
     noise = assumed.motion
@@ -138,7 +136,7 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
 
 
 def _corrected(motion: Pose, assumed: AssumedConfig) -> Pose:
-    """The increment freed of the wheels' known systematic errors (Borenstein and Feng 1996)."""
+    """The increment corrected for the wheels' assumed systematic errors (Borenstein and Feng 1996)."""
     if assumed.wheel_scale_error == 0.0 and assumed.drift_rad_per_m == 0.0:
         return motion
     scale = 1.0 + assumed.wheel_scale_error

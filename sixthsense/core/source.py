@@ -1,4 +1,4 @@
-"""The seam between the loop and where its evidence comes from: a simulated world, or a log."""
+"""The interface between the loop and its source of scans and odometry: a simulated world, or a log."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sixthsense.core.laser import Scan
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the follower asks of the drive."""
+    """Velocities commanded to the drive."""
 
     speed: float = 0.0
     """m/s, forward"""
@@ -23,24 +23,25 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One turn of a source's clock."""
+    """One step of a source: odometry, and a scan if there is one."""
 
     stamp_ns: int
     """Record time, strictly ascending."""
     odometry: Pose
-    """Where the wheels alone say the robot is: `T_odom_robot`; the loop differences it."""
+    """Pose by wheel odometry alone, `T_odom_robot`; the loop takes differences of it."""
     scan: Scan | None = None
-    """The laser's scan, taken at this instant, if there is one."""
+    """The laser's scan at this stamp, if there is one."""
     sightings: Mapping[LandmarkId, Sighting] | None = None
-    """Landmarks that the log itself knows by name; empty where it looked and saw none, None where it did not look."""
+    """Sightings of landmarks that the log identifies; empty if none was in view, None without an observation."""
     increment_cov: Array | None = None
-    """(3, 3) of the motion since the last tick, frame before, where the log states it; else the assumed noise's."""
+    """(3, 3) of the motion since the last tick, frame before, if the log states it; else it follows from the assumed
+    noise."""
     truth: Pose | None = None
     """`T_world_robot`, for the record only."""
     collided: bool = False
-    """The robot touched a wall on the way here; it stands where it touched."""
+    """Whether the robot touched a wall since the last tick; it stands where it touched."""
     log_stamp_s: float | None = None
-    """The log's own stamp of the scan, by which relations name it."""
+    """The log's own stamp of the scan, which relations refer to."""
 
 
 class Source(Protocol):

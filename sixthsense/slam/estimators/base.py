@@ -1,4 +1,4 @@
-"""The estimators' seam: what every back end offers the loop, and the promises it keeps."""
+"""The interface of all estimators, and the contract they keep."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sixthsense.core.motion import Odometry
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What an estimator believes now; arrays are copies."""
+    """The present estimate; arrays are copies."""
 
     pose: Pose
     """`T_world_robot`"""
@@ -39,10 +39,10 @@ class Estimator(Protocol):
        after all updates.
     3. An empty update leaves the covariance alone.
     4. `joint_covariance` is symmetric and positive semi-definite, begins with `pose_cov` and follows the order asked.
-    5. What is returned is a copy.
+    5. Returned arrays are copies.
     6. The same calls give the same bits.
-    7. A covariance that is none (not finite, not symmetric, indefinite; of a sighting, not positive definite) is a
-       ValueError that names it, and the state stays as it was. An odometry's and the start's may be zero.
+    7. An invalid covariance (not finite, not symmetric, indefinite; of a sighting, not positive definite) raises a
+       ValueError that names it and leaves the state unchanged. An odometry's and the start's may be zero.
     """
 
     def predict(self, odometry: Odometry) -> None:
@@ -50,11 +50,11 @@ class Estimator(Protocol):
         ...
 
     def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
-        """Take in what one key scan saw."""
+        """Update with the sightings of one key scan."""
         ...
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
-        """Remove landmarks; KeyError for one that is not known."""
+        """Remove landmarks; KeyError for an unknown one."""
         ...
 
     def estimate(self) -> Estimate:
@@ -71,7 +71,7 @@ class Estimator(Protocol):
 
 
 class Trajectory:
-    """Poses, one after the other, handed out as an array without a loop over them."""
+    """A growing list of poses, returned as one array without a loop over them."""
 
     def __init__(self) -> None:
         self._rows = np.empty((64, 3))
@@ -90,7 +90,7 @@ class Trajectory:
 
 
 def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
-    """Raise ValueError, naming the landmark, for a sighting that is not finite or whose covariance is none."""
+    """Raise ValueError, naming the landmark, for a sighting that is not finite or whose covariance is invalid."""
     if not sightings:
         return
     for i, s in sightings.items():

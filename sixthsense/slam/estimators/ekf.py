@@ -27,14 +27,15 @@ from sixthsense.slam.estimators.base import Estimate, Trajectory, check_sighting
 class EKF:
     """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
 
-    State: x, y, theta of the robot, then the two numbers of each landmark. Within, the world's origin is where the
-    robot started: a wall's (alpha, d) about a far origin linearises badly. The linearised system loses a direction that
-    cannot be observed, the heading of the whole map, so that it is overconfident once the robot turns
-    (Huang, Mourikis and Roumeliotis 2010); the variants override the methods named `_on_...` and `_linearised_at`.
+    State: x, y, theta of the robot, then the two numbers of each landmark. Internally the world's origin is the start,
+    since a wall's (alpha, d) about a far origin linearizes badly. The linearized system loses an unobservable
+    direction, the heading of the whole map, so that the filter is overconfident once the robot has turned
+    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points`,
+    `_apply_correction` and the methods named `_on_...`.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
-        """Begin at `start` (world frame) known to `start_cov` (3, 3), which may be zero; ValueError if it is none."""
+        """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
         cov = check_covariance("start_cov", start_cov)
         self._origin = start.position
         self._pose = Pose(0.0, 0.0, start.theta)
@@ -47,9 +48,9 @@ class EKF:
         self._trajectory = Trajectory()
 
     def predict(self, odometry: Odometry) -> None:
-        """Move by an increment; the covariance follows at the next call that needs it.
+        """Move by an increment; the covariance is propagated at the next call that needs it.
 
-        Folding increments first is exact: the Jacobians of composed motions multiply.
+        Composing increments first is exact: the Jacobians of composed motions multiply.
         """
         check_covariance("odometry", odometry.cov)
         if odometry.is_standstill():
@@ -63,12 +64,12 @@ class EKF:
         known = [i for i in sightings if i in self._slots]
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
-            self._on_seen(slots, self._correct(slots, [sightings[i] for i in known]))
+            self._apply_correction(slots, self._correct(slots, [sightings[i] for i in known]))
         self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
-        self._trajectory.append(self._world(self._pose))
+        self._trajectory.append(self._in_world(self._pose))
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
-        """Marginalise landmarks out: their rows and columns go, all else stays as it was."""
+        """Marginalize landmarks out: remove their rows and columns of the covariance."""
         gone = {self._slots[i] for i in ids}
         if not gone:
             return
@@ -76,7 +77,7 @@ class EKF:
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
         self._means, self._walls = self._means[slots], self._walls[slots]
-        self._on_kept(slots)
+        self._on_forgotten(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
     def estimate(self) -> Estimate:
@@ -85,7 +86,7 @@ class EKF:
         pose_cov = self._symmetric(np.arange(3))
         landmarks, _ = translated(self._means, self._walls, self._origin)
         ids = np.array(list(self._slots), dtype=np.int64)
-        return Estimate(self._world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
+        return Estimate(self._in_world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
@@ -103,28 +104,28 @@ class EKF:
         """(K, 3), the filtered pose at each update."""
         return self._trajectory.rows()
 
-    def _on_moved(self, moved: Array) -> Array:
-        """The way (2,) with which the heading's error turns into one of position, as the robot has `moved` (2,)."""
+    def _heading_lever(self, moved: Array) -> Array:
+        """Displacement (2,) used in d position / d heading while the robot has `moved` by (2,)."""
         return moved
 
-    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
-        """The robot's position (2,) and the landmarks (m, 2) at which sightings are linearised."""
+    def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+        """The robot's position (2,) and the landmarks (m, 2) at which sightings are linearized."""
         return self._pose.position, self._means[slots]
 
-    def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
-        """Take the correction in that sightings of known landmarks bring: add `shift` (3 + 2n,) to the state."""
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
+        """Add the correction `shift` (3 + 2n,) to the state, after an update with the landmarks in `slots`."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
         self._means += shift[3:].reshape(-1, 2)
         self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
 
-    def _on_born(self, sightings: Collection[Sighting]) -> None:
-        """Landmarks were added, of these sightings."""
+    def _on_added(self, sightings: Collection[Sighting]) -> None:
+        """Called after landmarks were added, one per sighting."""
 
-    def _world(self, pose: Pose) -> Pose:
+    def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
 
-    def _on_kept(self, slots: NDArray[np.int64]) -> None:
-        """Of the landmarks only those in `slots` are left, in that order."""
+    def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
+        """Called after landmarks were removed: those in `slots` are left, in that order."""
 
     @property
     def _size(self) -> int:
@@ -135,12 +136,12 @@ class EKF:
         return self._cov[np.maximum(rows, cols), np.minimum(rows, cols)]
 
     def _propagate(self) -> None:
-        """Sigma = Phi Sigma Phi^T + G Q G^T, what the report's eq. 8-9 should say; touches the pose's columns only."""
+        """Sigma = Phi Sigma Phi^T + G Q G^T, the correct form of the report's eq. 8-9, on the pose's columns only."""
         if self._pending is STANDSTILL:
             return
         pose = self._pose @ self._pending.motion
         phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
-        phi[:2, 2] = rotation_generator(self._on_moved(pose.position - self._pose.position))
+        phi[:2, 2] = rotation_generator(self._heading_lever(pose.position - self._pose.position))
         pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
         self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
         self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
@@ -150,16 +151,16 @@ class EKF:
     def _correct(self, slots: NDArray[np.int64], sightings: list[Sighting]) -> Array:
         """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle.
 
-        Returns the correction (3 + 2n,) of the state, which is still to be made.
+        Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
         n, m = self._size, len(slots)
         walls = self._walls[slots]
         predicted, _, _ = predict(self._pose, self._means[slots], walls)
-        position, landmarks = self._linearised_at(slots)
+        position, landmarks = self._linearization_points(slots)
         _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), landmarks, walls)
         innovation = innovations(np.array([s.z for s in sightings]), predicted, walls).ravel()  # (2m,)
         index = _state_index(slots)  # (3 + 2m,)
-        H = np.zeros((2 * m, 3 + 2 * m))  # the columns of H that are not zero
+        H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
         for k in range(m):
             H[2 * k : 2 * k + 2, :3] = by_pose[k]
             H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
@@ -177,14 +178,14 @@ class EKF:
         return np.asarray(W @ solve_triangular(root, innovation, lower=True, check_finite=False))
 
     def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
-        """Append the landmarks that were born at the pose of this update."""
+        """Append new landmarks, initialized at the pose of this update."""
         if not sightings:
             return
         n, k = self._size, len(sightings)
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
         means, rows, noise = [], [], []
-        position, _ = self._linearised_at(np.zeros(0, dtype=np.int64))
+        position, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
         at = Pose(position[0], position[1], self._pose.theta)
         for sighting in sightings.values():
             mean, _, by_z = initialize_landmark(self._pose, sighting)
@@ -200,7 +201,7 @@ class EKF:
         self._cov = larger
         self._means = np.vstack([self._means, *means])
         self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
-        self._on_born(sightings.values())
+        self._on_added(sightings.values())
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
 
 

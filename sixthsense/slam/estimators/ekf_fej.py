@@ -18,7 +18,7 @@ class AnchoredEKF(EKF):
     """An EKF whose Jacobians are taken at points that keep all three unobservable directions of SLAM.
 
     A turn of the whole world is unobservable if each Jacobian has the same null vector: `rotation_generator` of the
-    robot's linearisation point, which moves with the robot; 1; and `rotation_generator` of each landmark's anchor,
+    robot's linearization point, which moves with the robot; 1; and `rotation_generator` of each landmark's anchor,
     which never moves. So the levers are anchors less that point (Huang et al. 2010, eq. 20-23). The variants choose
     the point.
 
@@ -29,9 +29,9 @@ class AnchoredEKF(EKF):
     def __init__(self, start: Pose, start_cov: Array) -> None:
         super().__init__(start, start_cov)
         self._point = np.zeros(2)
-        """(2,) the robot's point of linearisation"""
+        """(2,) the robot's linearization point"""
         self._anchors = np.zeros((0, 2))
-        """(n, 2) the landmarks'"""
+        """(n, 2) the landmarks' linearization points"""
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -49,22 +49,22 @@ class AnchoredEKF(EKF):
         half = np.outer(u, joint[:, 2] + 0.5 * joint[2, 2] * u)
         return np.asarray(joint + (half + half.T))
 
-    def _linearised_at(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
+    def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
         return self._point, self._anchors[slots]
 
-    def _on_born(self, sightings: Collection[Sighting]) -> None:
+    def _on_added(self, sightings: Collection[Sighting]) -> None:
         at = Pose(self._point[0], self._point[1], self._pose.theta)
         self._anchors = np.vstack([self._anchors, *(initialize_landmark(at, sighting)[0] for sighting in sightings)])
 
-    def _on_kept(self, slots: NDArray[np.int64]) -> None:
+    def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         self._anchors = self._anchors[slots]
 
 
 class FirstEstimatesEKF(AnchoredEKF):
-    """The robot's point of linearisation is its predicted position, which later corrections leave alone."""
+    """The robot's linearization point is its predicted position, which later corrections do not change."""
 
-    def _on_moved(self, moved: Array) -> Array:
-        # From prediction to prediction (Huang et al. 2008, eq. 26), where the standard filter starts at the corrected.
-        way = self._pose.position + moved - self._point
-        self._point = self._point + way
-        return np.asarray(way)
+    def _heading_lever(self, moved: Array) -> Array:
+        # From prediction to prediction (Huang et al. 2008, eq. 26); the standard filter starts at the corrected pose.
+        lever = self._pose.position + moved - self._point
+        self._point = self._point + lever
+        return np.asarray(lever)

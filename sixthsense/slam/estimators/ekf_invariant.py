@@ -12,16 +12,17 @@ from sixthsense.slam.estimators.ekf import EKF
 
 
 class InvariantEKF(EKF):
-    """The standard filter in coordinates in which a turn of the whole world is one and the same error everywhere.
+    """The standard filter in coordinates in which a turn of the whole world is the same error at every estimate.
 
     With xi the right-invariant error, a position p has the error e_p = xi_p + xi_theta J p_hat in the world frame, and
     the heading e_theta = xi_theta: e = A(x_hat) xi. In xi the odometry's Jacobian is the identity and a sighting's does
-    not depend on the estimate, so that none can invent knowledge of the heading. Kept in world coordinates, the
-    covariance is A P_xi A^T at the present estimate. The standard Jacobians at the present estimate are those of xi
-    in these coordinates; what differs is the correction: it moves along the group's exponential, and A moves with it.
+    not depend on the estimate, so that no update gains information about the heading of the whole map. The covariance
+    is kept in world coordinates: A P_xi A^T at the present estimate. The standard Jacobians at the present estimate are
+    those of xi in these coordinates. Only the correction differs: it follows the group's exponential, and the
+    covariance is transported to A at the corrected estimate.
     """
 
-    def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
         theta = float(shift[2])
         points = np.concatenate([[True], ~self._walls])
         before = np.vstack([self._pose.position, self._means])  # (1 + n, 2)
@@ -29,14 +30,14 @@ class InvariantEKF(EKF):
         # xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17).
         xi = step - theta * rotation_generator(before)
         after = before @ rotation(theta).T + xi @ _left_jacobian(theta).T
-        # A turn adds to a wall's angle, wherever it is, and leaves its offset from the origin alone: A is the identity.
+        # A turn adds to a wall's angle and leaves its offset from the origin unchanged: for walls A is the identity.
         after[~points] = before[~points] + step[~points]
         after[~points, 0] = wrap_angle(after[~points, 0])
         self._pose = Pose(after[0, 0], after[0, 1], self._pose.theta + theta)
         self._means = after[1:]
-        self._lean(np.where(points[:, None], rotation_generator(after - before), 0.0))
+        self._transport_covariance(np.where(points[:, None], rotation_generator(after - before), 0.0))
 
-    def _lean(self, moved: Array) -> None:
+    def _transport_covariance(self, moved: Array) -> None:
         """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T, u the rows (1 + n, 2) of `moved`."""
         u = np.concatenate([moved[0], [0.0], moved[1:].ravel()])
         w = np.concatenate([self._cov[2, :2], self._cov[2:, 2]])  # Sigma's column of the heading

@@ -1,4 +1,4 @@
-"""EKF-SLAM whose points of linearisation are the best that keep the system's observability (OC-EKF)."""
+"""EKF-SLAM whose linearization points are the best that keep the system's observability (OC-EKF)."""
 
 from __future__ import annotations
 
@@ -10,34 +10,34 @@ from sixthsense.slam.estimators.ekf_fej import AnchoredEKF
 
 
 class ObservabilityConstrainedEKF(AnchoredEKF):
-    """The point of linearisation follows the newest estimates as closely as the constraint lets it.
+    """The linearization point follows the newest estimates as closely as the observability constraint allows.
 
-    Of all points that keep the null vector the filter takes those nearest to the estimates, in least squares, for the
-    way of the robot and the levers of its sightings together (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010,
-    section 5.2: for one landmark, the gap between anchor and estimate is shared half and half). Here the landmarks of
-    the last update stand for those of the next, so that the point is known when the robot moves.
+    Of all points that keep the null vector the filter takes those nearest to the estimates, in least squares over the
+    robot's displacement and the levers of its sightings (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010,
+    section 5.2: for one landmark, half of the gap between anchor and estimate goes to each). The landmarks of the last
+    update are used in place of those of the next, so that the point is known when the robot moves.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
         super().__init__(start, start_cov)
-        self._pull = np.zeros(2)
-        """(2,) by which the next way shall differ from the one the robot made"""
+        self._shift = np.zeros(2)
+        """(2,) added to the robot's next displacement, to give that of the linearization point"""
 
-    def _on_moved(self, moved: Array) -> Array:
-        way = moved + self._pull
-        self._point = self._point + way
-        self._pull = np.zeros(2)
-        return np.asarray(way)
+    def _heading_lever(self, moved: Array) -> Array:
+        lever = moved + self._shift
+        self._point = self._point + lever
+        self._shift = np.zeros(2)
+        return np.asarray(lever)
 
-    def _on_seen(self, slots: NDArray[np.int64], shift: Array) -> None:
-        super()._on_seen(slots, shift)
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
+        super()._apply_correction(slots, shift)
         walls = self._walls[slots]
-        point, anchors = self._linearised_at(slots)
+        point, anchors = self._linearization_points(slots)
         lag = self._pose.position - point
         gaps = (anchors - self._means[slots])[~walls] + lag  # (m, 2)
         alpha = anchors[walls, 0]
         along = np.column_stack([-np.sin(alpha), np.cos(alpha)])
-        # argmin of |pull|^2 + sum over points |gap - pull|^2 + sum over walls (along . (lag - pull))^2: how a wall's
-        # offset follows its angle depends on where along it the robot is.
+        # argmin of |shift|^2 + sum over points |gap - shift|^2 + sum over walls (along . (lag - shift))^2: for a wall,
+        # d offset / d angle depends on the robot's position along it.
         spread = along.T @ along
-        self._pull = np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)
+        self._shift = np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)

@@ -66,7 +66,7 @@ def _next_random(state: int) -> tuple[int, int]:
 
 @numba.njit(cache=True, error_model="numpy")
 def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations: int, seed: int) -> Array:
-    """The line through two of the free points that has most free points within `threshold`.
+    """The line through two free points with the most free points within `threshold` (RANSAC).
 
     `points` (N, 2) metres, `free` (N,) marks the points taking part, `seed` in [1, 2^31 - 1). Returns (3,): alpha, d
     and the number of inliers; stops early once every free point is one.
@@ -105,12 +105,12 @@ def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations:
 
 @numba.njit(cache=True, error_model="numpy")
 def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: float) -> Array:
-    """Fit a line to laser returns and say how well it is known.
+    """Fit a line to laser returns, with its covariance.
 
     `points` (N, 2) metres in the laser's frame, of which those at `index` take part; sigmas in metres and radians.
     Returns (5,): alpha, d and the entries aa, ad, dd of its covariance. Orthogonal least squares (Arras and Siegwart
-    1997) gives the first answer; two Gauss-Newton steps then weigh each return by its noise across the line and take
-    the lever arms from the fitted line, not from the noisy returns, which would bias the angle.
+    1997) gives the initial line. Two Gauss-Newton steps then weight each return by its noise across the line, with
+    lever arms of the fitted line, since those of the noisy returns would bias the angle.
     """
     n = len(index)
     mx = my = sxx = syy = sxy = 0.0
@@ -158,7 +158,7 @@ def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: f
 def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float, sigma_bearing: float) -> Array:
     """The line through the returns at `index` that is parallel to a fitted `line`; arguments and result as `fit_line`.
 
-    Its distance is the weighted mean of the returns', its direction and the error of that are the given line's.
+    Its distance is the weighted mean of the returns' distances; direction and its variance are those of `line`.
     """
     c, s = math.cos(line[0]), math.sin(line[0])
     total = offset = along = 0.0

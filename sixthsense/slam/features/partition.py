@@ -16,9 +16,9 @@ Indices = NDArray[np.int64]
 
 @numba.njit(cache=True, error_model="numpy")
 def _is_break(r0: float, r1: float, gap: float, spacing: float, epsilon: float, incidence: float, sigma: float) -> bool:
-    """Whether two neighbouring returns, seen `gap` apart, taken `spacing` apart, lie on different partitions.
+    """Whether two neighbouring returns, `gap` apart in bearing, with beams `spacing` apart, are in two partitions.
 
-    `incidence` 0 takes the fixed `epsilon`.
+    `incidence` 0 selects the fixed jump `epsilon`.
     """
     if not (math.isfinite(r0) and math.isfinite(r1)):
         return True
@@ -34,7 +34,7 @@ def _is_break(r0: float, r1: float, gap: float, spacing: float, epsilon: float, 
 def _partition(
     ranges: Array, gaps: Array, spacing: float, closed: bool, epsilon: float, incidence: float, sigma: float
 ) -> tuple[int, Indices, bool]:
-    """First beam, (P, 2) first and past-last position counted from it, and whether the one piece closes on itself."""
+    """First beam, (P, 2) first and past-last position from there, and whether the only piece closes on itself."""
     n = ranges.shape[0]
     offset = 0
     cyclic = False

@@ -1,1 +1,1 @@
-"""The grid of obstacles and seen area, and the free space of it."""
+"""The grid of obstacles and seen area, and its free space."""

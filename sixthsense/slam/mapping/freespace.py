@@ -1,4 +1,4 @@
-"""Where the robot's centre may be: a snapshot of the inflated grid, and the questions that planning asks of it."""
+"""Free space of the robot's centre: a snapshot of the inflated grid, with the queries of planning."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 
 MAX_CELLS = 100_000_000
-"""More than these are a mistake: a wild pose or range, or a cell that is too small."""
+"""Largest grid; more cells come from a wrong pose or range, or from too small a cell."""
 TOUCH = 1e-9
-"""Slack of geometric tests, in cells: a corner that is just touched counts as touched."""
+"""Tolerance of geometric tests, in cells: a corner that is just touched counts as touched."""
 
 Bools = NDArray[np.bool_]
 
@@ -32,7 +32,7 @@ def as_point(name: str, value: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreeSpace:
-    """A snapshot of where the robot's centre may be; what it does not cover is unknown, and unknown is free."""
+    """A snapshot of the cells where the robot's centre may be; cells outside it are unknown, and unknown is free."""
 
     blocked: Bools
     """(H, W), read-only: a robot at the cell's centre would touch an obstacle"""
@@ -106,7 +106,7 @@ class FreeSpace:
         return self.centre(int(rows[i]), int(cols[j])) if distance[i, j] <= within_m else None
 
     def covering(self, *points_world: ArrayLike) -> FreeSpace:
-        """Extend by unknown cells where needed, so that all of some (2,) points are covered.
+        """Extend by unknown cells where needed to cover all the given (2,) points.
 
         Raises ValueError when that would take more than 100 million cells.
         """
@@ -126,7 +126,7 @@ class FreeSpace:
         return FreeSpace(blocked, seen, origin, self.cell_m)
 
     def between(self, a_world: ArrayLike, b_world: ArrayLike, length_m: float) -> FreeSpace:
-        """The same with what no way of `length_m` from one (2,) point to the other can reach blocked: an ellipse."""
+        """The same with all cells blocked outside the ellipse of paths of `length_m` between two (2,) points."""
         (ax, ay), (bx, by) = self._in_cells("a", a_world), self._in_cells("b", b_world)
         blocked = self.blocked.copy()
         _block_beyond(blocked, ax, ay, bx, by, length_m / self.cell_m + 2.0)
@@ -139,7 +139,7 @@ class FreeSpace:
 
 
 def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive, whole numbers both.
+    """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive; both whole numbers.
 
     Raises InputError when they are more than `MAX_CELLS`, or so far out that floats no longer tell them apart.
     """
@@ -171,7 +171,7 @@ def line_touches(grid: Bools, x0: float, y0: float, x1: float, y1: float) -> boo
     height, width = grid.shape
     if x1 < x0:
         x0, y0, x1, y1 = x1, y1, x0, y0
-    # Within one cell nothing else is touched, even along its edge: so a point on an edge is where `cell_of` says.
+    # Within one cell no other is touched, even along its edge: so a point on an edge is in the cell of `cell_of`.
     touch = 0.0 if np.floor(x0) == np.floor(x1) and np.floor(y0) == np.floor(y1) else TOUCH
     first, last = min(max(np.floor(x0 - touch), 0.0), width), max(min(np.floor(x1 + touch), width - 1.0), -1.0)
     for col in range(int(first), int(last) + 1):

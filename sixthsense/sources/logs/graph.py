@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, polar_sighting
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
@@ -152,8 +152,7 @@ def _read_motion(graph: _Graph, record: Record) -> None:
     if before != graph.newest:
         record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {graph.newest}")
     step = Pose.from_array(motion)
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(step.theta)  # axes of the pose after, to axes of the pose before
+    turn = Pose(theta=step.theta).adjoint()  # axes of the pose after, to axes of the pose before
     graph.poses[after] = _Node(graph.poses[before].odometry @ step, _symmetric(turn @ cov @ turn.T))
     graph.newest = after
 

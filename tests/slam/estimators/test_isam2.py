@@ -196,14 +196,14 @@ def test_a_match_that_all_else_contradicts_is_taken_back():
     plain, trusting = crossed(trust, np.array([3.0, -2.0]))
     mended, smoother = crossed(ISAM2Config(**exact), np.array([3.0, -2.0]))
     _, reference = crossed(trust, MISSING)
-    assert (trusting.undone, smoother.undone) == (0, 1) and mended < 0.5 * plain
+    assert (trusting.rejected, smoother.rejected) == (0, 1) and mended < 0.5 * plain
     assert np.allclose(smoother.estimate().pose.array(), reference.estimate().pose.array(), atol=1e-5)
     assert np.allclose(smoother.estimate().landmarks, reference.estimate().landmarks, atol=1e-5)
     assert np.allclose(smoother.estimate().pose_cov, reference.estimate().pose_cov, rtol=1e-3, atol=1e-9)
 
 
 def test_no_right_match_is_taken_back_by_chance():
-    assert all(crossed(DEFAULT, seed=seed)[1].undone == 0 for seed in range(10))
+    assert all(crossed(DEFAULT, seed=seed)[1].rejected == 0 for seed in range(10))
 
 
 def test_a_wrong_match_of_a_wall_is_taken_back_too():
@@ -218,7 +218,7 @@ def test_a_wrong_match_of_a_wall_is_taken_back_too():
             z[0, 1] += 0.6
         smoother.update({i: Sighting(Kind.WALL, z[i], cov, (-1.0, 1.0)) for i in range(3)})
     estimate = smoother.estimate()
-    assert smoother.undone == 1
+    assert smoother.rejected == 1
     assert np.abs(wrap_angle(estimate.landmarks[np.argsort(estimate.ids)][:, 0] - walls[:, 0])).max() < 0.02
 
 

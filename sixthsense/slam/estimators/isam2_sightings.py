@@ -1,4 +1,4 @@
-"""What was sighted in a factor graph, and which of it everything else contradicts."""
+"""Sightings in a factor graph, with the places of their factors, and their residuals at the solution."""
 
 from __future__ import annotations
 
@@ -10,49 +10,49 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
 
-_FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("birth", np.bool_),
+_FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("first", np.bool_),
            ("z", np.float64, (2,)), ("information", np.float64, (2, 2)))  # fmt: skip
 
 
-class Evidence:
+class SightingFactors:
     """Sightings by the place of their factors in the graph."""
 
     def __init__(self) -> None:
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
-    def add(self, pose: int, i: LandmarkId, place: int, sighting: Sighting, is_birth: bool) -> None:
-        """Keep a sighting of landmark `i` from the pose of that index, whose factor has that place."""
+    def add(self, pose: int, i: LandmarkId, place: int, sighting: Sighting, is_first: bool) -> None:
+        """Add a sighting of landmark `i` from the pose with that index, whose factor has that place in the graph."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
         information = np.linalg.inv(sighting.cov)
-        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_birth, sighting.z, information)
+        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_first, sighting.z, information)
         self._count += 1
 
     def places(self, ids: Collection[LandmarkId]) -> list[int]:
-        """Places of the factors of some landmarks, ascending."""
+        """Places of the factors of these landmarks, ascending."""
         rows = self._rows[: self._count]
         return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
 
     def drop(self, places: Collection[int]) -> None:
-        """Forget the sightings whose factors have these places."""
+        """Remove the sightings whose factors have these places."""
         rows = self._rows[: self._count]
         kept = rows[~np.isin(rows["place"], list(places))]
         self._rows[: len(kept)] = kept
         self._count = len(kept)
 
     def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
-        """Give the factors new places: those at `before`, ascending, are now at `after`."""
+        """Renumber the factors: those at the places `before`, ascending, are now at `after`."""
         place = self._rows["place"][: self._count]
         place[:] = np.asarray(after)[np.searchsorted(before, place)]
 
     def squared_residuals(self, poses: Array, ids: NDArray[np.int64], landmarks: Array) -> tuple[Array, Array]:
-        """Squared Mahalanobis distance of each sighting that is no birth, and the places of their factors.
+        """Squared Mahalanobis distances of all but each landmark's first sighting, and the places of their factors.
 
         `poses` (K, 3) world frame; `landmarks` (n, 2) are those of `ids` (n,).
         """
         rows = self._rows[: self._count]
-        rows = rows[~rows["birth"]]
+        rows = rows[~rows["first"]]
         pose = poses[rows["pose"]]
         order = np.argsort(ids)
         landmark = landmarks[order[np.searchsorted(ids, rows["id"], sorter=order)]]

@@ -1,4 +1,4 @@
-"""GTSAM's ISAM2 by Cholesky's method, and by QR where that runs out of digits."""
+"""GTSAM's ISAM2 with Cholesky factorization, and with QR once that fails numerically."""
 
 from __future__ import annotations
 
@@ -15,48 +15,48 @@ T = TypeVar("T")
 
 
 class Solver:
-    """Solves by Cholesky's method, until beside an exactly known start or among very unlike sigmas it fails.
+    """Solves with Cholesky factorization until that fails, next to a certain start or among very different sigmas.
 
-    From then on the same factors are in a solver that uses QR. Cholesky's method takes a third of the time: QR stacks
-    what walls that are seen from everywhere have gathered.
+    From then on the same factors are in a solver that uses QR. Cholesky takes a third of the time, since QR stacks all
+    factors of walls that are seen from everywhere.
     """
 
     def __init__(self, config: ISAM2Config, on_renumber: Callable[[Sequence[int], Sequence[int]], None]) -> None:
-        """Begin with nothing; `on_renumber` is told of factors' new places: before, ascending, and after."""
+        """Start empty; `on_renumber` is called with factors' places before, ascending, and after a change."""
         self.isam = gtsam.ISAM2(solver_parameters(config))
-        """to read estimates from"""
+        """for reading estimates"""
         self._config, self._on_renumber = config, on_renumber
         self._by_qr = False
 
     def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = ()) -> list[int]:
-        """Take factors and values in, those at the places `gone` out, and solve; the places of the new factors.
+        """Add factors and values, remove the factors at the places `gone`, and solve; the places of the new factors.
 
         Raises RuntimeError when QR finds no solution either.
         """
         try:
             return list(self.isam.update(graph, values, list(gone)).getNewFactorsIndices())
         except RuntimeError:
-            # The solver has put the new factors into its graph, and taken the old ones out, before it fails.
-            places = self._turn_to_qr()
+            # Before it fails the solver has added the new factors to its graph and removed the old ones.
+            places = self._switch_to_qr()
             return places[len(places) - graph.size() :]
 
     def covariance(self, key: int) -> Array:
         """Marginal covariance of a variable, in its own tangent."""
-        return np.asarray(self._asked(lambda: self.isam.marginalCovariance(key)))
+        return np.asarray(self._query(lambda: self.isam.marginalCovariance(key)))
 
     def joint_covariance(self, keys: Sequence[int]) -> Array:
         """Joint marginal covariance of variables in the order asked, each in its own tangent."""
-        return np.asarray(self._asked(lambda: self.isam.jointMarginalCovariance(list(keys)).fullMatrix()))
+        return np.asarray(self._query(lambda: self.isam.jointMarginalCovariance(list(keys)).fullMatrix()))
 
-    def _asked(self, query: Callable[[], T]) -> T:
+    def _query(self, query: Callable[[], T]) -> T:
         try:
             return query()
         except RuntimeError:
-            self._turn_to_qr()
+            self._switch_to_qr()
             return query()
 
-    def _turn_to_qr(self) -> list[int]:
-        """Give all factors to a solver that uses QR; their new places."""
+    def _switch_to_qr(self) -> list[int]:
+        """Move all factors to a solver that uses QR; their new places."""
         if self._by_qr:
             raise RuntimeError("the factor graph has no solution")
         self._by_qr = True
@@ -80,5 +80,5 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     parameters.relinearizeSkip = config.relinearize_skip
     parameters.setFactorization(factorization)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
-    parameters.enableAdaptiveReorder = True  # an order that has grown bad costs the 99th percentile half as much again
+    parameters.enableAdaptiveReorder = True  # a stale order costs 50 % more at the 99th percentile
     return parameters
