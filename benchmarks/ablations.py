@@ -42,7 +42,6 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "iep_off": {"features": {"split": {"enabled": False}}},
     "least_squares_off": {"features": {"lines": {"least_squares": False}}},
     "culling_off": {"association": {"culling": False}},
-    "candidates_on": {"association": {"candidate_sightings": 3}},
     "shortcut_off": {"follow": {"shortcut": False}},
 }
 _EXTRACTION = (BASELINE, "iep_off", "least_squares_off")
@@ -221,12 +220,6 @@ CLAIMS = (
         "the shortcut saves much time",
         lambda off, on: off["sim_time_s_median"] > 1.1 * on["sim_time_s_median"],
         ("sim_time_s_median", "path_length_m_median", "turned_rad_median"),
-    ),
-    Claim(
-        "candidates_on",
-        "(not the report's) candidates keep bad landmarks out",
-        lambda on, off: off["landmarks_false_mean"] > on["landmarks_false_mean"],
-        ("landmarks_false_mean", "landmarks_median", "ate_rmse_m_median"),
     ),
 )
 

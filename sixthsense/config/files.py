@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sixthsense.config.presets import preset
+from sixthsense.config.removed import without_removed
 from sixthsense.config.section import ConfigError, as_table, merge
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
@@ -21,7 +22,8 @@ NOTES = ("versions", "replayed")
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 
-    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field that is not allowed.
+    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed. A
+    field of an earlier version is ignored at its default.
     """
     path = Path(file)
     try:
@@ -43,6 +45,7 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     for note in NOTES:
         table.pop(note, None)
     try:
+        table = without_removed(table)
         return merge(base or preset(table.get("preset", otherwise)), table)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None

@@ -157,12 +157,6 @@ class AssociationConfig(Section):
     """optimal: the likeliest one-to-one matches; joint: the most that agree with each other (Neira and Tardos 2001)."""
     joint_probability: Probability = 0.999
     """joint: all matches together lie inside this much of their innovations' distribution."""
-    candidate_sightings: PositiveCount = 1
-    """A landmark joins the state at its n-th sighting; 1: at once."""
-    candidate_gate_m: Positive = 0.2
-    """A sighting this near a candidate, a wall in line with it, is of that candidate."""
-    candidate_scans: PositiveCount = 30
-    """A candidate unseen for this many key scans is dropped."""
     culling: bool = True
     """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25

@@ -33,7 +33,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8},
         },
         # The report has no rule but its two thresholds.
-        "association": {"method": "report", "candidate_sightings": 1, "pre_gate_m": 5.0, "new_separation_m": 0.0},
+        "association": {"method": "report", "pre_gate_m": 5.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict_points, predict_walls
 from sixthsense.evaluation.metrics import true_landmarks
-from sixthsense.slam.association.walls import ends
+from sixthsense.slam.association.wall_extents import ends
 
 _SAME_RAD, _SAME_M = 1e-4, 1e-3  # segments this near one line are on it
 

@@ -1,1 +1,1 @@
-"""Which sighting is of which landmark."""
+"""Data association: which sighting is of which landmark."""

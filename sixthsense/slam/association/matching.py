@@ -1,8 +1,7 @@
-"""Which sightings may be of which landmarks, and how likely: geometry first, then gates on the innovation."""
+"""Innovations of sightings against landmarks, and the one-to-one assignment that is likeliest (report section 4.3)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,94 +10,17 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.optimize import linear_sum_assignment
 
-from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Sighting, innovations, predict
-from sixthsense.slam.association.align import Alignment
-from sixthsense.slam.association.walls import ends, nearness
+from sixthsense.slam.association.pre_gate import Mask
 from sixthsense.slam.estimators.base import Estimate
 
 Indices = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
-_TURN_RAD = (0.15, 0.6)  # walls within the first may be one whatever the heading's sigma, beyond the second never
-_REACH_M = 0.3  # likewise for their offsets
-
-
-@dataclass(frozen=True, slots=True)
-class Pairs:
-    """How m sightings lie to n landmarks."""
-
-    plausible: Mask
-    """(m, n) worth a look at the innovation"""
-    apart: Mask
-    """(m, n) far enough from each other for the sighting to be of another landmark"""
-    sigmas: Array
-    """(m,) sigma, at most, of where points, or the middles of walls, lie in the world; m"""
-
-
-def pairs(
-    sightings: Sequence[Sighting],
-    estimate: Estimate,
-    aligned: Alignment,
-    sigmas: Array,
-    extents: Array,
-    gates: float,
-    cfg: AssociationConfig,
-) -> Pairs:
-    """Compare sightings with all landmarks of the estimate, as seen from the aligned pose.
-
-    `sigmas` (n,) metres, what each point is known to at worst; `extents` (n, 2, 2) ends of walls; `gates` in sigmas.
-    The sigma of a difference is at most the sum of both, however they are correlated: a point that is left out here
-    could not have passed a gate. Sigmas of landmarks shrink; the factor leaves room for what linearising anew changes.
-    Walls that lie on others once the scan is aligned have no need of such room.
-    """
-    shape = len(sightings), len(estimate.ids)
-    plausible, apart = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
-    own = _world_sigmas(sightings, estimate)
-    pose, fits = aligned.pose, aligned.explained >= cfg.align.enough
-    walls = np.array([s.is_wall for s in sightings], dtype=bool)
-    rows, cols = np.flatnonzero(~walls), np.flatnonzero(~estimate.walls)
-    if len(rows) and len(cols):
-        positions = pose @ np.array([sightings[k].z for k in rows.tolist()])
-        gap = positions[:, None, :] - estimate.landmarks[None, cols, :]
-        distance = np.hypot(gap[..., 0], gap[..., 1])
-        reach = np.minimum(cfg.pre_gate_m, gates * (own[rows, None] + 2.0 * sigmas[None, cols]))
-        plausible[np.ix_(rows, cols)] = distance < reach
-        apart[np.ix_(rows, cols)] = distance > cfg.new_separation_m
-    rows, cols = np.flatnonzero(walls), np.flatnonzero(estimate.walls)
-    if len(rows) and len(cols):
-        sighted = np.array([ends(pose, sightings[k]) for k in rows.tolist()])
-        alphas = np.array([sightings[k].z[0] for k in rows.tolist()]) + pose.theta
-        near = nearness(sighted, alphas, estimate.landmarks[cols], extents[cols])
-        angle, offset, in_line = np.abs(near.angle), np.abs(near.offset), near.gap < cfg.wall_gap_m
-        turn, reach = _TURN_RAD[0], np.full(len(rows), _REACH_M)
-        if not fits:
-            turn = float(np.clip(gates * math.sqrt(estimate.pose_cov[2, 2]), *_TURN_RAD))
-            reach = np.clip(gates * own[rows], _REACH_M, cfg.pre_gate_m)
-        plausible[np.ix_(rows, cols)] = in_line & (angle < turn) & (offset < reach[:, None])
-        apart[np.ix_(rows, cols)] = ~(in_line & (angle < _TURN_RAD[0]) & (offset <= cfg.new_separation_m))
-    return Pairs(plausible, apart, own)
-
-
-def _world_sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:
-    """(m,) sigma, at most, of where points, or the middles of walls, lie in the world; m."""
-    cov = estimate.pose_cov
-    out = np.empty(len(sightings))
-    for k, s in enumerate(sightings):
-        if s.is_wall:
-            middle = 0.5 * (s.extent[0] + s.extent[1])
-            own = s.cov[1, 1] - 2.0 * middle * s.cov[0, 1] + middle**2 * s.cov[0, 0]
-            reach = math.hypot(float(s.z[1]), middle)
-        else:
-            own, reach = s.cov[0, 0] + s.cov[1, 1], math.hypot(*s.z)
-        out[k] = math.sqrt(max(own, 0.0)) + reach * math.sqrt(cov[2, 2])
-    return out + math.sqrt(cov[0, 0] + cov[1, 1])
 
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """Innovations of m sightings against k landmarks, whether they belong together or not."""
+    """Innovations of m sightings against k landmarks, for all pairs."""
 
     values: Array
     """(m, k, 2)"""
@@ -107,11 +29,11 @@ class Innovations:
     log_det: Array
     """(m, k) logarithm of the determinant of the innovation's covariance"""
     by_pose: Array
-    """(k, 2, 3)"""
+    """(k, 2, 3) Jacobian of the predicted sighting by the pose"""
     by_landmark: Array
-    """(k, 2, 2)"""
+    """(k, 2, 2) Jacobian of the predicted sighting by the landmark"""
     predicted: Array
-    """(k, 2) sightings"""
+    """(k, 2) predicted sightings"""
     walls: Mask
     """(k,) which of the landmarks are walls"""
 
@@ -134,9 +56,9 @@ def compare(
 
 
 def assign(innovation: Innovations, gate: float) -> tuple[Indices, Indices]:
-    """The one-to-one matches inside the gate, likeliest together: rows (sightings) and columns (landmarks)."""
+    """The likeliest one-to-one matches inside the gate: rows (sightings) and columns (landmarks)."""
     inside = innovation.squared < gate
-    # The likelier landmark wins: the distance alone would favour the one that is less well known.
+    # The log-likelihood, since the distance alone would favour a landmark with a large covariance.
     cost = np.where(inside, innovation.squared + innovation.log_det, 1e6)
     rows, cols = linear_sum_assignment(cost)
     paired = inside[rows, cols]

@@ -86,19 +86,6 @@ def test_one_scan_that_shows_an_end_twice_makes_one_landmark():
     assert len(associator.associate(twice, estimator).sightings) == 1
 
 
-def test_a_candidate_joins_at_its_nth_sighting():
-    config = AssociationConfig(candidate_sightings=3, candidate_scans=5)
-    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
-    for expected in (0, 0, 1):
-        found = associator.associate(sight(Pose(), [0]), estimator)
-        assert len(found.sightings) == expected
-    # One that is not seen for long enough begins anew.
-    for seen, expected in ((True, 0), (True, 0), (False, 0), (False, 0), (False, 0), (False, 0), (False, 0),
-                           (False, 0), (True, 0), (True, 0), (True, 1)):  # fmt: skip
-        found = associator.associate(sight(Pose(), [1]) if seen else [], estimator)
-        assert len(found.sightings) == expected
-
-
 def test_culling_removes_what_was_seen_too_rarely_and_nothing_younger():
     config = AssociationConfig(cull_period=5, cull_below=3)
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)

@@ -13,9 +13,9 @@ from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.core.motion import Odometry
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.walls import ends, fused, joined, nearness
+from sixthsense.slam.association.wall_extents import ends, fused, joined, nearness
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
-from sixthsense.slam.estimators.wallframe import lines, measurement
+from sixthsense.slam.estimators.isam2_walls import lines, measurement
 from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
 
@@ -224,7 +224,7 @@ def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
 def test_the_smoother_takes_a_walls_sighting_at_its_word_however_wrong_the_expectation():
     pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
     sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
-    place, root = measurement(pose, frame, sighting, at_birth=False)
+    place, root = measurement(pose, frame, sighting, is_first=False)
     assert lines(place.inverse().array()[None])[0][0] == pytest.approx(sighting.z, abs=1e-12)
     # A robot elsewhere along the wall fits as well; one that is off it, or turned, as badly as the sighting says.
     turn, d = 0.01, 0.02
@@ -318,15 +318,6 @@ def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_pro
         assert np.allclose(found.sightings[0].cov, COV / 2 if fused_in else COV)
         assert found.sightings[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
-
-
-def test_a_wall_too_may_have_to_be_seen_more_than_once():
-    estimator = make_estimator("ekf", Pose(), np.zeros((3, 3)))
-    associator = Associator(AssociationConfig(candidate_sightings=3))
-    wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
-    beside = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (4.0, 5.0))
-    for first, accepted in ((wall, 0), (beside, 0), (wall, 0), (wall, 1)):
-        assert len(associator.associate([first], estimator).sightings) == accepted
 
 
 def test_two_walls_that_turn_out_to_be_one_are_merged():

@@ -1,4 +1,4 @@
-"""Where the robot is by the walls alone: a scan's walls laid onto the map's, to choose matches and for nothing else."""
+"""Alignment of a scan's walls with the map's walls; the aligned pose serves to choose matches only."""
 
 from __future__ import annotations
 
@@ -12,31 +12,32 @@ import numpy as np
 from sixthsense.config import AlignConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Sighting
-from sixthsense.slam.association.walls import ends
+from sixthsense.slam.association.wall_extents import ends
 from sixthsense.slam.estimators.base import Estimate
 
-_SLACK_M = 0.1  # sigma of the predicted position that is assumed at least: the map is not certain either
+_SLACK_M = 0.1  # added to the predicted pose's sigmas, since the map is uncertain too
 _SLACK_RAD = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """Where the walls of a scan fit those of the map best."""
+    """The pose at which the walls of a scan fit those of the map best."""
 
     pose: Pose
     """world frame"""
     explained: float
-    """share, 0 to 1, of the sighted walls' length that lies on known walls from there"""
+    """share, 0 to 1, of the sighted walls' length that lies on known walls at that pose"""
 
 
 def align(
     sightings: Sequence[Sighting], estimate: Estimate, extents: Array, gap_m: float, cfg: AlignConfig
 ) -> Alignment:
-    """Lay the walls among `sightings` onto those of the estimate, whose extents are (n, 2, 2), from several headings.
+    """Align the walls among `sightings` with those of the estimate, whose extents are (n, 2, 2).
 
-    Robust Gauss-Newton steps over the offsets of both ends of each wall from the wall nearest to it, held by the
-    predicted pose and its covariance. Other headings are tried where the predicted one leaves much unexplained, and
-    win only by explaining clearly more. With no wall, or no known one, the predicted pose comes back as it is.
+    Robust Gauss-Newton minimises the offsets of both ends of each wall from the nearest known wall, with the predicted
+    pose and its covariance as prior. Where the predicted heading leaves much unexplained, other initial headings are
+    tried; one of them is taken only if it explains clearly more. Without a sighted or a known wall the predicted pose
+    is returned.
     """
     sighted = [s for s in sightings if s.is_wall]
     known = np.flatnonzero(estimate.walls)
@@ -54,8 +55,8 @@ def align(
             break
         begin = predicted + np.array([0.0, 0.0, turn])
         found = _fit(pieces, walls, begin, predicted, information, gap_m, cfg)
-        _laid(pieces, found, walls, 2.0 * cfg.scale_m, cfg.reach_rad, gap_m, rows)
-        on = np.abs(rows[:, :, 0]).max(axis=1) <= 2.0 * cfg.scale_m  # not so for the NaN of a piece on no wall
+        _residuals(pieces, found, walls, 2.0 * cfg.scale_m, cfg.reach_rad, gap_m, rows)
+        on = np.abs(rows[:, :, 0]).max(axis=1) <= 2.0 * cfg.scale_m  # false for the NaN of a piece without a wall
         share = float(lengths[on].sum() / lengths.sum())
         if share > best_share + (cfg.margin if best_share >= 0.0 else 0.0):
             best, best_share = found, share
@@ -63,7 +64,7 @@ def align(
 
 
 def _lines(walls: Array, extents: Array) -> Array:
-    """(n, 5) unit normal, distance, and from where to where along it, of walls (n, 2) with their extents (n, 2, 2)."""
+    """(n, 5) unit normal, distance, and first and last place along the line, of walls (n, 2) with extents (n, 2, 2)."""
     normal = np.column_stack([np.cos(walls[:, 0]), np.sin(walls[:, 0])])
     reach = np.einsum("nek,nk->ne", extents, np.column_stack([-normal[:, 1], normal[:, 0]]))
     return np.column_stack([normal, walls[:, 1], reach.min(axis=1), reach.max(axis=1)])
@@ -72,15 +73,15 @@ def _lines(walls: Array, extents: Array) -> Array:
 def _fit(
     pieces: Array, walls: Array, begin: Array, predicted: Array, information: Array, gap_m: float, cfg: AlignConfig
 ) -> Array:
-    """The pose (3,) at which `pieces` (m, 2, 2), robot's frame, lie on `walls` (n, 5), from `begin` on.
+    """The pose (3,) at which `pieces` (m, 2, 2), robot's frame, lie on `walls` (n, 5), iterated from `begin`.
 
-    Gauss-Newton on the offsets of the pieces' ends under a Cauchy loss; each piece is of the wall nearest to it then.
+    Gauss-Newton on the offsets of the pieces' ends under a Cauchy loss; each step pairs a piece with its nearest wall.
     """
     pose, rows = begin.copy(), np.empty((len(pieces), 2, 4))
     for _ in range(cfg.steps):
-        _laid(pieces, pose, walls, cfg.reach_m, cfg.reach_rad, gap_m, rows)
-        laid = rows[~np.isnan(rows[:, 0, 0])].reshape(-1, 4)
-        residual, jacobian = laid[:, 0], laid[:, 1:]
+        _residuals(pieces, pose, walls, cfg.reach_m, cfg.reach_rad, gap_m, rows)
+        paired = rows[~np.isnan(rows[:, 0, 0])].reshape(-1, 4)
+        residual, jacobian = paired[:, 0], paired[:, 1:]
         weighted = jacobian / (cfg.scale_m**2 + residual**2)[:, None]
         off = pose - predicted
         off[2] = wrap_angle(off[2])
@@ -92,9 +93,9 @@ def _fit(
 def _nearest(
     ax: float, ay: float, bx: float, by: float, walls: Array, reach_m: float, reach_rad: float, gap_m: float
 ) -> int:
-    """The row of `walls` (n, 5: unit normal, d, from where to where) nearest to a piece from a to b; -1 if none is.
+    """Row of `walls` (n, 5: unit normal, d, first and last place) nearest to a piece from a to b; -1 for none.
 
-    All in the world frame; a piece runs so that its wall's normal lies a quarter turn clockwise of it.
+    All in the world frame. The wall's normal lies a quarter turn clockwise of the direction from a to b.
     """
     length = math.hypot(bx - ax, by - ay)
     nx, ny = (by - ay) / length, (ax - bx) / length
@@ -111,10 +112,10 @@ def _nearest(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _laid(
+def _residuals(
     pieces: Array, pose: Array, walls: Array, reach_m: float, reach_rad: float, gap_m: float, rows: Array
 ) -> None:
-    """Fill `rows` (m, 2, 4) with residual and its Jacobian by the pose for both ends of each piece, NaN for none."""
+    """Fill `rows` (m, 2, 4) with residual and Jacobian by the pose for both ends of each piece; NaN without a wall."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(len(pieces)):
         ax, ay = c * pieces[k, 0, 0] - s * pieces[k, 0, 1], s * pieces[k, 0, 0] + c * pieces[k, 0, 1]

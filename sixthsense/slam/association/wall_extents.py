@@ -1,4 +1,4 @@
-"""How far walls reach: their extents, which are no part of any estimator's state, and how near two of them are."""
+"""Extents of walls, which are in no estimator's state, and how near two walls are."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Sighting
 
-_PARALLEL_RAD = 0.15  # walls that differ by more in direction are two
+_PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
 
 
 @dataclass(frozen=True, slots=True)
 class Nearness:
-    """How m sighted walls lie to n landmarks; rows are sightings."""
+    """Angles, offsets and gaps of m sighted walls against n landmarks; rows are sightings."""
 
     angle: Array
     """(m, n) rad, between the normals"""
     offset: Array
-    """(m, n) m, of the middle of what was sighted, off the landmark's line"""
+    """(m, n) m, of the middle of the sighted piece from the landmark's line"""
     gap: Array
-    """(m, n) m along the landmark between what was sighted and what is known of it; negative where they overlap"""
+    """(m, n) m along the landmark between the sighted piece and the known extent; negative where they overlap"""
 
 
 def ends(pose: Pose, sighting: Sighting) -> Array:
-    """(2, 2) where a sighted wall begins and ends in the world, seen from `pose`."""
+    """(2, 2) both ends, in the world, of a wall that is sighted from `pose`."""
     c, s = np.cos(sighting.z[0]), np.sin(sighting.z[0])
     foot, along = sighting.z[1] * np.array([c, s]), np.array([-s, c])
     return np.asarray(pose @ (foot + np.outer(sighting.extent, along)))
@@ -48,7 +48,7 @@ def nearness(sighted: Array, alphas: Array, landmarks: Array, extents: Array) ->
 def in_line(
     landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
 ) -> list[tuple[int, int]]:
-    """Pairs of walls (n, 2) of which one is `recent` (n,) and that may be one by direction, offset and extent."""
+    """Pairs of walls (n, 2), at least one of them `recent` (n,), that may be one by direction, offset and extent."""
     pairs: list[tuple[int, int]] = []
     mine = np.flatnonzero(recent)
     if not len(mine):
@@ -69,7 +69,7 @@ def disagreement(first: Array, second: Array, cov: Array) -> float:
 
 
 def joined(landmark: Array, *extents: Array) -> Array:
-    """(2, 2) ends, on a landmark (2,), of all that several extents (2, 2) cover together."""
+    """(2, 2) ends, on a landmark (2,), of the smallest extent that covers several extents (2, 2)."""
     c, s = np.cos(landmark[0]), np.sin(landmark[0])
     normal, along = np.array([c, s]), np.array([-s, c])
     reach = np.concatenate([extent @ along for extent in extents])

@@ -8,7 +8,7 @@ import pytest
 from sixthsense.config import AlignConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Sighting, predict_walls
-from sixthsense.slam.association.align import _laid, align
+from sixthsense.slam.association.wall_alignment import _residuals, align
 from sixthsense.slam.estimators import Estimate
 
 # A room of 6 m by 4 m with a slanted cupboard, walls by (alpha, d) with normals inwards, and their ends.
@@ -99,7 +99,7 @@ def test_residuals_and_their_jacobians_are_those_of_plain_geometry():
         return np.einsum("nek,nk->ne", placed, normals) - walls[:, 1:2]
 
     rows = np.empty((len(pieces), 2, 4))
-    _laid(pieces, pose, lines, 0.6, 0.2, 0.5, rows)
+    _residuals(pieces, pose, lines, 0.6, 0.2, 0.5, rows)
     assert np.allclose(rows[:, :, 0], residuals(pose))
     for k in range(3):
         step = np.eye(3)[k] * 1e-6

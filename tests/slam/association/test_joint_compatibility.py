@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from sixthsense.slam.association.jcbb import jointly_compatible
+from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import Innovations, joint_nis
 
 

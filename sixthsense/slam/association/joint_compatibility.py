@@ -1,4 +1,4 @@
-"""Joint compatibility branch and bound: the matches that agree with each other, not each with the map alone.
+"""Joint compatibility branch and bound (JCBB): the largest set of matches that agree with each other.
 
 Neira and Tardos, "Data association in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics and
 Automation 17(6), 2001.
@@ -15,7 +15,7 @@ from scipy.stats import chi2
 from sixthsense.core.geometry import Array
 from sixthsense.slam.association.matching import Indices, Innovations, stacked_jacobian
 
-_MOST_NODES = 5_000  # of a tree that a room full of lookalikes would make endless; the best so far is taken then
+_MAX_NODES = 5_000  # visited of the search tree; the best hypothesis so far is then taken
 
 Pair = tuple[int, int]
 
@@ -23,7 +23,7 @@ Pair = tuple[int, int]
 def jointly_compatible(
     innovation: Innovations, joint: Array, noise: Array, gate: float, probability: float
 ) -> tuple[Indices, Indices]:
-    """The largest set of matches inside a joint chi-square gate, of those the one with the least NIS.
+    """The largest set of matches inside a joint chi-square gate; among the largest, the one with the least NIS.
 
     `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks, `noise` (m, 2, 2) of the sightings; each match must pass
     the single `gate`, too. Returns rows (sightings) and columns (landmarks).
@@ -43,7 +43,7 @@ def jointly_compatible(
 
 @dataclass(frozen=True, slots=True)
 class _Hypothesis:
-    """Some matches, their joint NIS, and the Cholesky factor of their innovations' covariance that it came from."""
+    """A set of matches with its joint NIS and the Cholesky factor of the innovations' covariance."""
 
     pairs: tuple[Pair, ...] = ()
     nis: float = 0.0
@@ -63,12 +63,12 @@ class _Search:
     nodes: int = 0
 
     def descend(self, level: int, hypothesis: _Hypothesis) -> None:
-        """Try every landmark for the sighting at `level`, then none; whatever cannot beat the best is left out."""
+        """Try every landmark for the sighting at `level`, then none; branches that cannot beat the best are cut."""
         self.nodes += 1
         count, most = len(hypothesis.pairs), len(self.best.pairs)
         if count > most or (count == most and hypothesis.nis < self.best.nis):
             self.best, most = hypothesis, count
-        if level == len(self.order) or self.nodes > _MOST_NODES:
+        if level == len(self.order) or self.nodes > _MAX_NODES:
             return
         left = len(self.order) - level
         i, taken = self.order[level], {j for _, j in hypothesis.pairs}
@@ -86,7 +86,7 @@ class _Search:
         return at_most > most or (at_most == most and nis < self.best.nis)
 
     def _with(self, hypothesis: _Hypothesis, i: int, j: int) -> _Hypothesis:
-        """One match more; the factor of the covariance grows by two rows."""
+        """The hypothesis with one more match: its Cholesky factor is extended by two rows."""
         index = np.array([(2 * k, 2 * k + 1) for _, k in hypothesis.pairs], dtype=np.int64).ravel()
         mine = slice(2 * j, 2 * j + 2)
         n = len(index)
