@@ -1,4 +1,4 @@
-"""The configuration: a tree of frozen sections that check themselves, its presets, and its files."""
+"""The configuration: a tree of frozen, validated sections, its presets, and its files."""
 
 from sixthsense.config.explore import ExploreConfig
 from sixthsense.config.files import is_of_replay, load_config, save_config

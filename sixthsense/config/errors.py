@@ -1,5 +1,5 @@
-"""The one kind of error that a user can cause."""
+"""The error for wrong input of a user."""
 
 
 class InputError(ValueError):
-    """What a user gave will not do: one line with the file, line or field, what was found and what is allowed."""
+    """Wrong input of a user: one line with the file, line or field, what was found and what is allowed."""

@@ -1,4 +1,4 @@
-"""Packages that only an extra brings."""
+"""Packages that only an extra installs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class ExtraError(InputError):
 
 
 def pandas() -> Any:
-    """The module; ExtraError that says how to install it where it is not."""
+    """The module; ExtraError that says how to install it if it is missing."""
     try:
         return import_module("pandas")
     except ImportError as error:

@@ -13,10 +13,10 @@ from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
 
-_LONGEST = 1 << 23  # characters; no configuration comes near, and what never ends must
+_MAX_LENGTH = 1 << 23  # characters; stops reading of an endless file
 
 NOTES = ("versions", "replayed")
-"""tables of a saved configuration that are for its reader, no settings"""
+"""tables of a saved configuration that inform a reader and are no settings"""
 
 
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
@@ -27,12 +27,12 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     """
     path = Path(file)
     try:
-        if path.is_fifo():  # which may never say anything
+        if path.is_fifo():  # reading may block for ever
             raise ConfigError(f"{path}: is a pipe, allowed: a TOML file")
         with path.open(encoding="utf-8-sig") as stream:
-            text = stream.read(_LONGEST + 1)
-        if len(text) > _LONGEST:
-            raise ConfigError(f"{path}: found over {_LONGEST} characters, allowed: a configuration")
+            text = stream.read(_MAX_LENGTH + 1)
+        if len(text) > _MAX_LENGTH:
+            raise ConfigError(f"{path}: found over {_MAX_LENGTH} characters, allowed: a configuration")
         table = parse_toml(text)
     except ConfigError:
         raise
@@ -52,9 +52,9 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
 
 
 def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | None = None) -> None:
-    """Write the whole tree as TOML, with the versions that ran it and, of a replay, the files that were `replayed`.
+    """Write the whole tree as TOML, with the versions that ran it and, for a replay, the files that were `replayed`.
 
-    `load_config` reads the same Config back.
+    `load_config` reads the same Config.
     """
     import platform
     from importlib.metadata import version
@@ -68,5 +68,5 @@ def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | 
 
 
 def is_of_replay(file: str | Path) -> bool:
-    """Whether a configuration, one that `load_config` reads, was saved by a replay."""
+    """Whether a valid configuration file was saved by a replay."""
     return "replayed" in parse_toml(Path(file).read_text(encoding="utf-8-sig"))

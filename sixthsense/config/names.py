@@ -1,4 +1,4 @@
-"""The names a field may hold where a user can add to them: back ends and planners."""
+"""Allowed names of estimators and planners, to which a user can add."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,79}")
 
 
 class Names:
-    """The names that ship, in their order, and those that were registered in this process."""
+    """Shipped names, in order, and those that were registered in this process."""
 
     def __init__(self, *shipped: str) -> None:
         self.shipped = shipped
         self._own: list[str] = []
 
     def add(self, name: str) -> None:
-        """Allow one more name, again if it is there; ValueError for one that ships, or that is no name."""
+        """Allow one more name, or the same again; ValueError for a shipped or an invalid one."""
         if name in self.shipped or not _NAME.fullmatch(name):
             raise ValueError(
                 f"name: found {name!r}, allowed: letters, digits, dot, - and _, a letter first, "

@@ -1,4 +1,4 @@
-"""Configuration of what is made of the evidence, stage by stage."""
+"""Configuration of the pipeline, stage by stage."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount
 
 @dataclass(frozen=True)
 class KeyScanConfig(Section):
-    """A scan is a key scan, and used, when the robot has moved this far since the last one."""
+    """A scan is a key scan, and is used, when the robot has moved this far since the last one."""
 
     distance_m: NonNegative = 0.25
-    """With either at 0 every scan after any motion is one."""
+    """With either value at 0 every scan after any motion is a key scan."""
     turn_rad: NonNegative = 0.15
     """See above."""
 
@@ -57,7 +57,7 @@ class LinesConfig(Section):
     min_points: Annotated[int, Range(3)] = 6
     """A line needs this many inliers."""
     min_length_m: NonNegative = 0.2
-    """A wall shorter than this is no wall."""
+    """Shorter lines are dropped."""
 
 
 @dataclass(frozen=True)
@@ -67,17 +67,17 @@ class PointsConfig(Section):
     corners: bool = True
     """Intersections of neighbouring walls."""
     ends: bool = True
-    """Loose ends of walls, under the report's four rules."""
+    """Free ends of walls, by the report's four rules."""
     max_gap_m: Positive = 0.3
-    """Two walls meet in a corner only if both end within this of it."""
+    """Two walls meet in a corner only if both end within this distance of it."""
     min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True)] = math.radians(25.0)
-    """Two walls at a flatter angle make no corner."""
+    """Least angle between the walls of a corner."""
     range_margin_m: NonNegative = 0.2
-    """Rule 2: an end this close to the maximum range is none."""
+    """Rule 2: no free end is this close to the maximum range."""
     min_points: Annotated[int, Range(3)] = 8
-    """Rule 4: the partition that ends in a loose end needs this many points."""
+    """Rule 4: fewest points of a partition with a free end."""
     max_sigma_m: Positive = 0.15
-    """A landmark known worse than this along any direction is not reported."""
+    """Largest sigma of a landmark along any direction; others are not reported."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +85,11 @@ class WallsConfig(Section):
     """Which fitted walls count as landmarks."""
 
     min_length_m: NonNegative = 0.4
-    """A shorter one says little of its direction."""
+    """Shorter walls determine too little of their direction."""
     max_sigma_rad: Positive = 0.1
-    """A wall whose direction is known worse than this is not reported."""
+    """Largest sigma of a wall's direction; others are not reported."""
     end_points: Annotated[int, Range(3)] = 5
-    """A loose end has this many returns of its own, which its wall does without: each return is evidence once."""
+    """Returns that a free end takes from its wall, so that each return is evidence once."""
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,10 @@ class FeaturesConfig(Section):
     """From a scan to walls and landmarks (report section 4.2)."""
 
     landmarks: Literal["corners", "walls", "both"] = "both"
-    """corners: corners and loose ends, as in the report; walls: walls alone; both: walls and loose ends (a corner is
-    where two walls meet and adds nothing to them)."""
+    """corners: corners and free ends, as in the report; walls: walls alone; both: walls and free ends (a corner, where
+    two walls meet, adds no information to them)."""
     deskew: bool = True
-    """Move the returns of a scan that took time to where the robot was at its end, by odometry."""
+    """Transform the returns of a scan that took time to the robot's pose at its end, by odometry."""
 
     partition: PartitionConfig = field(default_factory=PartitionConfig)
     split: SplitConfig = field(default_factory=SplitConfig)
@@ -111,24 +111,24 @@ class FeaturesConfig(Section):
 
 @dataclass(frozen=True)
 class AlignConfig(Section):
-    """Laying a scan's walls onto the map's before matches are chosen: nothing but the choice depends on it."""
+    """Alignment of a scan's walls with the map's before matching: only the choice of matches depends on it."""
 
     enabled: bool = True
-    """Off: landmarks near the predicted sightings are looked at, however far the prediction may be off."""
+    """Off: landmarks near the predicted sightings are compared, however wrong the predicted pose may be."""
     steps: PositiveCount = 6
     """Robust Gauss-Newton steps."""
     headings_rad: tuple[Positive, Positive] = (0.12, 0.25)
-    """Headings to start from, to either side, when the predicted one leaves much unexplained."""
+    """Offsets of further initial headings, to either side, when the predicted heading leaves much unexplained."""
     reach_m: Positive = 0.6
-    """A sighted wall is laid onto one that lies at most this far off."""
+    """Largest offset between a sighted wall and the known wall it is aligned with."""
     reach_rad: Positive = 0.2
-    """The same for its direction."""
+    """The same for the angle between them."""
     scale_m: Positive = 0.05
-    """Offset at which the loss bends."""
+    """Scale of the robust loss, m of offset."""
     enough: Probability = 0.6
     """No other heading is tried when this share of the sighted walls' length lies on known ones."""
     margin: Probability = 0.15
-    """Another heading must explain so much more of it."""
+    """Another heading must explain this much more of it."""
 
 
 @dataclass(frozen=True)
@@ -138,31 +138,31 @@ class AssociationConfig(Section):
     method: Literal["chi2", "report"] = "chi2"
     """chi2: gates by probability; report: squared Mahalanobis thresholds."""
     match_probability: Probability = 0.999
-    """chi2: a match lies inside this much of the innovation's distribution."""
+    """chi2: a match lies inside this quantile of the innovation's distribution."""
     new_probability: Probability = 0.999999
-    """chi2: a new landmark lies outside this much of every known one's."""
+    """chi2: a new landmark lies outside this quantile for every known landmark."""
     match_below: Positive = 20.0
     """report: squared Mahalanobis distance of a match."""
     new_above: Positive = 200.0
     """report: squared Mahalanobis distance, to every landmark, of a new one."""
     wall_gap_m: NonNegative = 0.5
-    """Walls in line are one landmark when this much or less lies between what was seen of them."""
+    """Collinear walls may be one landmark if the gap between their seen extents is at most this."""
     pre_gate_m: Positive = 1.5
-    """Only landmarks this near a sighting are looked at."""
+    """Only landmarks this near a sighting are compared with it."""
     new_separation_m: NonNegative = 0.3
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
-    """A landmark known by name was seen inside this much of the innovation's distribution, else misread; 1: always."""
+    """A named sighting outside this quantile of its innovation's distribution is a misread name; 1: never."""
     assignment: Literal["optimal", "joint"] = "optimal"
-    """optimal: the likeliest one-to-one matches; joint: the most that agree with each other (Neira and Tardos 2001)."""
+    """optimal: the likeliest one-to-one matches; joint: the most jointly compatible ones (Neira and Tardos 2001)."""
     joint_probability: Probability = 0.999
-    """joint: all matches together lie inside this much of their innovations' distribution."""
+    """joint: all matches together lie inside this quantile of their innovations' distribution."""
     culling: bool = True
     """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25
     """Key scans between two checks."""
     cull_below: Count = 3
-    """A landmark with fewer sightings than this, a period after its birth, is removed."""
+    """A landmark with fewer sightings than this, a period after its first one, is removed."""
     align: AlignConfig = field(default_factory=AlignConfig)
 
 
@@ -171,17 +171,17 @@ class ISAM2Config(Section):
     """The smoother (Kaess et al., IJRR 31(2), 2012)."""
 
     relinearize_threshold: Positive = 0.02
-    """A variable that has moved farther than this, m or rad, is linearised anew."""
+    """A variable that has moved farther than this, m or rad, is relinearized."""
     relinearize_skip: PositiveCount = 1
-    """Updates between two looks at that."""
+    """Updates between two checks of that."""
     iterations: PositiveCount = 2
-    """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are known badly."""
+    """Gauss-Newton steps per update, at most; with one the smoother is overconfident where headings are uncertain."""
     robust: Literal["none", "huber", "cauchy"] = "none"
     """Loss on landmarks' factors, against wrong matches."""
     robust_scale: Positive = 1.5
-    """Whitened error at which the loss bends."""
+    """Scale of the loss, in whitened error."""
     undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
-    """A match whose residual lies outside this much of its noise, once all is known, is taken back; 1: never."""
+    """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
 
 
 @dataclass(frozen=True)
@@ -195,11 +195,11 @@ class GridConfig(Section):
     min_hits: PositiveCount = 1
     """Fewest hits of an obstacle."""
     passes_per_hit: Positive = 4.0
-    """A cell is free again when it was passed more than this often per hit."""
+    """A cell is free again after more passes per hit than this."""
     max_hits: PositiveCount = 10
-    """Hits beyond this count no more, so that a wall that is seen to have gone can go."""
+    """Further hits are not counted, so that a wall that was removed can be erased."""
     no_return_passes: bool = True
-    """A beam that met nothing crossed all cells up to the maximum range; off where glass and black swallow beams."""
+    """A beam without a return passes all cells up to the maximum range; off where glass gives none."""
     clearance_m: Annotated[float, Range(0.0, 10.0)] = 0.05
     """Added to the robot's radius when obstacles are inflated."""
 
@@ -214,13 +214,13 @@ class RRTStarConfig(Section):
     """The sampling planner: RRT* (Karaman and Frazzoli 2011) and Informed RRT* (Gammell et al. 2014)."""
 
     informed: bool = True
-    """Once there is a path, draw from the ellipse that a shorter one must lie in (Informed RRT*)."""
+    """Once there is a path, sample the ellipse that a shorter one must lie in (Informed RRT*)."""
     iterations: Annotated[int, Range(1, 10_000_000)] = 5_000
-    """States drawn per plan, all of them; without a path by then it gives up."""
+    """States drawn per plan; without a path by then the planner gives up."""
     range_m: NonNegative = 2.0
-    """A draw extends the tree by this much at most; 0: a fifth of the diagonal of what can be reached."""
+    """Longest extension of the tree per draw; 0: a fifth of the diagonal of the reachable area."""
     goal_bias: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.05
-    """Share of draws, before there is a path, that are the goal itself; no other draw would hit it."""
+    """Share of draws, before there is a path, that are the goal itself."""
 
 
 @dataclass(frozen=True)
@@ -228,13 +228,13 @@ class FollowConfig(Section):
     """Orient, then translate (report section 4.4)."""
 
     heading_slack_rad: Positive = 0.02
-    """The robot drives when its heading is this close to the way point's direction."""
+    """The robot drives when its heading is this close to the waypoint's direction."""
     distance_slack_m: Positive = 0.02
-    """A way point this near is reached."""
+    """A waypoint this near is reached."""
     goal_slack_m: Positive = 0.05
     """A goal this near is reached."""
     shortcut: bool = True
-    """Aim for the furthest way point in line of sight, not for the next."""
+    """Aim for the furthest waypoint in line of sight, not for the next."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

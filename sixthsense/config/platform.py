@@ -1,4 +1,4 @@
-"""Configuration of the robot, its laser, and the noise of both, as it is and as it is assumed."""
+"""Configuration of the robot, its laser, and their noise, simulated and assumed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sixthsense.config.values import Distribution, Noise, NonNegative, Positive,
 
 @dataclass(frozen=True)
 class MotionNoise(Section):
-    """Noise of the drive: multiplicative on each control tick, plus slip that grows with the way made."""
+    """Noise of the drive: multiplicative on each control tick, plus slip that grows with distance and turn."""
 
     distribution: Distribution = "gaussian"
     """Of the multiplicative part."""
@@ -44,32 +44,32 @@ class LaserNoise(Section):
 
 @dataclass(frozen=True)
 class WorldConfig(Section):
-    """What the simulator does; the estimators never see it."""
+    """Errors of the simulated robot; the estimators never see them."""
 
     motion: MotionNoise = field(default_factory=MotionNoise)
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
-    """The true way and turn are (1 + this) times what the wheels report."""
+    """True distance and turn are (1 + this) times those the wheels report."""
     drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
 
 
 @dataclass(frozen=True)
 class AssumedConfig(Section):
-    """What the estimators believe of the noise; equal to the simulator's by default, a mismatch is an experiment."""
+    """Noise that the estimators assume; by default that of the simulator, a mismatch is an experiment."""
 
     motion: MotionNoise = field(default_factory=MotionNoise)
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
-    """The true way and turn are (1 + this) times what the wheels report: corrected before it is used."""
+    """True distance and turn are (1 + this) times those the wheels report; corrected before use."""
     drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
-    """Turn that an unequal pair of wheels adds per metre driven: corrected before it is used."""
+    """Turn that an unequal pair of wheels adds per metre driven; corrected before use."""
     landmark_floor_m: Noise = 0.0
-    """Sigma added to every sighting: how far real walls are from the straight lines fitted to them."""
+    """Sigma added to every sighting, for the deviation of real walls from straight lines."""
     wall_floor_rad: Noise = 0.0
     """The same for the direction of a wall."""
     floor_m: Noise = 1e-4
-    """Sigma of position every key scan's worth of motion adds at least, so that the covariance has full rank."""
+    """Sigma of position added over the motion between two key scans, so that the covariance has full rank."""
     floor_rad: Noise = 1e-4
     """The same for the heading."""
 
@@ -83,11 +83,11 @@ class RobotConfig(Section):
     turn_rate: Positive = 1.0
     """Top turn rate, rad/s."""
     deceleration: Positive = 1.0
-    """Of braking, m/s^2, that safety counts on; the simulated robot obeys at once."""
+    """Of braking, m/s^2, as the guard assumes it; the simulated robot stops at once."""
     radius: NonNegative = 0.0
-    """Of the disc, m; 0 takes the scene's."""
+    """Of the disc, m; 0: the scene's."""
     control_period_s: Annotated[float, Range(1e-4, 10.0)] = 0.02
-    """Between two control ticks."""
+    """Time between two control ticks."""
     integration_step_s: Annotated[float, Range(1e-4)] = 0.01
     """Longest RK4 step within a tick."""
 
@@ -101,10 +101,10 @@ class LaserConfig(Section):
     fov: Annotated[float, Range(0.0, 2 * math.pi, open_low=True)] = 2 * math.pi
     """Field of view, rad, centred on the mount's x axis."""
     max_range: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 10.0
-    """A beam that meets nothing nearer returns inf, m."""
+    """m; a beam that hits nothing nearer returns inf."""
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Pose of the laser in the robot's frame: x y theta, m and rad."""
     period_ticks: PositiveCount = 5
     """Control ticks per scan."""
     sweep_s: Annotated[float, Range(0.0, 1.0)] = 0.0
-    """Time one turn of beams takes, at most that between two scans; it ends at the scan's stamp. 0: an instant."""
+    """Duration of one scan, at most the time between two; it ends at the scan's stamp. 0: an instant."""

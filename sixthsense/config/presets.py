@@ -17,7 +17,7 @@ _SILENT_MOTION = {**_REPORT_MOTION, "distribution": "gaussian", "speed": 0.0, "t
 
 PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
-    # What white noise hides: a wheel-radius scale error and an unequal pair, unknown to the estimators.
+    # Systematic errors unknown to the estimators: a scale error of both wheels' radii, and unequal radii.
     "worn": {"world": {"wheel_scale_error": 0.02, "drift_rad_per_m": math.radians(0.5)}},
     "noiseless": {"world": {"motion": _SILENT_MOTION, "laser": {"range_m": 0.0, "bearing_rad": 0.0}}},
     # 181 beams over [-pi, pi] whose last repeats the first: 180 around a closed circle.
@@ -32,16 +32,16 @@ PRESETS: dict[str, dict[str, Any]] = {
             "partition": {"method": "fixed", "epsilon_m": 1.0},  # rectangle and apartment; the block had 2 m
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8},
         },
-        # The report has no rule but its two thresholds.
+        # The report has no other rules than its two thresholds.
         "association": {"method": "report", "pre_gate_m": 5.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,
     },
-    # The Intel Research Lab's robot. The systematic errors of its wheels are a regression of the filter's own motion
-    # on the odometry's, repeated until it stood still, without the relations. Slip and thresholds were chosen with the
-    # relations' error of corners in view, so that error is no test of them. Real walls are cluttered, hence the floors,
-    # and loose ends less true than walls. Half a circle of 1 degree beams shows short pieces of walls.
+    # The Intel Research Lab's robot. The systematic errors of its wheels come from a regression of the filter's motion
+    # on the odometry's, iterated to convergence, without the relations. Slip and thresholds were tuned on the error of
+    # the relations with corners, so it is no independent test of them. Real walls are cluttered, hence the floors, and
+    # free ends are less accurate than walls. Half a circle of beams 1 degree apart shows short pieces of walls.
     "intel": {
         "laser": {"beams": 180, "fov": math.radians(179.0), "max_range": 50.0},
         "assumed": {
@@ -66,9 +66,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         "grid": {"no_return_passes": False},
         "max_time": 1e6,
     },
-    # Set 6, robot 3 of UTIAS MRCLAM, all measured against Vicon. The wheels: a fit to stretches of 10 s; the noise is
-    # that large, because errors of records 10 ms apart are alike for seconds. The camera: root mean squares of depth
-    # and bearing, the depth's mean error of 0.1 m included. Named landmarks are there to stay.
+    # Set 6, robot 3 of UTIAS MRCLAM, all measured against Vicon. The wheels: a fit to intervals of 10 s; the noise is
+    # large because errors of records 10 ms apart are correlated over seconds. The camera: root mean squares of depth
+    # and bearing, including the depth's mean error of 0.1 m. Named landmarks are never culled.
     "mrclam": {
         "assumed": {
             "wheel_scale_error": -0.056,
@@ -87,7 +87,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "isam2": {"undo_probability": 1.0},
         "max_time": 1e6,
     },
-    # A graph states its noise itself, its matches are no guesses, and a pose a second is no clock to stop by.
+    # A graph states its own noise and matches, and its stamps of one second per pose are not real time.
     "victoria": {"association": {"culling": False}, "isam2": {"undo_probability": 1.0}, "max_time": 1e6},
 }  # fmt: skip
 
@@ -95,8 +95,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 def preset(name: str = "default", **changes: Any) -> Config:
     """The named preset's Config, with the fields in `changes` (nested tables for sections) replaced.
 
-    Raises ConfigError listing the known names for any other, and naming the field that will not do.
+    Raises ConfigError that lists the known names for any other, or names the field with a wrong value.
     """
-    if name not in tuple(PRESETS):  # a file may hold a list there, which no dictionary can look up
+    if name not in tuple(PRESETS):  # a file may hold a list there, which is not hashable
         raise ConfigError(f"preset: found {shown(name)}, allowed: {', '.join(PRESETS)}")
     return merge(merge(Config(preset=name), PRESETS[name]), changes)

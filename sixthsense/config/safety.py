@@ -1,4 +1,4 @@
-"""Configuration of what keeps the robot clear of obstacles: the margin of its paths, and the guard of its drive."""
+"""Configuration of safety: the margin of paths, and the guard that checks commands."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from sixthsense.config.values import NonNegative, Positive
 
 @dataclass(frozen=True)
 class SafetyConfig(Section):
-    """Paths keep a margin where there is room for it; the guard slows and stops the robot by its latest scan."""
+    """Paths keep a margin where there is room; the guard slows and stops the robot by its latest scan."""
 
     probability: Annotated[float, Range(0.5, 0.999999)] = 0.999
-    """With which a path's margin covers the error of the robot's position across it."""
+    """Probability with which a path's margin covers the cross-track error of the robot's position."""
     max_margin_m: Annotated[float, Range(0.0, 10.0)] = 0.3
-    """Beyond grid.clearance-m a path keeps at most this, however unsure the robot is; 0: no margin."""
+    """Largest margin of a path beyond grid.clearance-m, however uncertain the pose; 0: no margin."""
     detour: Annotated[float, Range(1.0, 1000.0)] = 1.2
-    """A path with a margin may be this much longer than the shortest, else the margin gives way."""
+    """A path with a margin may be this many times as long as the shortest, else the margin is reduced."""
     guard: bool = True
-    """Off: commands reach the drive unchecked."""
+    """Off: commands are not checked."""
     buffer_m: NonNegative = 0.01
-    """The guard stops the robot this far from a return: range noise."""
+    """The guard stops the robot this far from a return, to allow for range noise."""
     creep: Positive = 0.1
-    """Beside obstacles, however near, the guard lets the robot pass at this speed, m/s."""
+    """Speed, m/s, that the guard always allows beside obstacles, however near."""

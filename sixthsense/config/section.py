@@ -1,4 +1,4 @@
-"""Sections of a configuration that check themselves: the one validator, whatever a value came from."""
+"""Sections of a configuration, which validate themselves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sixthsense.config.names import Names
 C = TypeVar("C", bound="Section")
 
 _LARGEST = sys.float_info.max
-_LARGEST_WHOLE = (1 << 63) - 1  # what TOML promises to keep
+_LARGEST_WHOLE = (1 << 63) - 1  # TOML's integers have 64 bits
 
 
 class ConfigError(InputError):
@@ -29,14 +29,14 @@ class ConfigError(InputError):
 
 
 class _Short(reprlib.Repr):
-    """Values in one line of bounded length, however long, deep or odd they are."""
+    """Any value in one line of bounded length."""
 
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 80
 
     def repr_int(self, x: int, level: int) -> str:
-        # Python refuses to write the digits of an integer that was read from hexadecimal ones.
+        # Python limits the digits of a decimal text, but not of a hexadecimal one that is read.
         return super().repr_int(x, level) if x.bit_length() < 14_000 else f"an integer of {x.bit_length()} bits"
 
 
@@ -44,23 +44,23 @@ _short = _Short()
 
 
 def shown(value: Any) -> str:
-    """A value as a complaint shows it: one line, shortened."""
+    """A value for an error message: one line, shortened."""
     return _short.repr(value)
 
 
 def shown_name(name: Any) -> str:
-    """The name of a field, an option or a topic as a complaint shows it: as it is, quoted where that is no one line."""
+    """A name for an error message: as it is, or quoted and shortened if it is not one short line."""
     return str(name) if isinstance(name, str) and len(name) <= 80 and is_one_line(name) else shown(name)
 
 
 def is_one_line(text: str) -> bool:
-    """Whether a text has no line break, control character or byte that is no character, and so can be printed."""
+    """Whether a text can be printed in one line: no line break, control character or lone surrogate."""
     return not any(unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") for c in text)
 
 
 @dataclass(frozen=True)
 class Range:
-    """The interval a number must lie in; an open lower end excludes `low` itself."""
+    """The interval that a number must lie in; `open_low` excludes `low` itself."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -77,7 +77,7 @@ class Range:
 
 
 class Section:
-    """A node of the tree: on creation each field is checked against its annotation and coerced to it."""
+    """A node of the tree; creation checks each field against its annotation and coerces it."""
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
@@ -154,7 +154,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
                 raise ConfigError(f"{path}{error}") from None
     try:
         return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
-    except ConfigError as error:  # of fields that do not go together
+    except ConfigError as error:  # fields that are inconsistent with each other
         raise ConfigError(f"{path}{error}") from None
 
 

@@ -1,4 +1,4 @@
-"""TOML that somebody else has written, in bounded time."""
+"""Parsing of untrusted TOML in bounded time."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import re
 import tomllib
 from typing import Any
 
-# The parser's time grows with the square of a dotted key's length: 24 kB of `a.a.a...` take it eight seconds.
+# The parser's time grows with the square of a dotted key's length: 24 kB of `a.a.a...` take eight seconds.
 _DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){20}""")
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The table that a TOML text holds; ValueError says in a few words why it holds none."""
+    """The table of a TOML text; ValueError says in a few words why it is invalid."""
     if _DEEP_KEY.search(text):
         raise ValueError("is not usable TOML (found a key of over 20 parts)")
     try:

@@ -1,4 +1,4 @@
-"""The configuration tree, which is the pipeline's tree; a field's text is what `--help` says of it."""
+"""The configuration tree, structured like the pipeline; the docstring of a field is its text in `--help`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sixthsense.config.values import Count
 
 @dataclass(frozen=True)
 class Config(Section):
-    """Everything that determines a run: one of these and a source give the same run, bit for bit."""
+    """All settings of a run: the same configuration and source give the same run, bit for bit."""
 
     scene: str = "apartment"
     """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
@@ -36,8 +36,8 @@ class Config(Section):
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
-    """explore: see all of the region, then drive home; goal: drive there; tour: repeat the scene's list of goals until
-    max-time."""
+    """explore: see all of the region, then drive home; goal: drive to a goal; tour: repeat the scene's list of goals
+    until max-time."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None

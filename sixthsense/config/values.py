@@ -1,4 +1,4 @@
-"""Kinds of values that fields of the configuration share."""
+"""Types of values that fields of the configuration share."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_the_report_preset_has_the_reports_numbers() -> None:
     assert config.grid.cell_m == 0.04
 
 
-def test_what_the_world_does_is_what_the_estimators_assume_unless_the_mismatch_is_the_point() -> None:
+def test_the_simulated_noise_is_the_assumed_noise_except_in_presets_with_a_mismatch() -> None:
     for name in ("default", "report"):
         config = preset(name)
         assert config.world.motion == config.assumed.motion, name
@@ -105,7 +105,7 @@ def test_names_may_be_written_with_dashes_as_on_the_command_line() -> None:
     assert merge(Config(), {"max-time": 5}).max_time == 5.0
 
 
-def test_whole_numbers_do_for_floats_and_become_floats() -> None:
+def test_whole_numbers_are_accepted_for_floats_and_become_floats() -> None:
     config = LaserConfig(max_range=5, mount=(1, 2, 3))
     assert isinstance(config.max_range, float)
     assert all(isinstance(value, float) for value in config.mount)
@@ -140,9 +140,7 @@ BAD_FIELDS = {
 
 
 @pytest.mark.parametrize("field", BAD_FIELDS)
-def test_a_bad_field_of_a_file_is_told_in_one_line_with_file_name_finding_and_remedy(
-    field: str, tmp_path: Path
-) -> None:
+def test_a_wrong_field_is_one_line_with_file_field_value_and_what_is_allowed(field: str, tmp_path: Path) -> None:
     text, found, allowed = BAD_FIELDS[field]
     file = written(tmp_path, text)
     with pytest.raises(ConfigError) as caught:
@@ -164,7 +162,7 @@ def test_a_bad_field_of_a_file_is_told_in_one_line_with_file_name_finding_and_re
         ("seed = " + "1" * 5_000, "is not usable TOML"),
     ],
 )
-def test_a_file_that_is_no_configuration_is_told_in_one_line(text: str | bytes, said: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_configuration_is_one_line(text: str | bytes, said: str, tmp_path: Path) -> None:
     file = written(tmp_path, text)
     with pytest.raises(ConfigError) as caught:
         load_config(file)
@@ -172,14 +170,14 @@ def test_a_file_that_is_no_configuration_is_told_in_one_line(text: str | bytes, 
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_and_a_folder_are_told_by_name(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_named_in_the_error(tmp_path: Path) -> None:
     for path in (tmp_path / "missing.toml", tmp_path):
         with pytest.raises(ConfigError, match=r"cannot be read \(") as caught:
             load_config(path)
         assert str(caught.value).startswith(str(path))
 
 
-def test_code_meets_the_same_validator_as_files() -> None:
+def test_values_from_code_are_validated_as_those_of_files() -> None:
     with pytest.raises(ConfigError, match=r"^beams: found 1, allowed: 2 to 100000$"):
         LaserConfig(beams=1)
     with pytest.raises(ConfigError, match=r"^seed: found 0\.5, allowed: a whole number$"):

@@ -32,7 +32,7 @@ def features_at(config, T_world_laser=None):
     return extract(scan, config.assumed, config.features, np.random.default_rng(0))
 
 
-def test_the_mount_turns_the_covariance_with_the_sighting():
+def test_the_mount_rotates_the_covariance_with_the_sighting():
     corners = {"features": {"landmarks": "corners"}}
     plain = features_at(preset(**corners)).sightings
     mount = (0.2, -0.1, 1.1)
@@ -50,7 +50,7 @@ def test_the_floor_of_landmarks_adds_to_every_sighting():
         assert np.allclose(a.cov + 0.0025 * np.eye(2), b.cov, atol=1e-12)
 
 
-def test_an_unsure_beam_makes_a_free_end_less_sure_along_its_wall():
+def test_bearing_noise_increases_the_variance_of_a_free_end_along_its_wall():
     line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])
     sure, unsure = (free_end(line, 0.3, 0.02, sigma) for sigma in (0.0, 0.01))
     along = 2.0 / math.cos(0.31) ** 2  # d(y)/d(bearing) on the wall x = 2
@@ -66,7 +66,7 @@ def test_the_margin_below_the_maximum_range_hides_free_ends():
     assert ends(0.6) == []
 
 
-def test_noise_of_the_ranges_alone_does_not_tear_a_wall():
+def test_range_noise_alone_does_not_split_a_wall():
     ranges = np.array([1.0, 1.03, 1.0, 1.03, 1.0])
     for sigma, pieces in ((0.0, 5), (0.02, 1)):
         assert len(partition(ranges, 0.001, False, sigma, PartitionConfig())[1]) == pieces
@@ -81,7 +81,7 @@ def matched(config, point, cov=1e-2):
     return 0 in found.sightings, 1 in found.sightings
 
 
-def test_only_landmarks_within_the_pre_gate_are_looked_at():
+def test_only_landmarks_within_the_pre_gate_are_compared():
     assert matched(AssociationConfig(pre_gate_m=1.0), (2.4, 0.0)) == (True, False)
     assert matched(AssociationConfig(pre_gate_m=0.3), (2.4, 0.0))[0] is False
 
@@ -91,7 +91,7 @@ def test_a_new_landmark_keeps_its_distance_from_known_ones():
     assert matched(AssociationConfig(new_separation_m=0.1), (2.2, 0.0), 1e-4) == (False, True)
 
 
-def test_of_two_landmarks_equally_many_sigmas_away_the_better_known_is_taken():
+def test_of_two_landmarks_at_the_same_distance_in_sigmas_the_more_certain_one_is_matched():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * 1e-4),
              Sighting(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2) * 0.1)]  # fmt: skip
@@ -101,7 +101,7 @@ def test_of_two_landmarks_equally_many_sigmas_away_the_better_known_is_taken():
     assert list(found.sightings) == [0]
 
 
-def test_beams_of_the_world_waver_as_configured():
+def test_simulated_bearing_noise_is_as_configured():
     def spread(sigma):
         config = merge(preset("noiseless"), {"world": {"laser": {"bearing_rad": sigma}}})
         world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
@@ -122,7 +122,7 @@ def test_a_wheel_scale_error_scales_the_turn_too():
 
 
 @pytest.mark.parametrize("passes", [True, False])
-def test_a_beam_that_met_nothing_is_evidence_only_if_so_configured(passes):
+def test_a_beam_without_a_return_is_evidence_only_if_configured(passes):
     grid = Grid(preset(grid={"no_return_passes": passes}).grid, 0.2)
     scan = Scan.from_config(np.array([np.inf, np.inf]), preset(laser={"beams": 2, "fov": 0.1}).laser)
     grid.add(Pose(), scan, np.zeros((0, 2, 2)))

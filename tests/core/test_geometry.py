@@ -39,6 +39,19 @@ def test_poses_form_a_group(a, b, c):
     assert close(a @ Pose(), a) and close(Pose() @ a, a)
 
 
+@given(poses, poses)
+def test_the_adjoint_of_a_product_is_the_product_of_adjoints(a, b):
+    assert np.allclose((a @ b).adjoint(), a.adjoint() @ b.adjoint(), atol=1e-6)
+    assert np.allclose(a.inverse().adjoint(), np.linalg.inv(a.adjoint()), atol=1e-6)
+
+
+@given(poses, st.integers(0, 2))
+def test_the_adjoint_moves_a_small_motion_to_the_other_side_of_a_pose(a, k):
+    small = 1e-6 * np.eye(3)[k]
+    conjugated = (a @ Pose.from_array(small)) @ a.inverse()  # exp(Ad small)
+    assert np.allclose(conjugated.array(), a.adjoint() @ small, atol=1e-9)
+
+
 @given(poses, poses, coordinates, coordinates)
 def test_frames_cancel_for_points_as_for_poses(a, b, x, y):
     point = np.array([x, y])

@@ -16,7 +16,7 @@ def _nothing_pressed_before(monkeypatch):
     monkeypatch.setattr(interrupt, "_last_s", -math.inf)
 
 
-def test_an_interrupted_run_ends_in_order_with_what_it_has():
+def test_an_interrupted_run_ends_in_order_with_its_results():
     def press(tick, trace):
         if len(trace.stamps_ns) == 20:
             os.kill(os.getpid(), signal.SIGINT)
@@ -26,7 +26,7 @@ def test_an_interrupted_run_ends_in_order_with_what_it_has():
     assert trace.metrics["ate_rmse_m"] < 0.05 and len(trace.trajectory) == len(trace.key_stamps_ns)
 
 
-def test_the_handler_of_before_is_back_afterwards_and_a_second_press_is_not_held_back():
+def test_the_previous_handler_is_restored_and_a_second_press_is_not_deferred():
     before = signal.getsignal(signal.SIGINT)
     with deferred_interrupt() as interrupted:
         assert not interrupted()

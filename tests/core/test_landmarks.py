@@ -24,7 +24,7 @@ def test_jacobians_agree_with_finite_differences():
             assert np.allclose((ahead - mean) / 1e-6, by_z[:, k], atol=1e-4)
 
 
-def test_a_landmark_is_born_where_it_would_be_predicted():
+def test_a_landmark_is_initialized_where_its_prediction_is_the_sighting():
     rng = np.random.default_rng(1)
     for _ in range(20):
         pose, z = Pose(*rng.normal(size=3)), rng.normal(size=2)

@@ -53,7 +53,7 @@ def test_no_ray_leaks_through_the_joint_of_two_walls():
         assert cast_rays(Pose(), np.array([bearing]), walls, 20.0)[0] <= math.hypot(*corner) + 1e-6
 
 
-def test_a_ray_along_a_wall_and_a_wall_of_no_length_do_no_harm():
+def test_a_ray_along_a_wall_and_a_wall_of_zero_length_cause_no_error():
     walls = np.array([[[1, 0], [2, 0]], [[3, -1], [3, 1]]], dtype=float)
     assert cast_rays(Pose(), np.array([0.0]), walls, 10.0)[0] == pytest.approx(3.0)
 
@@ -75,7 +75,7 @@ def test_a_full_circle_is_closed_and_repeats_no_beam():
     assert math.degrees(beam_bearings(report)[1] - beam_bearings(report)[0]) == pytest.approx(2.0)
 
 
-def test_what_a_scan_holds_survives_float32_exactly():
+def test_a_scan_is_stored_in_float32_without_loss():
     scan = Scan.from_config(np.random.default_rng(2).uniform(0, 9, 360), LaserConfig())
     assert scan.ranges.dtype == np.float32 and not scan.ranges.flags.writeable
     again = float(np.float32(scan.angle_min)) + float(np.float32(scan.angle_increment)) * np.arange(360)

@@ -53,7 +53,7 @@ def test_the_jacobians_of_composition_agree_with_finite_differences():
             assert np.allclose(wrap_angle(ahead) / 1e-6, by_motion[:, k], atol=1e-5)
 
 
-def test_folding_increments_equals_propagating_through_them_one_by_one():
+def test_composed_increments_equal_propagation_through_each():
     rng = np.random.default_rng(1)
     pose, cov, folded = Pose(1, 2, 0.5), np.diag([0.1, 0.2, 0.05]), STANDSTILL
     start, start_cov = pose, cov
@@ -70,14 +70,14 @@ def test_folding_increments_equals_propagating_through_them_one_by_one():
 
 
 @pytest.mark.parametrize("distribution", ["gaussian", "uniform"])
-def test_noise_has_the_variance_it_is_said_to_have(distribution):
+def test_drawn_noise_has_the_stated_variance(distribution):
     samples = draw(np.random.default_rng(2), distribution, 0.3, 200_000)
     assert samples.mean() == pytest.approx(0.0, abs=0.005)
     assert samples.var() == pytest.approx(variance(distribution, 0.3), rel=0.02)
 
 
 @pytest.mark.parametrize("v, w", [(0.5, 0.0), (0.5, 0.8), (0.0, 1.0), (-0.3, -0.5)])
-def test_the_covariance_of_an_increment_is_that_of_the_noise_it_stands_for(v, w):
+def test_the_covariance_of_an_increment_is_that_of_the_simulated_noise(v, w):
     assumed = AssumedConfig(floor_m=0.0, floor_rad=0.0, motion=MotionNoise(slip_position_per_sqrt_m=0.02))
     rng = np.random.default_rng(3)
     dt, noise = 0.1, assumed.motion
@@ -106,7 +106,7 @@ def test_every_moving_increment_has_full_rank_even_without_slip(motion):
     assert np.linalg.eigvalsh(increment.cov)[0] > 0.0
 
 
-def test_the_floor_of_a_way_does_not_depend_on_how_it_is_cut_into_ticks():
+def test_the_floor_over_a_distance_does_not_depend_on_the_number_of_ticks():
     assumed, whole = AssumedConfig(motion=QUIET), Pose(0.25, 0, 0)
     one = odometry(Pose(), whole, assumed)
     many, at = STANDSTILL, Pose()

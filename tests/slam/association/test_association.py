@@ -26,7 +26,7 @@ def known(config=None, sigma=0.02):
     return estimator, associator
 
 
-def test_what_was_seen_is_recognised_in_any_order():
+def test_known_landmarks_are_matched_in_any_order():
     estimator, associator = known()
     estimator.predict(Odometry(Pose(0.2, 0, 0.1), np.diag([1e-3, 1e-3, 1e-3])))
     order, rng = [3, 0, 4, 2, 1], np.random.default_rng(0)
@@ -37,7 +37,7 @@ def test_what_was_seen_is_recognised_in_any_order():
         assert math.dist(estimate.pose @ sighting.z, POINTS[i]) < 0.2
 
 
-def test_a_far_sighting_is_new_a_doubtful_one_is_nothing():
+def test_a_far_sighting_is_new_and_an_ambiguous_one_is_discarded():
     estimator, associator = known(AssociationConfig(new_separation_m=0.0))
     sigma = 0.02 * math.sqrt(2)  # of the innovation
     new, doubtful, near = (POINTS[0] + [k * sigma, 0.0] for k in (12.0, 4.5, 1.0))
@@ -73,7 +73,7 @@ def test_the_assignment_is_the_best_for_all_not_for_the_first():
     assert {i: round(float(s.z[0]), 3) for i, s in found.sightings.items()} == {0: 2.3, 1: 2.8}
 
 
-def test_no_sighting_and_no_landmark_are_no_special_case():
+def test_an_empty_scan_and_an_empty_map_cause_no_error():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     empty = associator.associate([], estimator)
     assert empty.sightings == {} and empty.nis == 0.0 and empty.dof == 0
@@ -86,7 +86,7 @@ def test_one_scan_that_shows_an_end_twice_makes_one_landmark():
     assert len(associator.associate(twice, estimator).sightings) == 1
 
 
-def test_culling_removes_what_was_seen_too_rarely_and_nothing_younger():
+def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
     config = AssociationConfig(cull_period=5, cull_below=3)
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
     culled = []
@@ -120,7 +120,7 @@ def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
     assert nis / dof == pytest.approx(1.0, abs=4 * math.sqrt(2 / dof))
 
 
-def test_a_match_is_right_or_none_in_a_crowd():
+def test_among_close_landmarks_a_sighting_is_matched_correctly_or_not_at_all():
     """Landmarks 0.4 m apart, pose error within its covariance: what is matched is matched rightly."""
     points = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) * 0.4 + 1.0
     wrong = total = 0
@@ -141,7 +141,7 @@ def test_a_match_is_right_or_none_in_a_crowd():
 
 @pytest.mark.parametrize("name", ["ekf", "isam2"])
 @pytest.mark.parametrize("method", ["chi2", "report"])
-def test_looking_at_near_landmarks_only_changes_no_association(name, method):
+def test_comparing_near_landmarks_only_changes_no_association(name, method):
     """What the bound on sigmas leaves out could not have passed a gate: with no bound the answers are the same."""
     config = AssociationConfig(method=method)
     rng = np.random.default_rng(5)
@@ -175,7 +175,7 @@ def test_looking_at_near_landmarks_only_changes_no_association(name, method):
     assert queried[0] < 0.9 * queried[1]
 
 
-def test_sightings_known_by_name_are_taken_as_they_are_and_judged_by_their_innovation():
+def test_named_sightings_are_accepted_and_gated_by_their_innovation():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     first = dict(zip([7, 3], sight(Pose(), [0, 1]), strict=True))
     found = associator.known(first, estimator)

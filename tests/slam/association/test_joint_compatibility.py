@@ -75,7 +75,7 @@ def test_each_alone_may_pass_where_both_together_cannot():
     assert len(rows) == 1
 
 
-def test_a_room_full_of_lookalikes_comes_to_an_end():
+def test_the_search_ends_in_a_room_full_of_ambiguous_matches():
     innovation, joint, noise = problem(1, 14, 14)
     innovation.squared[:] = 1.0
     rows, cols = jointly_compatible(innovation, 100.0 * joint, noise, 13.8, 0.999)

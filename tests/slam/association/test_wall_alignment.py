@@ -44,7 +44,7 @@ def seen(pose, corners=CORNERS):
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.08), (-0.2, 0.3, -0.15), (0.1, 0.1, 0.27)])
-def test_a_room_is_found_again_from_a_prediction_that_is_off(off):
+def test_a_room_is_aligned_from_a_wrong_prediction(off):
     true = Pose(0.4, -0.3, 0.9)
     estimate, extents = believed(Pose(true.x + off[0], true.y + off[1], true.theta + off[2]))
     found = align(seen(true), estimate, extents, 0.5, AlignConfig())
@@ -55,7 +55,7 @@ def test_a_room_is_found_again_from_a_prediction_that_is_off(off):
     )
 
 
-def test_without_another_heading_to_start_from_a_turned_room_is_not_found():
+def test_without_further_initial_headings_a_large_heading_error_is_not_corrected():
     true = Pose(0.4, -0.3, 0.9)
     estimate, extents = believed(Pose(true.x, true.y, true.theta + 0.4), np.diag([0.04, 0.04, 0.04]))
     lazy = align(seen(true), estimate, extents, 0.5, AlignConfig(headings_rad=(1e-6, 1e-6), reach_rad=0.2))
@@ -64,7 +64,7 @@ def test_without_another_heading_to_start_from_a_turned_room_is_not_found():
     assert abs(wrap_angle(found.pose.theta - true.theta)) < 0.02
 
 
-def test_what_the_map_does_not_have_changes_nothing():
+def test_walls_that_the_map_lacks_do_not_change_the_alignment():
     pose = Pose(0.1, 0.2, 0.3)
     estimate, extents = believed(pose)
     beyond = seen(pose, CORNERS + np.array([40.0, 0.0]))
@@ -74,7 +74,7 @@ def test_what_the_map_does_not_have_changes_nothing():
     assert align(seen(pose), nothing, np.zeros((0, 2, 2)), 0.5, AlignConfig()).pose == pose
 
 
-def test_along_a_corridor_the_prediction_holds():
+def test_along_a_corridor_the_predicted_position_is_kept():
     true, believed_at = Pose(1.0, 0.0, 0.0), Pose(0.0, 0.1, 0.05)
     long = np.array([[-50.0, -1.0], [50.0, -1.0], [50.0, 1.0], [-50.0, 1.0]])
     walls, extents = room(long)
@@ -84,7 +84,7 @@ def test_along_a_corridor_the_prediction_holds():
     assert abs(found.y) < 0.01 and abs(found.theta) < 0.01 and abs(found.x - believed_at.x) < 0.05
 
 
-def test_residuals_and_their_jacobians_are_those_of_plain_geometry():
+def test_residuals_agree_with_geometry_and_jacobians_with_finite_differences():
     pose, rng = np.array([0.3, -0.2, 0.4]), np.random.default_rng(3)
     walls, extents = room()
     true = Pose.from_array(pose + 0.05 * rng.standard_normal(3))

@@ -82,7 +82,7 @@ def test_jacobians_of_a_walls_sighting_are_those_of_finite_differences(wall):
     assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
 
 
-def test_a_new_wall_appears_where_it_is_born(name):
+def test_a_new_wall_is_initialized_where_it_was_sighted(name):
     estimator, _ = driven(name)
     estimator.predict(STEP)
     before = estimator.estimate()
@@ -97,7 +97,7 @@ def test_a_new_wall_appears_where_it_is_born(name):
     assert np.allclose(joint[3:, :3], by_pose @ before.pose_cov, rtol=1e-4, atol=1e-7)
 
 
-def test_a_walls_sighting_with_zero_innovation_moves_nothing_and_makes_no_direction_worse(name):
+def test_a_wall_with_zero_innovation_changes_no_mean_and_increases_no_variance(name):
     estimator, _ = driven(name)
     estimator.predict(STEP)
     before, cov = everything(estimator)
@@ -126,7 +126,7 @@ def test_moving_the_world_moves_walls_with_it(name, transform):
 
 
 @pytest.mark.parametrize("start_cov", [0.0, 1e-3])
-def test_the_smoother_is_as_sure_of_its_pose_as_the_filter(start_cov):
+def test_the_smoother_has_the_pose_covariance_of_the_filter(start_cov):
     """GTSAM's residual of a wall's frame mixes along and across: what is not known along must not come in across."""
     rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
     filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
@@ -221,7 +221,7 @@ def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
     assert abs(np.mean(values) - 2.0) < 4 * math.sqrt(4 / len(values))
 
 
-def test_the_smoother_takes_a_walls_sighting_at_its_word_however_wrong_the_expectation():
+def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
     pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
     sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
     place, root = measurement(pose, frame, sighting, is_first=False)
@@ -245,7 +245,7 @@ def test_the_smoother_takes_a_walls_sighting_at_its_word_however_wrong_the_expec
         (Pose(7.70, 5.93, 0.86), (0.0, 6.2)),
     ],
 )
-def test_a_neighbour_that_shows_a_single_return_does_not_turn_a_wall(pose, wall):
+def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, wall):
     # From these places in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
     walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
     exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
@@ -290,7 +290,7 @@ def test_two_pieces_of_a_wall_in_one_scan_are_fused_by_their_information():
     assert np.allclose(both.cov, np.diag([5e-5, 5e-4])) and both.extent == (-1.0, 2.0)
 
 
-def test_a_wall_is_found_again_and_its_other_side_is_another():
+def test_a_wall_is_matched_again_and_its_other_side_is_a_new_one():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
     other = Sighting(Kind.WALL, np.array([math.pi, 1.9]), COV, (-1.0, 1.0))
@@ -306,7 +306,7 @@ def test_a_wall_is_found_again_and_its_other_side_is_another():
     assert sorted(np.round(associator.records[0].extent[:, 1], 6)) == [-1.0, 1.4]
 
 
-def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_proud():
+def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
     for step, fused_in in ((0.0, True), (0.2, False)):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
         wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 3.0))
@@ -320,7 +320,7 @@ def test_another_piece_of_a_known_wall_adds_its_information_unless_it_stands_pro
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
 
-def test_two_walls_that_turn_out_to_be_one_are_merged():
+def test_duplicate_walls_are_merged():
     config = AssociationConfig(cull_period=2, cull_below=1)
     for offset, gone in ((0.005, [1]), (0.15, [])):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)

@@ -49,7 +49,7 @@ def test_over_many_draws_the_polar_mean_is_the_truth(shape, z):
 
 
 @pytest.mark.parametrize("shape", COVS)
-def test_what_bias_is_left_is_of_fourth_order(shape):
+def test_the_remaining_bias_is_of_fourth_order(shape):
     """Half the noise, a sixteenth of the bias; of the plain change of coordinates, a quarter."""
     z = np.array([1.2, -1.6])
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)

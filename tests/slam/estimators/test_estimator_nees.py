@@ -54,7 +54,7 @@ def short_drive(name, seed, steps=50, sigma=0.03):
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_on_short_drives_pose_map_and_innovations_are_as_sure_as_claimed(name):
+def test_on_short_drives_pose_map_and_innovations_are_consistent(name):
     """40 runs; where little is turned the standard filter is consistent as well."""
     runs = 40
     pose, whole, nis, dof = np.array([short_drive(name, seed) for seed in range(runs)]).T
@@ -120,31 +120,31 @@ def assert_overconfident(name, runs, count, heading_sigma):
 
 
 @pytest.mark.parametrize(("name", "runs"), [(name, 20 if name == "isam2" else 40) for name in CONSISTENT])
-def test_on_round_after_round_the_consistent_ones_stay_in_their_bands(name, runs):
+def test_over_several_rounds_the_consistent_estimators_stay_in_their_bands(name, runs):
     """The whole map's NEES is no part of it: with a heading this badly known the map bends, 1.35 to 1.74 by freedom."""
     assert_consistent(name, runs, 4, 0.06)
 
 
-def test_on_round_after_round_the_standard_filter_leaves_its_bands():
+def test_over_several_rounds_the_standard_filter_leaves_its_bands():
     """On the same drives, measured: pose 4.0 (band to 3.8), heading 1.80 (1.48), landmark 3.2 (2.7)."""
     assert_overconfident("ekf", 40, 4, 0.06)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "runs"), [(name, 40 if name == "isam2" else 100) for name in CONSISTENT])
-def test_on_twelve_rounds_the_consistent_ones_stay_in_their_bands(name, runs):
+def test_over_twelve_rounds_the_consistent_estimators_stay_in_their_bands(name, runs):
     assert_consistent(name, runs, 12, 0.035)
 
 
 @pytest.mark.slow
-def test_on_twelve_rounds_the_standard_filter_leaves_its_bands():
+def test_over_twelve_rounds_the_standard_filter_leaves_its_bands():
     """Measured: pose 4.1 (band to 3.5), heading 1.90 (1.30), landmark 3.2 (2.4)."""
     assert_overconfident("ekf", 100, 12, 0.035)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_the_whole_map_is_as_sure_as_claimed_while_the_heading_is_well_known(name):
+def test_the_whole_map_is_consistent_while_the_heading_is_certain(name):
     """Two hundred short drives, five landmarks and the pose at once; 40 of them in the fast test."""
     runs = 200
     whole = np.array([short_drive(name, seed)[1] for seed in range(1000, 1000 + runs)])

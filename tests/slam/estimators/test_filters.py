@@ -184,7 +184,7 @@ def test_the_filter_agrees_with_a_textbook_one(name, seed):
     assert np.allclose(joint, P, atol=1e-9)
 
 
-def test_the_variants_are_variants():
+def test_the_variants_differ_from_the_standard_filter():
     """The drive on which the filters are compared tells them apart."""
     log = random_log(0, DENSE)
     poses = np.array([fed(make(name), log).estimate().pose.array() for name in REFERENCES])
@@ -192,7 +192,7 @@ def test_the_variants_are_variants():
 
 
 @pytest.mark.parametrize("name", ["ekf-fej", "ekf-oc", "ekf-invariant"])
-def test_forgetting_keeps_what_is_linearised_of_the_others(name):
+def test_forgetting_keeps_the_linearization_points_of_the_others(name):
     """After others were forgotten, the filter goes on as one that never knew them, if those brought no evidence."""
     log = random_log(1, DENSE, steps=20)
     one, two = fed(make(name), log), fed(make(name), log)
@@ -208,7 +208,7 @@ def test_forgetting_keeps_what_is_linearised_of_the_others(name):
     assert np.allclose(one.joint_covariance(ids[1::2]), two.joint_covariance(ids[1::2]), atol=1e-12)
 
 
-def test_the_invariant_correction_moves_along_the_group_and_leans_the_covariance_with_it():
+def test_the_invariant_correction_follows_the_exponential_and_transports_the_covariance():
     """A(x) = d exp(xi) x / d xi by differences: x+ = exp(A^-1 shift) x and Sigma+ = T Sigma T^T, T = A(x+) A(x)^-1."""
     standard_filter, invariant = make("ekf"), make("ekf-invariant")
     for estimator in (standard_filter, invariant):
@@ -245,7 +245,7 @@ def derivative(x):
 
 
 @pytest.mark.parametrize("name", ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"])
-def test_forgetting_cuts_rows_and_columns_out_and_changes_no_bit_of_the_rest(name):
+def test_forgetting_removes_rows_and_columns_and_changes_no_bit_of_the_rest(name):
     estimator = driven(name)
     before, cov = everything(estimator)
     estimator.forget(before.ids[[1, 3]].tolist())

@@ -17,12 +17,12 @@ def test_the_standard_filter_observes_the_heading_of_the_world_and_the_others_do
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_linearised_at_the_truth_no_filter_observes_how_the_world_lies(name):
+def test_linearized_at_the_truth_no_filter_observes_pose_and_heading_of_the_world(name):
     assert nullity(observability_gramian(name, 0, noise=False)) == 3
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_what_the_standard_filter_still_cannot_observe_is_where_the_world_lies(seed):
+def test_the_standard_filter_does_not_observe_the_position_of_the_world(seed):
     gramian = observability_gramian("ekf", seed, noise=True)
     shifts = np.tile(np.eye(2), (5, 1))
     null = np.vstack([np.eye(2), np.zeros((1, 2)), shifts])
@@ -31,12 +31,12 @@ def test_what_the_standard_filter_still_cannot_observe_is_where_the_world_lies(s
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", CONSISTENT)
-def test_the_heading_never_gets_better_known_than_it_was_at_the_start(name, seed):
+def test_the_heading_variance_never_falls_below_that_of_the_start(name, seed):
     """Nothing that was measured knows about the world's axes."""
     assert heading_variances(name, seed).min() > 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_standard_filter_comes_to_know_the_heading_better_than_at_the_start(seed):
+def test_the_standard_filters_heading_variance_falls_below_that_of_the_start(seed):
     """Which is its error, shown as it is: at the least 0.22 to 0.32 of the variance that no measurement can lower."""
     assert heading_variances("ekf", seed).min() < 0.5

@@ -53,7 +53,7 @@ def test_a_scan_that_took_time_lies_on_the_walls_after_de_skewing_and_not_before
     assert np.float32(moved.time_increment) == 0.0
 
 
-def test_at_standstill_a_sweep_is_an_instant() -> None:
+def test_at_standstill_a_sweep_equals_an_instantaneous_scan() -> None:
     raw, moved, _ = last_scan(SWEPT, 0.0, 0.0)
     instant, _, _ = last_scan(merge(SWEPT, {"laser": {"sweep_s": 0.0}}), 0.0, 0.0)
     assert np.array_equal(raw.ranges, instant.ranges)
@@ -62,7 +62,7 @@ def test_at_standstill_a_sweep_is_an_instant() -> None:
     assert moved.closed and instant.closed
 
 
-def test_a_scan_of_an_instant_and_one_with_de_skewing_off_are_returned_as_they_are() -> None:
+def test_a_scan_without_duration_and_one_with_de_skewing_off_are_returned_unchanged() -> None:
     scan = Scan.from_config(np.ones(360), LaserConfig())
     swept = Scan.from_config(np.ones(360), LaserConfig(sweep_s=0.1))
     deskew, off = Deskewer(), Deskewer(enabled=False)
@@ -73,7 +73,7 @@ def test_a_scan_of_an_instant_and_one_with_de_skewing_off_are_returned_as_they_a
     assert deskew(swept) is not swept
 
 
-def test_a_turning_robot_takes_no_part_of_the_circle_twice_and_knows_of_a_gap() -> None:
+def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> None:
     for turn_rate, closed in ((1.0, True), (-1.0, False)):
         raw, moved, _ = last_scan(SWEPT, 0.0, turn_rate)
         assert moved.closed == closed
@@ -104,13 +104,13 @@ def test_a_sweep_that_runs_clockwise_is_the_mirror_image_of_one_that_does_not(tu
     assert moved.closed == closed == (len(moved.ranges) < 360)
 
 
-def test_a_sweep_from_one_place_is_cast_as_an_instant() -> None:
+def test_a_sweep_from_one_pose_is_cast_as_an_instantaneous_scan() -> None:
     pose, bearings = Pose(0.4, -0.3, 1.0), beam_bearings(LaserConfig())
     swept = cast_sweep(np.tile(pose.array(), (360, 1)), bearings, ROOM, 3.0)
     assert np.array_equal(swept, cast_rays(pose, bearings, ROOM, 3.0))
 
 
-def test_poses_are_interpolated_the_short_way_round_and_held_beyond_the_ends() -> None:
+def test_poses_are_interpolated_along_the_shorter_arc_and_constant_beyond_the_ends() -> None:
     poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
     found = interpolated(np.array([0.0, 2.0]), poses, np.array([-1.0, 0.0, 1.0, 2.0, 9.0]))
     assert np.allclose(found[[0, 1]], poses[0]) and np.allclose(found[[3, 4], :2], poses[1, :2])
@@ -120,7 +120,7 @@ def test_poses_are_interpolated_the_short_way_round_and_held_beyond_the_ends() -
 
 
 @pytest.mark.parametrize("landmarks", ["corners", "both"])
-def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instant(landmarks: str) -> None:
+def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(landmarks: str) -> None:
     config = merge(SWEPT, {"features": {"landmarks": landmarks}})
     for speed, turn_rate in ((0.5, 0.0), (0.2, 0.8), (0.2, -0.8)):
         _, moved, truth = last_scan(config, speed, turn_rate)
@@ -136,7 +136,7 @@ def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instant(landmarks: st
         assert len(one) >= len(two) - 2
 
 
-def test_the_time_that_a_scan_took_makes_its_sightings_less_sure_the_earlier_the_less() -> None:
+def test_sweep_noise_of_a_sighting_grows_with_its_lag() -> None:
     config = merge(SWEPT, {"features": {"landmarks": "corners"}})
     _, moved, _ = last_scan(config, 0.5, 0.5)
     assert moved.sweep is not None
@@ -182,7 +182,7 @@ def folder_of(config: Config, path: Path) -> tuple[Trace, Path]:
     return trace, folder.out
 
 
-def test_a_recorded_sweep_replays_exactly_and_others_read_when_it_began(tmp_path: Path) -> None:
+def test_a_recorded_sweep_replays_exactly_and_states_its_begin(tmp_path: Path) -> None:
     config = preset(
         scene="rectangle", task="tour", max_time=6.0, laser={"sweep_s": 0.08}, features={"landmarks": "both"}
     )
@@ -199,7 +199,7 @@ def test_a_recorded_sweep_replays_exactly_and_others_read_when_it_began(tmp_path
     assert scans[5].scan is not None and scans[5].scan.time_increment == np.float32(0.08 / 360)
 
 
-def test_with_a_sweep_the_estimate_is_honest_and_without_de_skewing_it_is_not() -> None:
+def test_with_a_sweep_the_estimate_is_consistent_only_if_de_skewed() -> None:
     figures = {}
     for on in (True, False):
         changes = {"laser": {"sweep_s": 0.1}, "features": {"landmarks": "both", "deskew": on}}
@@ -229,7 +229,7 @@ def test_with_a_sweep_the_estimate_is_honest_and_without_de_skewing_it_is_not() 
         ({"robot": {"deceleration": -1.0}}, r"robot\.deceleration: found -1\.0, allowed: above 0"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(table: dict[str, object], line: str) -> None:
+def test_impossible_sweeps_are_refused_in_one_line(table: dict[str, object], line: str) -> None:
     with pytest.raises(ConfigError, match=f"^{line}$"):
         merge(Config(), table)
 

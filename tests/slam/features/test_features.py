@@ -43,7 +43,7 @@ def free_poses(rng, count):
             yield pose
 
 
-def test_a_jump_of_the_range_parts_the_scan_and_a_missing_return_belongs_to_none():
+def test_a_range_jump_splits_the_scan_and_a_missing_return_is_in_no_piece():
     ranges = np.array([1.0, 1.1, 3.0, 3.1, np.inf, 3.2, 3.3])
     fixed = PartitionConfig(method="fixed", epsilon_m=1.0)
     offset, pieces, cyclic = partition(ranges, 0.01, False, 0.01, fixed)
@@ -182,7 +182,7 @@ def test_the_covariance_of_a_corner_agrees_with_finite_differences():
         assert np.allclose(numeric_cov(intersect, fits), [[found[2], found[3]], [found[3], found[4]]], atol=1e-7)
 
 
-def test_a_free_end_lies_half_a_spacing_beyond_the_last_beam_and_is_known_along_the_wall_to_a_spacing():
+def test_a_free_end_lies_half_a_spacing_beyond_the_last_beam_with_the_sigma_of_a_uniform_spacing():
     spacing = math.radians(1.0)
     line = np.array([0.0, 2.0, 0.0, 0.0, 0.0])  # the wall x = 2, known exactly
     found = free_end(line, 0.3, spacing, 0.0)
@@ -204,7 +204,7 @@ def sightings_and_truth(config, rng, poses, sigma):
             yield sighting, pose.inverse() @ nearest - sighting.z
 
 
-def test_landmarks_are_true_and_their_covariance_is_honest():
+def test_landmarks_are_correct_and_their_covariance_is_consistent():
     """Over a thousand scans: no false landmark, and a NEES of 2 for either kind."""
     config, rng = corners(), np.random.default_rng(5)
     nees = {Kind.CORNER: [], Kind.END: []}
@@ -262,7 +262,7 @@ def test_the_rules_for_free_ends():
     assert ends([stub, back], Pose(), few) == []  # rule 4
 
 
-def test_a_wall_that_goes_on_flatly_has_no_free_end():
+def test_a_wall_that_continues_at_a_flat_incidence_has_no_free_end():
     rng = np.random.default_rng(9)
     config = corners()
     corridor = np.array([[(-9, -0.5), (9, -0.5)], [(-9, 0.5), (9, 0.5)]], float)
@@ -285,7 +285,7 @@ def test_every_stage_can_be_switched_off(change):
         assert kinds == ({Kind.END} if "corners" in change["landmarks"] else {Kind.CORNER})
 
 
-def test_walls_lie_on_the_true_walls_and_the_mount_is_honoured():
+def test_walls_lie_on_the_true_walls_for_any_mount():
     config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
     rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
     features = extract(scan_from(pose, config, rng), config.assumed, config.features, rng)
@@ -300,7 +300,7 @@ def test_walls_lie_on_the_true_walls_and_the_mount_is_honoured():
 
 
 @pytest.mark.parametrize("ranges", [np.full(360, np.inf), np.zeros(360), np.full(360, 1e-3), np.full(360, 9.99)])
-def test_odd_scans_have_no_landmarks_and_do_no_harm(ranges):
+def test_degenerate_scans_have_no_landmarks_and_cause_no_error(ranges):
     config = corners()
     features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features,
                        np.random.default_rng(0))  # fmt: skip
@@ -317,7 +317,7 @@ def test_the_same_scan_and_stream_give_the_same_bits():
                for a, b in zip(one.sightings, two.sightings, strict=True))  # fmt: skip
 
 
-def test_uniform_noise_counts_by_its_variance():
+def test_uniform_noise_is_used_by_its_variance():
     gaussian = merge(corners(), {"assumed": {"laser": {"range_m": 0.03 / math.sqrt(3)}}})
     uniform = merge(corners(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
     assert uniform.assumed.laser == LaserNoise("uniform", 0.03, 0.0)
@@ -327,7 +327,7 @@ def test_uniform_noise_counts_by_its_variance():
     assert np.allclose(covs[0], covs[1])
 
 
-def test_a_walls_distance_is_as_well_known_about_its_middle_as_is_said_however_short_and_far_it_is():
+def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls():
     """An error of its angle turns a wall about its middle: to second order that is a bias of its distance."""
     rng, config = np.random.default_rng(0), preset(features={"landmarks": "walls"})
     wall = np.array([[[3.0, 0.2], [3.0, -0.5]]])

@@ -143,7 +143,7 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("radius", [0.0, 0.05, 0.17, 0.3])
-def test_the_inflation_kept_by_counting_equals_the_inflation_computed_anew(seed: int, radius: float) -> None:
+def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: float) -> None:
     rng = np.random.default_rng(seed)
     grid = Grid(replace(CONFIG, clearance_m=0.0, passes_per_hit=0.6), radius)
     toggled_off = 0
@@ -188,7 +188,7 @@ def test_a_stray_return_is_cleared_by_enough_passes() -> None:
     assert grid.free_space().is_blocked((5.05, 0.05))
 
 
-def test_an_obstacle_where_all_was_free_for_long_blocks_at_once() -> None:
+def test_an_obstacle_in_a_cell_that_was_long_free_blocks_at_once() -> None:
     grid = Grid(CONFIG, 0.2)
     for _ in range(100):
         grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
@@ -197,7 +197,7 @@ def test_an_obstacle_where_all_was_free_for_long_blocks_at_once() -> None:
     assert grid.free_space().is_blocked((2.05, 0.05))
 
 
-def test_a_wall_that_was_seen_for_long_and_is_gone_goes() -> None:
+def test_a_wall_that_was_long_seen_and_is_removed_is_erased() -> None:
     config = replace(CONFIG, max_hits=5, passes_per_hit=4.0)
     grid = Grid(config, 0.2)
     for _ in range(100):
@@ -207,7 +207,7 @@ def test_a_wall_that_was_seen_for_long_and_is_gone_goes() -> None:
         grid.add(Pose(0.05, 0.05), scan_of([5.05]), NO_WALLS)
 
 
-def test_fewer_hits_than_asked_make_no_obstacle() -> None:
+def test_fewer_hits_than_configured_make_no_obstacle() -> None:
     grid = Grid(replace(CONFIG, min_hits=3), 0.0)
     for n in range(1, 5):
         grid.add(Pose(0.05, 0.05), scan_of([2.05]), NO_WALLS)
@@ -247,13 +247,13 @@ def test_a_beam_without_return_passes_up_to_the_maximum_and_hits_nothing() -> No
         assert cells_by_world(grid, grid.passes) == {(0, col): 1 for col in range(31)}
 
 
-def test_a_reading_that_is_no_range_is_no_evidence() -> None:
+def test_an_invalid_range_is_no_evidence() -> None:
     grid = Grid(CONFIG, 0.0)
     grid.add(Pose(0.05, 0.05), scan_of([np.nan, -1.0, 0.0, -np.inf]), NO_WALLS)
     assert grid.hits.sum() == 0 and grid.passes.sum() == 0 and not grid.seen.any()
 
 
-def test_the_mount_of_the_laser_is_honoured() -> None:
+def test_beams_start_at_the_mount_of_the_laser() -> None:
     grid = Grid(CONFIG, 0.0)
     mounted = replace(scan_of([1.0]), T_robot_laser=Pose(0.5, 0.0, math.pi / 2))
     grid.add(Pose(0.05, 0.05, math.pi / 2), mounted, NO_WALLS)
@@ -291,7 +291,7 @@ def test_growth_keeps_what_was_counted() -> None:
     assert blocked == cells_by_world(roomy, roomy.free_space().blocked)
 
 
-def test_a_cleared_grid_is_as_good_as_new() -> None:
+def test_a_cleared_grid_equals_a_new_one() -> None:
     used, new = Grid(CONFIG, 0.2), Grid(CONFIG, 0.2)
     used.add(Pose(3.0, 9.0), scan_of([2.0, 4.0]), NO_WALLS)
     used.clear()
@@ -315,7 +315,7 @@ def test_a_snapshot_is_read_only_and_does_not_change_later() -> None:
     assert np.array_equal(space.blocked, before) and grid.hits.max() == 1
 
 
-def test_the_occupancy_tells_free_from_occupied_and_unknown() -> None:
+def test_the_occupancy_distinguishes_free_occupied_and_unknown() -> None:
     grid = Grid(CONFIG, 0.2)
     grid.add(Pose(0.05, 0.05), scan_of([1.05]), NO_WALLS)
     occupancy, space = grid.occupancy(), grid.free_space()
@@ -325,7 +325,7 @@ def test_the_occupancy_tells_free_from_occupied_and_unknown() -> None:
     assert (occupancy == -1).sum() == occupancy.size - 11
 
 
-def test_a_grid_that_would_not_fit_into_memory_is_refused_and_left_alone() -> None:
+def test_growth_beyond_the_memory_limit_is_refused_and_leaves_the_grid_unchanged() -> None:
     grid = Grid(GridConfig(cell_m=0.01), 0.2)
     grid.add(Pose(), scan_of([2.0]), NO_WALLS)
     before = grid.hits
@@ -348,7 +348,7 @@ def test_a_grid_that_would_not_fit_into_memory_is_refused_and_left_alone() -> No
         (Pose(0.0, 0.0, 0.0), 10.0, np.zeros((2, 2))),
     ],
 )
-def test_input_that_is_not_finite_or_misshapen_is_refused(pose: Pose, max_range: float, walls: Array) -> None:
+def test_input_that_is_not_finite_or_of_a_wrong_shape_is_refused(pose: Pose, max_range: float, walls: Array) -> None:
     grid = Grid(CONFIG, 0.2)
     with pytest.raises(ValueError, match=r"allowed|expected"):
         grid.add(pose, scan_of([np.inf], max_range=max_range), walls)
@@ -426,7 +426,7 @@ def test_a_space_extended_to_cover_points_keeps_its_cells_where_they_were() -> N
     assert empty.contains((1e5, 1e5)) and empty.blocked.size < 1000 and not empty.blocked.any()
 
 
-def test_a_point_that_is_none_is_refused_by_name() -> None:
+def test_an_invalid_point_is_refused_by_name() -> None:
     space = random_space(np.random.default_rng(0))
     for bad in ((1.0,), (1.0, 2.0, 3.0), (np.nan, 0.0), (0.0, np.inf)):
         with pytest.raises(ValueError, match="point"):

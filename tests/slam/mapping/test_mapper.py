@@ -33,7 +33,7 @@ def by_hand(trajectory: np.ndarray, scans: list[Scan]) -> Grid:
     return grid
 
 
-def test_without_movement_the_grid_is_that_of_the_scans_as_they_came() -> None:
+def test_without_movement_the_grid_is_not_rebuilt() -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1), scan, NO_WALLS)
@@ -44,7 +44,7 @@ def test_without_movement_the_grid_is_that_of_the_scans_as_they_came() -> None:
 @pytest.mark.parametrize(
     ("shift", "rebuilt"), [([0.02, 0, 0], 0), ([0.03, 0, 0], 1), ([0, 0, 0.001], 0), ([0, 0, 0.03], 1)]
 )
-def test_half_a_cell_of_movement_draws_the_grid_anew(shift: list[float], rebuilt: int) -> None:
+def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: int) -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
         mapper.add(poses(k + 1), scans[k], NO_WALLS)
@@ -58,7 +58,7 @@ def test_half_a_cell_of_movement_draws_the_grid_anew(shift: list[float], rebuilt
     assert mapper.rebuilds == rebuilt  # once is enough
 
 
-def test_a_scan_without_a_return_is_no_trouble() -> None:
+def test_a_scan_without_a_return_causes_no_error() -> None:
     mapper = Mapper(GridConfig(), 0.2)
     empty = Scan.from_config(np.full(LASER.beams, np.inf), LASER)
     for k in range(3):
@@ -66,7 +66,7 @@ def test_a_scan_without_a_return_is_no_trouble() -> None:
     assert not mapper.grid.obstacles.any()
 
 
-def test_a_smoother_that_finds_its_corners_again_redraws_its_map() -> None:
+def test_a_smoother_that_revisits_corners_rebuilds_its_map() -> None:
     """In the block's corridors the heading is known badly until the next corner, and then the way there moves."""
     trace = run(preset(scene="block", estimator="isam2", task="tour", max_time=100.0, features=CORNERS))
     assert trace.outcome == "tour ended" and trace.rebuilds > 0
