@@ -22,7 +22,8 @@ from sixthsense.config import Config, ExploreConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.loop import run, warm_up
-from sixthsense.navigation import frontier
+from sixthsense.navigation.gridsearch import geodesic_distances
+from sixthsense.navigation.visibility import visible_cells
 from sixthsense.sources.scene import load_scene
 
 COLUMNS = ("coverage", "home_error_m", "path_length_m", "sim_time_s", "realtime_factor", "ate_rmse_m")
@@ -74,19 +75,19 @@ def known_map_tour(scene_name: str, config: Config) -> float:
         obstacles |= away < 0.51 * CELL_M
         tight |= away < scene.radius
     home = int((start[1] - origin[1]) / CELL_M), int((start[0] - origin[0]) / CELL_M)
-    reachable = np.isfinite(frontier.ways(~tight, tight, *home))
+    reachable = np.isfinite(geodesic_distances(~tight, tight, *home))
     rows, cols = np.nonzero(reachable)
     on = (rows % LATTICE == 0) & (cols % LATTICE == 0)
     places = np.vstack([[home], np.stack([rows[on], cols[on]], axis=1)])
     reach = config.laser.max_range / CELL_M
-    shown = np.array([frontier.cells_in_view(obstacles, area.mask, r, c, reach)[area.mask] for r, c in places])
+    shown = np.array([visible_cells(obstacles, area.mask, r, c, reach)[area.mask] for r, c in places])
     wanted = shown.any(axis=0)
     left, picked = wanted & ~shown[0], [0]
     while np.count_nonzero(left) > (1.0 - ENOUGH) * np.count_nonzero(wanted):
         picked.append(int(np.argmax(shown[:, left].sum(axis=1))))
         left &= ~shown[picked[-1]]
     stops = places[picked]
-    lengths = np.array([frontier.ways(~tight, tight, *stop)[stops[:, 0], stops[:, 1]] for stop in stops])
+    lengths = np.array([geodesic_distances(~tight, tight, *stop)[stops[:, 0], stops[:, 1]] for stop in stops])
     return _round_trip(lengths.astype(np.float64)) * CELL_M
 
 

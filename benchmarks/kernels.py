@@ -14,7 +14,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.navigation.planners.costtree import search
+from sixthsense.navigation.gridsearch import shortest_path
 from sixthsense.slam.features import extract
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.sources.scene import Scene, load_scene
@@ -191,7 +191,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
     seed = 0
     while len(solvable) < grids:
         blocked = random_grid(seed, size)
-        _, cost, count = search(blocked, (0, 0), (last, last))
+        _, cost, count = shortest_path(blocked, (0, 0), (last, last))
         seed += 1
         if math.isfinite(cost):
             solvable.append(blocked)
@@ -202,7 +202,7 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
             np.median(
                 alternate(
                     [blocked] * repeats,
-                    lambda blocked: search(blocked, (0, 0), (last, last)),
+                    lambda blocked: shortest_path(blocked, (0, 0), (last, last)),
                     lambda blocked: search_heapq(blocked, 0, blocked.size - 1),
                 ),
                 axis=0,

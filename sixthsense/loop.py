@@ -14,12 +14,13 @@ from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.evaluation.measure import measure
-from sixthsense.navigation.explore import Explorer
-from sixthsense.navigation.follow import Follower
-from sixthsense.navigation.navigate import Driver, Navigator, Passenger
+from sixthsense.navigation import make_navigator
+from sixthsense.navigation.exploration_navigator import ExplorationNavigator
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import Navigator, ReplayNavigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
-from sixthsense.navigation.safety import Guard
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
@@ -68,14 +69,8 @@ def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = Non
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
     source = World(scene.walls, start, radius_m, config, streams.world)
-    follower = Follower(config.follow, config.robot)
-    planner = make_planner(config.planner, config.rrtstar, streams.planner)
-    navigator: Navigator
-    if config.task == "explore":
-        region = config.region or scene.region
-        navigator = Explorer(start, region, radius_m, planner, follower, config, streams.exploration)
-    else:
-        navigator = Driver(goals, config.task == "tour", planner, follower, config)
+    region = config.region or scene.region
+    navigator = make_navigator(config, start, goals, region, radius_m, streams.planner, streams.exploration)
     return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick)
 
 
@@ -89,7 +84,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     scene = _recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
-    return recorded_drive(log, log.start, Passenger(), trace, on_tick)
+    return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick)
 
 
 def recorded_drive(
@@ -104,7 +99,7 @@ def recorded_drive(
             watchers: list[Watcher] = [recorder]
             if on_tick is not None:
                 watchers.append(lambda tick, step, command: on_tick(tick, trace))
-            watchers.append(_Deadline(config.max_time, navigator.at_the_end))
+            watchers.append(_Deadline(config.max_time, navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
             outcome = drive(source, slam, pilot, watchers, clock)
         recorder.finish(outcome)
@@ -141,7 +136,7 @@ def warm_up() -> None:
     rng = np.random.default_rng(0)
     follower = Follower(config.follow, config.robot)
     planner = make_planner("astar")
-    driver = Explorer(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
+    driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
     recorded_drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace)
     measure(trace)

@@ -19,7 +19,7 @@ from sixthsense.running.progress import COMPILING, is_compiled
 from sixthsense.view.viewer import PLACES, is_place
 
 if TYPE_CHECKING:
-    from sixthsense.navigation.navigate import Place
+    from sixthsense.navigation.unseen_places import UnseenPlace
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
 
@@ -114,5 +114,5 @@ def finish(folder: RunFolder, trace: Trace, title: str) -> int:
     return EXIT_CODES.get(trace.outcome, FAILED)
 
 
-def _described(place: Place) -> str:
+def _described(place: UnseenPlace) -> str:
     return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m^2, {place.reason}"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sixthsense.core.source import Command
-from sixthsense.navigation.navigate import Navigator
-from sixthsense.navigation.safety import Guard
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.slam.slam import Step
 
 

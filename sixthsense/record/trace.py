@@ -17,7 +17,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import Metrics
-from sixthsense.navigation.navigate import Place, as_reason
+from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Association, Record
@@ -88,7 +88,7 @@ class Trace:
     """of these, that are A*'s because the planner found none; none in a log, and of A* itself"""
     guard_stops: int | None = None
     """times the guard stopped the moving robot; none in a log"""
-    left: list[Place] = field(default_factory=list)
+    left: list[UnseenPlace] = field(default_factory=list)
     """what an exploration has not seen"""
     trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(K, 3) final pose at each key scan"""
@@ -218,12 +218,12 @@ def _outcome(file: Path) -> str:
         return "interrupted"
 
 
-def _places_left(file: Path) -> list[Place]:
+def _places_left(file: Path) -> list[UnseenPlace]:
     """What an exploration left unseen, from its table; nothing of a run without one."""
     try:
         with file.open(newline="", encoding="utf-8") as rows:
             return [
-                Place(float(row["x"]), float(row["y"]), float(row["area_m2"]), as_reason(row["reason"]))
+                UnseenPlace(float(row["x"]), float(row["y"]), float(row["area_m2"]), as_reason(row["reason"]))
                 for row in csv.DictReader(rows)
             ]
     except (OSError, ValueError, LookupError, TypeError):

@@ -11,9 +11,9 @@ from scipy.sparse.csgraph import dijkstra
 from sixthsense.config import GridConfig, RRTStarConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
+from sixthsense.navigation.gridsearch import shortest_path
 from sixthsense.navigation.planners import PLANNERS, Plan, Planner, make_planner
 from sixthsense.navigation.planners.astar import AStar
-from sixthsense.navigation.planners.costtree import search
 from sixthsense.navigation.planners.shortcut import furthest_visible, path_is_free, shortcut
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
@@ -26,8 +26,8 @@ def space_of(blocked: Array) -> FreeSpace:
     return FreeSpace(blocked, np.zeros(blocked.shape, dtype=bool), ORIGIN, CELL)
 
 
-def space_drawn(text: str) -> FreeSpace:
-    """A space as drawn: # is blocked, the bottom line is row 0."""
+def space_from_text(text: str) -> FreeSpace:
+    """A space from a picture: # is blocked, the bottom line is row 0."""
     rows = [[mark == "#" for mark in line.strip()] for line in text.strip().splitlines()]
     return space_of(np.array(rows[::-1]))
 
@@ -46,7 +46,7 @@ def blocks(rng: np.random.Generator) -> Array:
 
 
 def maze(rng: np.random.Generator) -> Array:
-    """A perfect maze (depth-first) with a few walls knocked out, so that ways differ in length."""
+    """A perfect maze (depth-first) with a few walls removed, so that several paths differ in length."""
     blocked = np.ones((31, 31), dtype=bool)
     stack = [(1, 1)]
     blocked[1, 1] = False
@@ -107,7 +107,7 @@ def dijkstra_costs(blocked: Array, source: tuple[int, int]) -> Array:
     return dijkstra(graph.tocsr(), directed=False, indices=index[source]).reshape(height, width)
 
 
-# Small worlds of narrow ways: short steps, and more of them than there are cells.
+# Small worlds with narrow passages: short steps, and more of them than there are cells.
 VARIANTS = {
     "astar": ("astar", None),
     "rrtstar": ("rrtstar", RRTStarConfig(informed=False, iterations=2000, range_m=3 * CELL)),
@@ -145,7 +145,7 @@ def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
     regions, _ = label(~space.blocked)
     joined = regions[space.cell_of(start)] == regions[space.cell_of(goal)]
     if joined and variant != "astar" and plan.status == "gave up":
-        assert_without_path(plan, "gave up")  # 5: to draw one's way through a maze takes more than the budget
+        assert_without_path(plan, "gave up")  # 5: a path through a maze takes more samples than the budget
         assert plan.expanded == 2000
         return
     assert plan.status == ("found" if joined else "no path")
@@ -161,7 +161,7 @@ def test_a_path_joins_start_and_goal_through_free_cells_at_the_cost_it_says(
 
 
 def test_start_and_goal_may_lie_outside_the_known_grid(planner: Planner, variant: str) -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         .......
         .#####.
         .#...#.
@@ -187,7 +187,7 @@ def assert_without_path(plan: Plan, status: str) -> None:
 
 
 def test_what_stands_in_the_way_is_named(planner: Planner) -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         .......
         .#####.
         .#...#.
@@ -207,7 +207,7 @@ def test_what_stands_in_the_way_is_named(planner: Planner) -> None:
 
 
 def test_a_start_that_is_the_goal_is_a_path_of_no_length(planner: Planner) -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         ..#
         #..
         """)
@@ -265,7 +265,7 @@ def test_a_star_costs_what_dijkstra_finds(world: Callable[[np.random.Generator],
     source = (int(free[0][0]), int(free[0][1]))
     costs = dijkstra_costs(blocked, source)
     for row, col in free[:12].tolist():
-        cells, cost, expanded = search(blocked, source, (row, col))
+        cells, cost, expanded = shortest_path(blocked, source, (row, col))
         assert cost == costs[row, col] or abs(cost - costs[row, col]) < 1e-9
         if cost == math.inf:
             assert cells.shape == (0, 2)
@@ -296,7 +296,7 @@ def test_a_star_on_centres_costs_the_cells_and_the_way_to_the_centres() -> None:
 
 
 def test_a_star_does_not_squeeze_between_two_cells_that_meet_at_a_corner() -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         ..#.
         ..#.
         ##..
@@ -304,7 +304,7 @@ def test_a_star_does_not_squeeze_between_two_cells_that_meet_at_a_corner() -> No
         """)
     a, b = space.centre(3, 0), space.centre(0, 3)
     assert_without_path(AStar().plan(space, a, b), "no path")
-    beside = AStar().plan(space_drawn("..\n.#"), space.centre(0, 0), space.centre(1, 1))
+    beside = AStar().plan(space_from_text("..\n.#"), space.centre(0, 0), space.centre(1, 1))
     assert beside.cost == pytest.approx(2 * CELL)
 
 
@@ -350,7 +350,7 @@ def test_in_the_open_the_short_cut_is_the_straight_line() -> None:
 
 
 def test_a_robot_within_the_inflation_aims_for_the_next_way_point_alone() -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         ......
         .#....
         ......

@@ -3,8 +3,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.ndimage import label
-from test_planners import CELL, WORLDS, assert_without_path, random_free_point, space_drawn, space_of
+from test_planners import CELL, WORLDS, assert_without_path, random_free_point, space_from_text, space_of
 
 from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Array
@@ -12,7 +11,7 @@ from sixthsense.core.random_streams import random_streams
 from sixthsense.loop import run
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.planners.base import Plan
-from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _inside, reachable
+from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _point_with_free_exit
 from sixthsense.slam.mapping.freespace import FreeSpace
 
 BOTH = pytest.mark.parametrize("informed", [True, False])
@@ -33,7 +32,7 @@ def plan_of(space: FreeSpace, start: Array, goal: Array, seed: int = 0, **config
 def test_around_a_box_the_path_is_nearly_as_short_as_any_can_be(informed: bool) -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
-    # A way round the upper left and right corners of the box, which its cells' corners are.
+    # A path around the upper left and right corners of the box.
     left, right = (np.array(space.origin) + np.array([col, 30]) * CELL for col in (15, 25))
     shortest = math.dist(start, left) + math.dist(left, right) + math.dist(right, goal)
     plan = plan_of(space, start, goal, informed=informed, iterations=3000, range_m=1.0)
@@ -59,7 +58,7 @@ def test_a_budget_that_ends_without_a_path_is_named_as_such(informed: bool) -> N
 
 
 @BOTH
-def test_a_straight_way_takes_no_draw(informed: bool) -> None:
+def test_a_straight_path_takes_no_iterations(informed: bool) -> None:
     space = box()
     plan = plan_of(space, space.centre(2, 5), space.centre(5, 34), informed=informed, iterations=1)
     assert plan.found and len(plan.path_world) == 2 and plan.expanded == 0
@@ -77,7 +76,7 @@ def test_among_blocks_there_is_a_path_where_a_star_finds_one(informed: bool, see
     assert plan.cost <= 1.03 * cells.cost
 
 
-def test_informed_draws_find_shorter_paths_than_uniform_ones_on_the_same_budget() -> None:
+def test_informed_samples_find_shorter_paths_than_uniform_ones_on_the_same_budget() -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
     costs = np.array(
@@ -90,32 +89,20 @@ def test_informed_draws_find_shorter_paths_than_uniform_ones_on_the_same_budget(
     assert np.median(costs[:, 0]) < np.median(costs[:, 1])
 
 
-def test_a_share_of_the_draws_is_the_goal_itself() -> None:
+def test_a_fraction_of_the_samples_is_the_goal() -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
-    # Nothing but the goal is drawn, and the box is in the way.
+    # Only the goal is sampled, and the box lies before it.
     assert plan_of(space, start, goal, iterations=3000, goal_bias=1.0).status == "gave up"
     assert plan_of(space, start, goal, iterations=3000, goal_bias=0.05).found
 
 
-def test_a_draw_extends_the_tree_by_no_more_than_the_range() -> None:
+def test_a_sample_extends_the_tree_by_no_more_than_the_range() -> None:
     space = box()
     start, goal = space.centre(20, 5), space.centre(20, 34)
-    # A tree that grows by a cell a draw has not come round the box by then.
+    # A tree that grows by one cell per sample does not get around the box within the budget.
     assert plan_of(space, start, goal, iterations=20, range_m=CELL).status == "gave up"
     assert any(plan_of(space, start, goal, seed, iterations=60, range_m=0.0).found for seed in range(20))
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("world", WORLDS)
-def test_what_can_be_reached_is_what_is_connected(world, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    blocked = world(rng)
-    rooms, _ = label(~blocked)
-    row, col = rng.permutation(np.argwhere(~blocked))[0].tolist()
-    cells = reachable(blocked, row, col)
-    assert cells[0] == row * blocked.shape[1] + col
-    assert np.array_equal(np.sort(cells), np.flatnonzero(rooms == rooms[row, col]))
 
 
 def test_a_motion_is_free_when_its_line_is() -> None:
@@ -136,18 +123,18 @@ def test_a_motion_is_free_when_its_line_is() -> None:
 
 
 def test_an_end_on_the_edge_of_a_blocked_cell_is_left_by_way_of_its_centre() -> None:
-    space = space_drawn("""
+    space = space_from_text("""
         .....
         .#...
         .....
         """)
     corner = np.array(space.origin) + CELL
     edge = corner + np.array([CELL, 0.5 * CELL])  # of the blocked cell, on its right
-    assert np.array_equal(_inside(space, edge), space.centre(1, 2))
+    assert np.array_equal(_point_with_free_exit(space, edge), space.centre(1, 2))
     far = corner + np.array([3 * CELL, 0.5 * CELL])
-    assert np.array_equal(_inside(space, far), far)
+    assert np.array_equal(_point_with_free_exit(space, far), far)
     inner = space.centre(1, 2)
-    assert np.array_equal(_inside(space, inner), inner)
+    assert np.array_equal(_point_with_free_exit(space, inner), inner)
     plan = plan_of(space, edge, space.centre(1, 0), iterations=2000, range_m=CELL)
     assert plan.found and all(space.line_is_free(p, q) for p, q in pairwise(plan.path_world))
     assert (plan.path_world[0] == edge).all()

@@ -16,26 +16,26 @@ PLANNERS = NAMES.shipped
 
 PlannerFactory = Callable[[np.random.Generator], Planner]
 
-_OWN: dict[str, PlannerFactory] = {}
+_REGISTERED: dict[str, PlannerFactory] = {}
 
 
 def register_planner(name: str, factory: PlannerFactory) -> None:
-    """Let the configuration's field `planner` be `name`, in this process, and make it by `factory`.
+    """Allow `name` as the configuration's field `planner` in this process; `factory` makes the planner.
 
-    `factory` is called with the run's generator of random numbers for planning. A name of one's own may be registered
-    again, and then is the newer one's. ValueError for a name that ships, or that is no name.
+    `factory` is called with the run's random generator for planning. Registering a name again replaces its factory.
+    Raises ValueError for the name of a built-in planner and for an invalid name.
     """
     NAMES.add(name)
-    _OWN[name] = factory
+    _REGISTERED[name] = factory
 
 
 def make_planner(name: str, rrtstar: RRTStarConfig | None = None, rng: np.random.Generator | None = None) -> Planner:
     """The planner of that name; ValueError listing the known names for any other.
 
-    `rrtstar` is for the planner of that name; `rng`, of seed 0 if there is none, for it and for registered ones.
+    `rrtstar` configures the planner of that name. `rng`, with seed 0 by default, is for it and for registered planners.
     """
-    if name in _OWN:
-        return _OWN[name](rng or np.random.default_rng(0))
+    if name in _REGISTERED:
+        return _REGISTERED[name](rng or np.random.default_rng(0))
     if name == "astar":
         from sixthsense.navigation.planners.astar import AStar
 

@@ -7,33 +7,34 @@ import time
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sixthsense.navigation.planners.base import Plan, blocked_end, joined_path
-from sixthsense.navigation.planners.costtree import CostTree
+from sixthsense.navigation.gridsearch import CostTree
+from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import FreeSpace, as_point
 
-_REPAIRED = 0.1  # of all cells; when more have changed, a search from scratch is quicker
+_MAX_REPAIR_FRACTION = 0.1  # of all cells: when more have changed, a search from scratch is faster
 
 
 class AStar:
     """Shortest path from cell centre to cell centre, joined to the exact start and goal.
 
-    While goal and grid stay the same, a plan begins with what the last one found, so that a replan costs what has
-    changed, not what has not. Its path is as short as one from scratch; which one of several as short may differ.
+    While goal and grid stay the same, a plan reuses the search tree of the last one, so that the cost of a replan grows
+    with the changes of the map. Its path is as short as that of a search from scratch, but may be another of equal
+    length.
     """
 
     def __init__(self) -> None:
-        """Begin with nothing known."""
+        """Begin without a search tree."""
         self._tree: CostTree | None = None
         self._place: tuple[tuple[float, float], float] | None = None
 
     def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:
-        """Plan as `Planner` promises; the path is start, the centres of all its cells, goal."""
+        """Plan by the contract of `Planner`; the path is start, the centres of all its cells, goal."""
         began = time.perf_counter()
         start_world, goal_world = as_point("start", start), as_point("goal", goal)
         space = space.covering(start_world, goal_world)
-        none = blocked_end(space, start_world, goal_world, began)
-        if none is not None:
-            return none
+        no_path = plan_with_blocked_end(space, start_world, goal_world, began)
+        if no_path is not None:
+            return no_path
         tree = self._tree_to(space, space.cell_of(goal_world))
         cost, expanded = tree.reach(space.cell_of(start_world))
         if cost == np.inf:
@@ -42,15 +43,15 @@ class AStar:
         centres = np.array(space.origin) + (cells[:, ::-1] + 0.5) * space.cell_m
         # Within one cell the straight line is free.
         between = centres if len(cells) > 1 else np.empty((0, 2))
-        path_world = joined_path(start_world, between, goal_world)  # an end may be a centre itself
+        path_world = joined_path(start_world, between, goal_world)  # an end may be a centre
         return Plan.along(path_world, expanded, time.perf_counter() - began)
 
     def _tree_to(self, space: FreeSpace, goal: tuple[int, int]) -> CostTree:
-        """The tree of the last plan, brought up to date, or a new one."""
+        """The tree of the last plan, updated, or a new one."""
         tree, place = self._tree, (space.origin, space.cell_m)
         same = tree is not None and (tree.goal, self._place, tree.blocked.shape) == (goal, place, space.blocked.shape)
-        if tree is not None and same and tree.change(space.blocked, round(_REPAIRED * space.blocked.size)):
+        if tree is not None and same and tree.update(space.blocked, round(_MAX_REPAIR_FRACTION * space.blocked.size)):
             return tree
-        self._tree = None  # two of a large grid need not be in memory at once
+        self._tree = None  # free the memory before the next allocation
         self._tree, self._place = CostTree(space.blocked, goal), place
         return self._tree

@@ -1,4 +1,4 @@
-"""The planners' seam: what every planner promises, and the plan it returns."""
+"""The interface of path planners: the contract that all of them satisfy, and the plan they return."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Status = Literal["found", "start blocked", "goal blocked", "no path", "gave up"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """The outcome of one search; that there is no path is an outcome, too."""
+    """The outcome of one search, with or without a path."""
 
     status: Status
     """"found", or why there is no path"""
@@ -27,7 +27,7 @@ class Plan:
     cost: float
     """length of the path, metres; inf unless found"""
     expanded: int
-    """nodes expanded (A*: this time) or drawn (sampling planners)"""
+    """nodes expanded by this search (A*), or iterations (sampling planners)"""
     seconds: float
     """wall-clock time it took"""
 
@@ -38,21 +38,21 @@ class Plan:
 
     @classmethod
     def along(cls, path_world: Array, expanded: int, seconds: float) -> Plan:
-        """A plan that was found: (N, 2) way points in metres."""
+        """The plan of a path: (N, 2) way points in metres."""
         path = np.array(path_world, dtype=np.float64)
         path.flags.writeable = False
         return cls("found", path, float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), expanded, seconds)
 
     @classmethod
     def without_path(cls, status: Status, expanded: int, seconds: float) -> Plan:
-        """A plan that was not found, and why."""
+        """The plan without a path, and why there is none."""
         path = np.empty((0, 2))
         path.flags.writeable = False
         return cls(status, path, math.inf, expanded, seconds)
 
 
 def joined_path(start: Array, between: Array, goal: Array) -> Array:
-    """(N, 2) start, the way points (K, 2) between, goal; of points that repeat the one before the first is kept."""
+    """(N, 2) start, the way points (K, 2) between, and goal, without consecutive duplicates."""
     path = np.concatenate([start[None], between, goal[None]])
     if len(path) == 2:
         return path
@@ -60,8 +60,8 @@ def joined_path(start: Array, between: Array, goal: Array) -> Array:
     return np.asarray(path[np.concatenate([[True], ~repeated])])
 
 
-def blocked_end(space: FreeSpace, start: Array, goal: Array, began: float) -> Plan | None:
-    """The plan that there is not, if start or goal (2,) is blocked; `began` as `time.perf_counter` had it."""
+def plan_with_blocked_end(space: FreeSpace, start: Array, goal: Array, began: float) -> Plan | None:
+    """The plan without a path if start or goal (2,) is blocked, else None; `began` is of `time.perf_counter`."""
     for name, point in (("start", start), ("goal", goal)):
         if space.is_blocked(point):
             status: Status = "start blocked" if name == "start" else "goal blocked"
@@ -78,12 +78,12 @@ class Planner(Protocol):
     2. No segment of it touches a blocked cell, not even at a corner.
     3. `cost` is the length of `path_world` in metres.
     4. Unknown cells are free: start and goal may lie outside `space`, which is then extended to cover them. The path
-       stays within; the free rim of `Grid.free_space` makes sure that no way round, nor a shorter one, is lost.
-    5. Without a path, `status` says why, the path is (0, 2) and the cost inf: "start blocked" comes before "goal
-       blocked"; "no path" means there is none within, "gave up" that none was found within the planner's budget.
-    6. The same questions in the same order (and seed, if it draws) give the same paths, and the same question again the
-       same path. A planner may remember the last question: what it says is then found sooner, and no longer.
-    7. A start or goal of another shape than (2,), or not finite, raises ValueError.
+       stays within it. No shorter path is lost, thanks to the free rim of `Grid.free_space`.
+    5. Without a path, `status` says why, the path is (0, 2) and the cost inf: "start blocked" takes
+       precedence over "goal blocked"; "no path": there is none; "gave up": none was found within the planner's budget.
+    6. The same questions in the same order, with the same seed, give the same paths. The same question asked again
+       gives the same path. A planner may reuse its last search, as long as the path gets no longer by that.
+    7. A start or goal that does not have shape (2,), or is not finite, raises ValueError.
     """
 
     def plan(self, space: FreeSpace, start: ArrayLike, goal: ArrayLike) -> Plan:

@@ -1,4 +1,4 @@
-"""Trajectory optimisation (report section 4.4): skip the way points that a straight line can do without."""
+"""Trajectory optimisation (report section 4.4): remove way points that a straight line makes unnecessary."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sixthsense.slam.mapping.freespace import FreeSpace, as_point
 
 
 def furthest_visible(space: FreeSpace, point: ArrayLike, path_world: Array, index: int) -> int:
-    """The last way point of (N, 2) `path_world`, from `index` on, that a free segment joins to `point`.
+    """Index of the last way point of (N, 2) `path_world`, from `index` on, that a free segment joins to `point`.
 
-    Where none is visible it is `index` itself: a robot that stands within the inflation sees nothing, and leaves it
-    along the path as planned, without a short cut. Raises ValueError when `index` is not one of the path's.
+    If there is none it is `index` itself: a robot inside the inflation leaves it along the path as planned. Raises
+    ValueError when `index` is outside the path.
     """
     path, here = _as_path(path_world), as_point("point", point)
     if not 0 <= index < len(path):
@@ -29,7 +29,8 @@ def furthest_visible(space: FreeSpace, point: ArrayLike, path_world: Array, inde
 def shortcut(space: FreeSpace, path_world: Array) -> Array:
     """(M, 2) the way points of (N, 2) `path_world` that remain when each leads to the furthest one visible from it.
 
-    Ends stay; a segment that replaces others touches no blocked cell, so a free path stays free, and none grows.
+    Both ends remain. A segment that replaces others touches no blocked cell, so a free path stays free and no path gets
+    longer.
     """
     path = _as_path(path_world)
     kept = [0] if len(path) else []
@@ -39,7 +40,7 @@ def shortcut(space: FreeSpace, path_world: Array) -> Array:
 
 
 def path_is_free(space: FreeSpace, path_world: Array) -> bool:
-    """Whether no segment of (N, 2) `path_world` touches a blocked cell: if one does, it is time to plan anew."""
+    """Whether no segment of (N, 2) `path_world` touches a blocked cell."""
     path = _as_path(path_world)
     if len(path) == 1:
         return not space.is_blocked(path[0])

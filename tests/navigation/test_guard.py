@@ -12,10 +12,10 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
 from sixthsense.loop import recorded_drive
-from sixthsense.navigation.follow import Follower
-from sixthsense.navigation.navigate import Driver
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.goal_navigator import GoalNavigator
+from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
 from sixthsense.navigation.planners import make_planner
-from sixthsense.navigation.safety import Guard, _limits, latency_s, stopping_distance
 from sixthsense.record.trace import Trace
 from sixthsense.sources.scene import Scene
 from sixthsense.sources.world import World
@@ -26,7 +26,7 @@ HALL = np.array([[[-1, -2], [6, -2]], [[6, -2], [6, 2]], [[6, 2], [-1, 2]], [[-1
 
 
 def scan_of(points: Array) -> Scan:
-    """A scan with exactly these (N, 2) returns, in the robot's frame: beams that lead to them, and no others."""
+    """A scan with exactly these (N, 2) returns, in the robot's frame."""
     bearings = np.arctan2(points[:, 1], points[:, 0])
     beams = 3600
     ranges = np.full(beams, np.inf)
@@ -37,14 +37,14 @@ def scan_of(points: Array) -> Scan:
 
 
 def guard_before(points: Array, config: Config = CONFIG) -> tuple[Guard, Array]:
-    """A guard that has seen these returns, and where, to within float32 and beam spacing, it has them."""
+    """A guard that has seen these returns, and the returns as rounded to float32 and to the beams' bearings."""
     guard, scan = Guard(config, RADIUS), scan_of(points)
     guard.see(scan)
     return guard, scan.points_robot[np.isfinite(scan.ranges)]
 
 
 def marched(points: Array, command: Command, radius: float, reach: float) -> float:
-    """Plain reference: the way along a command's arc, in small steps, at which the disc first touches a point."""
+    """Plain reference: the distance along a command's arc, in small steps, at which the disc first touches a point."""
     step = 1e-3
     for k in range(math.ceil(reach / step) + 1):
         before = rk4(Pose(), command.speed, command.turn_rate, k * step / abs(command.speed))
@@ -56,21 +56,21 @@ def marched(points: Array, command: Command, radius: float, reach: float) -> flo
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_way_to_the_first_touch_is_that_of_a_disc_marched_along_the_arc(seed: int) -> None:
+def test_the_distance_to_the_first_contact_is_that_of_a_disc_moved_along_the_arc(seed: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(40):
         points = rng.uniform(-0.9, 0.9, (5, 2))
         points = points[np.linalg.norm(points, axis=1) > RADIUS + 0.01]
         command = Command(float(rng.choice([-0.5, 0.3])), float(rng.choice([0.0, rng.uniform(-2.0, 2.0)])))
-        way, gap = _limits(points, 0.0, 0.0, 0.0, command.speed, command.turn_rate, RADIUS, 0.6)
+        contact, gap = _limits(points, 0.0, 0.0, 0.0, command.speed, command.turn_rate, RADIUS, 0.6)
         expected = marched(points, command, RADIUS, 0.6)
-        assert way == pytest.approx(expected, abs=3e-3) or (min(way, expected) > 0.59)
+        assert contact == pytest.approx(expected, abs=3e-3) or (min(contact, expected) > 0.59)
         ahead = points[np.sign(command.speed) * points[:, 0] > 0.0]
         nearest = min((float(np.hypot(*p)) - RADIUS for p in ahead), default=math.inf)
         assert gap == pytest.approx(nearest, abs=1e-12) or nearest > 0.6
 
 
-def test_the_way_does_not_depend_on_where_the_robot_stands() -> None:
+def test_the_distances_do_not_depend_on_the_robots_pose() -> None:
     rng = np.random.default_rng(7)
     for _ in range(50):
         points, pose = rng.uniform(-1, 1, (8, 2)), Pose(*rng.uniform(-3, 3, 3))
@@ -87,17 +87,17 @@ def test_the_way_does_not_depend_on_where_the_robot_stands() -> None:
     deceleration=st.floats(0.2, 5.0),
     period_ticks=st.integers(1, 20),
 )
-def test_in_straight_motion_the_disc_never_touches_a_return_before_it_stands(
+def test_in_straight_motion_the_disc_stops_before_any_return(
     distance: float, left: float, speed: float, deceleration: float, period_ticks: int
 ) -> None:
-    """Even a robot that goes on for the latency under the command it was let have, and then brakes."""
+    """The robot continues for the latency under the allowed command, and then brakes."""
     robot, laser = {"deceleration": deceleration}, {"period_ticks": period_ticks}
     config = merge(CONFIG, {"robot": robot, "laser": laser})
     point = np.array([[RADIUS + config.safety.buffer_m + distance, left]])
     guard, seen = guard_before(point, config)
     allowed = guard.check(Command(speed, 0.0))
-    way = stopping_distance(allowed.speed, latency_s(config), deceleration)
-    for travelled in np.linspace(0.0, way, 50):
+    distance_m = stopping_distance(allowed.speed, latency_s(config), deceleration)
+    for travelled in np.linspace(0.0, distance_m, 50):
         assert np.linalg.norm(seen - (travelled, 0.0), axis=1).min() > RADIUS
 
 
@@ -125,7 +125,7 @@ def test_a_robot_may_always_turn_on_the_spot() -> None:
     assert guard.blocked and guard.stops == 1
 
 
-def test_a_robot_may_leave_what_it_all_but_touches() -> None:
+def test_a_robot_may_move_away_from_a_return_that_it_almost_touches() -> None:
     guard, _ = guard_before(np.array([[0.19, 0.0]]))
     assert guard.check(Command(0.5, 0.0)).speed == 0.0
     assert guard.check(Command(-0.5, 0.0)).speed == -0.5
@@ -136,7 +136,7 @@ def corridor(width: float) -> Array:
     return np.concatenate([np.column_stack([x, np.full(400, y)]) for y in (-0.5 * width, 0.5 * width)])
 
 
-def test_the_narrower_a_corridor_the_slower_the_robot_down_to_creeping() -> None:
+def test_the_speed_decreases_with_the_width_of_a_corridor_down_to_creep_speed() -> None:
     speeds = [guard_before(corridor(width))[0].check(Command(0.5, 0.0)).speed for width in (0.43, 0.5, 0.6, 0.7, 0.9)]
     assert speeds == sorted(speeds)
     assert speeds[0] == pytest.approx(CONFIG.safety.creep)
@@ -158,20 +158,20 @@ def test_a_better_brake_and_a_faster_scanner_allow_more_speed() -> None:
     assert speed(0.5, 5) < speed(2.0, 5) < speed(2.0, 1)
 
 
-def test_without_the_guard_every_command_passes() -> None:
+def test_without_the_guard_every_command_is_unchanged() -> None:
     guard, _ = guard_before(np.array([[0.21, 0.0]]), merge(CONFIG, {"safety": {"guard": False}}))
     assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
 
 
-def test_before_the_first_scan_and_where_nothing_returned_every_command_passes() -> None:
+def test_before_the_first_scan_and_without_returns_every_command_is_unchanged() -> None:
     guard = Guard(CONFIG, RADIUS)
     assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
     guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
     assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
 
 
-class Sudden(World):
-    """A world in which a wall stands across the robot's way, `ahead_m` before its disc, from a tick on."""
+class SuddenWall(World):
+    """A world in which a wall appears across the robot's path, `ahead_m` before its disc, at a tick."""
 
     ahead_m = 0.1
     at_tick = 60
@@ -187,19 +187,19 @@ class Sudden(World):
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
     source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
     follower = Follower(config.follow, config.robot)
-    driver = Driver(np.array([goal]), False, make_planner("astar"), follower, config)
+    navigator = GoalNavigator(np.array([goal]), False, make_planner("astar"), follower, config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
-    recorded_drive(source, Pose(), driver, trace)
+    recorded_drive(source, Pose(), navigator, trace)
     return trace
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_wall_put_right_before_the_robot_is_not_touched_but_gone_round(seed: int) -> None:
+def test_the_robot_does_not_touch_a_wall_that_appears_before_it_and_drives_around(seed: int) -> None:
     config = dataclasses.replace(preset("default"), seed=seed, max_time=120.0)
-    trace = driven(config, Sudden)
+    trace = driven(config, SuddenWall)
     assert trace.outcome == "goal reached"
-    assert driven(merge(config, {"safety": {"guard": False}}), Sudden).outcome == "collided"
+    assert driven(merge(config, {"safety": {"guard": False}}), SuddenWall).outcome == "collided"
 
 
 SLIPPING = {"slip_position_per_sqrt_m": 0.025, "slip_position_per_sqrt_rad": 0.01,
@@ -212,6 +212,6 @@ NOISY = [
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(("name", "changes"), NOISY)
-def test_a_robot_far_noisier_than_it_believes_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
+def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
     config = merge(dataclasses.replace(preset(name), seed=seed, max_time=60.0), changes)
-    assert driven(config, Sudden).metrics["collisions"] == 0
+    assert driven(config, SuddenWall).metrics["collisions"] == 0

@@ -3,8 +3,8 @@ import pytest
 from test_planners import CELL, WORLDS, dijkstra_costs, random_free_point, space_of
 
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.gridsearch import CostTree
 from sixthsense.navigation.planners.astar import AStar
-from sixthsense.navigation.planners.costtree import CostTree
 from sixthsense.slam.mapping.freespace import FreeSpace
 
 
@@ -26,14 +26,14 @@ def random_free_cell(rng: np.random.Generator, blocked: Array) -> tuple[int, int
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("world", WORLDS)
-def test_a_repaired_tree_costs_what_dijkstra_finds_however_often_cells_come_and_go(world, seed: int) -> None:
+def test_a_repaired_tree_has_the_costs_of_dijkstra_however_often_cells_are_blocked_and_freed(world, seed: int) -> None:
     rng = np.random.default_rng(2000 + seed)
     blocked = world(rng)
     goal = random_free_cell(rng, blocked)
     tree, start = CostTree(blocked, goal), random_free_cell(rng, blocked)
     for _ in range(10):
         blocked = changed(rng, blocked, goal)
-        assert tree.change(blocked, blocked.size)
+        assert tree.update(blocked, blocked.size)
         if blocked[start] or rng.random() < 0.5:
             start = random_free_cell(rng, blocked)
         cost, _ = tree.reach(start)
@@ -52,19 +52,19 @@ def test_what_has_not_changed_is_not_searched_again() -> None:
     tree = CostTree(np.zeros((40, 40), dtype=bool), (35, 35))
     first = tree.reach((2, 3))
     assert first[1] > 0
-    assert tree.change(np.zeros((40, 40), dtype=bool), 0)
+    assert tree.update(np.zeros((40, 40), dtype=bool), 0)
     assert tree.reach((2, 3)) == (first[0], 0)
     assert tree.reach((35, 35)) == (0.0, 0)
 
 
-def test_a_tree_refuses_more_changes_than_it_may_take_and_is_as_it_was() -> None:
+def test_a_tree_rejects_more_changes_than_allowed_and_stays_as_it_was() -> None:
     tree = CostTree(np.zeros((9, 9), dtype=bool), (0, 0))
     before, _ = tree.reach((8, 8))
     wall = np.zeros((9, 9), dtype=bool)
     wall[4, 1:] = True
-    assert not tree.change(wall, 7)
+    assert not tree.update(wall, 7)
     assert tree.reach((8, 8)) == (before, 0)
-    assert tree.change(wall, 8)
+    assert tree.update(wall, 8)
     assert tree.reach((8, 8))[0] > before
 
 
@@ -91,7 +91,7 @@ def test_a_replan_around_a_new_obstacle_is_as_short_as_one_from_scratch_and_expa
     again, scratch = planner.plan(after, robot, goal), AStar().plan(after, robot, goal)
     assert again.cost == pytest.approx(scratch.cost, abs=1e-9)
     assert again.expanded < scratch.expanded
-    assert planner.plan(before, start, goal).cost == pytest.approx(first.cost, abs=1e-9)  # it is gone again
+    assert planner.plan(before, start, goal).cost == pytest.approx(first.cost, abs=1e-9)  # the obstacle is gone again
 
 
 def test_another_goal_another_grid_and_a_grid_that_has_grown_are_planned_from_scratch() -> None:

@@ -12,8 +12,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.follow import Follower
-from sixthsense.navigation.navigate import Driver, Outcome, Passenger
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.goal_navigator import GoalNavigator
+from sixthsense.navigation.navigator import Outcome, ReplayNavigator
 from sixthsense.navigation.planners import Plan, make_planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
@@ -26,8 +27,8 @@ NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser)
 BOX = [[[1.0, -1.0], [3.0, -1.0]], [[3.0, -1.0], [3.0, 1.0]], [[3.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, -1.0]]]
 
 
-def driver(*goals: tuple[float, float], rounds: bool = False, config: Config = CONFIG) -> Driver:
-    return Driver(np.array(goals), rounds, make_planner("astar"), Follower(config.follow, config.robot), config)
+def navigator_to(*goals: tuple[float, float], is_tour: bool = False, config: Config = CONFIG) -> GoalNavigator:
+    return GoalNavigator(np.array(goals), is_tour, make_planner("astar"), Follower(config.follow, config.robot), config)
 
 
 def empty_grid() -> Grid:
@@ -36,13 +37,13 @@ def empty_grid() -> Grid:
     return grid
 
 
-def wall_up(grid: Grid, walls: object, times: int = 3) -> None:
+def add_walls(grid: Grid, walls: object, times: int = 3) -> None:
     """Put walls (W, 2, 2), world frame, into the grid, often enough to outweigh the beams that went through."""
     for _ in range(times):
         grid.add(Pose(), NOWHERE, np.array(walls, dtype=np.float64))
 
 
-def steer(navigator: Driver, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
+def steer(navigator: GoalNavigator, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
     """Drive without noise, looking at the same grid again and again, until it is over."""
     poses, period_ns = [pose], 20_000_000
     for tick in range(round(seconds / 0.02)):
@@ -57,7 +58,7 @@ def steer(navigator: Driver, grid: Grid, pose: Pose, seconds: float, look_every:
 
 
 def believed(pose: Pose) -> Estimate:
-    """The estimate of a robot that is sure of its pose and knows no landmark."""
+    """An estimate with a certain pose and without landmarks."""
     none = np.zeros(0, dtype=np.int64)
     return Estimate(pose, np.zeros((3, 3)), none, np.zeros((0, 2)), none.astype(np.bool_))
 
@@ -66,15 +67,15 @@ def xy(poses: list[Pose]) -> Array:
     return np.array([pose.position for pose in poses])
 
 
-def test_a_passenger_steers_nothing_and_is_never_done() -> None:
-    passenger = Passenger()
-    passenger.look(empty_grid(), believed(Pose()))
-    assert passenger.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
-    assert passenger.outcome is None
-    assert passenger.plans == []
+def test_a_replay_navigator_commands_nothing_and_is_never_done() -> None:
+    navigator = ReplayNavigator()
+    navigator.look(empty_grid(), believed(Pose()))
+    assert navigator.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
+    assert navigator.outcome is None
+    assert navigator.plans == []
 
 
-def test_what_ends_a_task_well_exits_with_0_and_everything_else_that_a_navigator_says_does_not() -> None:
+def test_outcomes_of_success_exit_with_0_and_all_others_do_not() -> None:
     explored = {"explored", "explored in part"}
     assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached", *explored}
     done = {"goal reached", "tour ended", "log ended", *explored}
@@ -83,11 +84,11 @@ def test_what_ends_a_task_well_exits_with_0_and_everything_else_that_a_navigator
 
 
 def test_before_the_first_map_the_robot_stands_still() -> None:
-    assert driver((1.0, 0.0)).step(Pose(), 0) == Command()
+    assert navigator_to((1.0, 0.0)).step(Pose(), 0) == Command()
 
 
 def test_the_goal_is_reached_and_named() -> None:
-    navigator = driver((2.0, 1.0))
+    navigator = navigator_to((2.0, 1.0))
     poses = steer(navigator, empty_grid(), Pose(), 30.0)
     assert navigator.outcome == "goal reached"
     assert math.dist(poses[-1].position, (2.0, 1.0)) <= CONFIG.follow.goal_slack_m
@@ -97,7 +98,7 @@ def test_the_goal_is_reached_and_named() -> None:
 
 def test_goals_are_visited_in_turn() -> None:
     goals = (1.0, 0.0), (1.0, 1.0), (0.0, 0.5)
-    navigator = driver(*goals)
+    navigator = navigator_to(*goals)
     positions = xy(steer(navigator, empty_grid(), Pose(), 60.0))
     assert navigator.outcome == "goal reached"
     at = 0
@@ -107,31 +108,31 @@ def test_goals_are_visited_in_turn() -> None:
         at += int(near[0])
 
 
-def test_rounds_begin_anew_and_never_end() -> None:
-    navigator = driver((0.5, 0.0), (0.0, 0.0), rounds=True)
+def test_a_tour_starts_over_and_never_ends() -> None:
+    navigator = navigator_to((0.5, 0.0), (0.0, 0.0), is_tour=True)
     positions = xy(steer(navigator, empty_grid(), Pose(0.2, 0.0, 0.0), 40.0))
     assert navigator.outcome is None
     at_first = np.linalg.norm(positions - (0.5, 0.0), axis=1) <= CONFIG.follow.goal_slack_m
     assert np.count_nonzero(np.diff(at_first.astype(int)) == 1) >= 3
 
 
-def test_an_obstacle_across_the_path_makes_it_plan_anew_and_one_beside_it_does_not() -> None:
-    navigator, grid = driver((4.0, 0.0)), empty_grid()
+def test_an_obstacle_across_the_path_causes_a_replan_and_one_beside_it_does_not() -> None:
+    navigator, grid = navigator_to((4.0, 0.0)), empty_grid()
     navigator.look(grid, believed(Pose()))
-    wall_up(grid, [[[0.0, 2.0], [4.0, 2.0]]])
+    add_walls(grid, [[[0.0, 2.0], [4.0, 2.0]]])
     navigator.look(grid, believed(Pose()))
     assert len(navigator.plans) == 1
-    wall_up(grid, [[[2.0, -1.0], [2.0, 1.0]]])
+    add_walls(grid, [[[2.0, -1.0], [2.0, 1.0]]])
     navigator.look(grid, believed(Pose()))
     assert len(navigator.plans) == 2
     assert not path_is_free(grid.free_space(), navigator.plans[0])
     assert path_is_free(grid.free_space(), navigator.plans[1])
 
 
-def test_the_robot_drives_around_what_appears_on_its_way() -> None:
-    navigator, grid = driver((4.0, 0.0)), empty_grid()
+def test_the_robot_drives_around_an_obstacle_that_appears_on_its_path() -> None:
+    navigator, grid = navigator_to((4.0, 0.0)), empty_grid()
     steer(navigator, grid, Pose(), 1.0)
-    wall_up(grid, [[[2.0, -1.0], [2.0, 1.0]]])
+    add_walls(grid, [[[2.0, -1.0], [2.0, 1.0]]])
     poses = steer(navigator, grid, Pose(), 60.0)
     assert navigator.outcome == "goal reached"
     beside = xy(poses)
@@ -139,9 +140,9 @@ def test_the_robot_drives_around_what_appears_on_its_way() -> None:
     assert np.all(np.abs(beside[near_wall, 1]) > 1.2)  # the wall's end and the robot's radius
 
 
-def test_a_goal_that_is_walled_in_is_unreachable_after_one_look_around() -> None:
-    navigator, grid = driver((2.0, 0.0)), empty_grid()
-    wall_up(grid, BOX)
+def test_an_enclosed_goal_is_unreachable_after_one_turn_on_the_spot() -> None:
+    navigator, grid = navigator_to((2.0, 0.0)), empty_grid()
+    add_walls(grid, BOX)
     poses = steer(navigator, grid, Pose(), 30.0)
     assert navigator.outcome == "goal unreachable"
     assert navigator.plans == []
@@ -150,9 +151,9 @@ def test_a_goal_that_is_walled_in_is_unreachable_after_one_look_around() -> None
     assert turned == pytest.approx(2.0 * math.pi, abs=0.05)
 
 
-def test_a_way_that_opens_during_the_look_around_is_taken() -> None:
-    navigator, grid = driver((2.0, 0.0)), empty_grid()
-    wall_up(grid, BOX)
+def test_a_path_that_opens_during_the_turn_is_taken() -> None:
+    navigator, grid = navigator_to((2.0, 0.0)), empty_grid()
+    add_walls(grid, BOX)
     steer(navigator, grid, Pose(), 3.0)
     assert navigator.outcome is None
     grid.clear()
@@ -162,8 +163,8 @@ def test_a_way_that_opens_during_the_look_around_is_taken() -> None:
 
 
 def test_a_robot_inside_the_inflation_leaves_it_and_arrives() -> None:
-    navigator, grid = driver((3.0, 0.0)), empty_grid()
-    wall_up(grid, [[[-1.0, 0.21], [1.0, 0.21]]])
+    navigator, grid = navigator_to((3.0, 0.0)), empty_grid()
+    add_walls(grid, [[[-1.0, 0.21], [1.0, 0.21]]])
     assert grid.free_space().is_blocked((0.0, 0.0))
     poses = steer(navigator, grid, Pose(), 60.0)
     assert navigator.outcome == "goal reached"
@@ -171,16 +172,16 @@ def test_a_robot_inside_the_inflation_leaves_it_and_arrives() -> None:
 
 
 def test_a_robot_that_gets_nowhere_is_stuck_after_a_minute() -> None:
-    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    navigator, grid = navigator_to((3.0, 0.0)), empty_grid()
     navigator.look(grid, believed(Pose()))
     outcomes = [(s, navigator.step(Pose(), s * 10**9) and navigator.outcome) for s in range(0, 80)]
     first = next(s for s, outcome in outcomes if outcome == "stuck")
     assert first == 61
 
 
-def test_a_slow_robot_is_given_the_time_it_needs() -> None:
+def test_a_slow_robot_has_the_time_it_needs() -> None:
     config = Config(robot=RobotConfig(speed=0.001, turn_rate=0.02))
-    navigator, grid = driver((-0.2, 0.0), config=config), empty_grid()
+    navigator, grid = navigator_to((-0.2, 0.0), config=config), empty_grid()
     pose = Pose()
     navigator.look(grid, believed(pose))
     for second in range(1000):
@@ -191,7 +192,7 @@ def test_a_slow_robot_is_given_the_time_it_needs() -> None:
     assert navigator.outcome == "goal reached"
 
 
-def test_a_replan_begins_with_what_the_last_plan_found() -> None:
+def test_a_replan_reuses_the_last_search() -> None:
     asked: list[tuple[Plan, Plan]] = []
 
     class Compared(AStar):
@@ -200,10 +201,10 @@ def test_a_replan_begins_with_what_the_last_plan_found() -> None:
             return asked[-1][0]
 
     grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
-    navigator = Driver(np.array([[4.0, 1.0]]), False, Compared(), Follower(config.follow, config.robot), config)
-    wall_up(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
+    navigator = GoalNavigator(np.array([[4.0, 1.0]]), False, Compared(), Follower(config.follow, config.robot), config)
+    add_walls(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
     navigator.look(grid, believed(Pose()))
-    wall_up(grid, [[[1.0, -0.5], [1.0, 0.9]]])
+    add_walls(grid, [[[1.0, -0.5], [1.0, 0.9]]])
     navigator.look(grid, believed(Pose()))
     (first, _), (again, scratch) = asked
     assert first.found and again.found
@@ -211,7 +212,7 @@ def test_a_replan_begins_with_what_the_last_plan_found() -> None:
     assert again.expanded < scratch.expanded
 
 
-def test_a_planner_is_asked_once_a_plan_and_only_where_there_is_a_way() -> None:
+def test_the_planner_is_called_once_per_plan_and_only_if_there_is_a_path() -> None:
     asked: list[FreeSpace] = []
 
     class Straight:
@@ -222,36 +223,36 @@ def test_a_planner_is_asked_once_a_plan_and_only_where_there_is_a_way() -> None:
             return Plan.along(np.array([start, goal]), 1, 0.0)
 
     grid, config = empty_grid(), CONFIG
-    navigator = Driver(np.array([[4.0, 0.0]]), False, Straight(), Follower(config.follow, config.robot), config)
+    navigator = GoalNavigator(np.array([[4.0, 0.0]]), False, Straight(), Follower(config.follow, config.robot), config)
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
-    wall_up(grid, [[[2.0, -0.5], [2.0, 0.5]]])
+    add_walls(grid, [[[2.0, -0.5], [2.0, 0.5]]])
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 2 and len(navigator.plans[1]) > 2 and navigator.plans_by_astar == 1
     assert path_is_free(asked[1], navigator.plans[1])
-    wall_up(grid, [[[3.5, -0.5], [4.5, -0.5]], [[4.5, -0.5], [4.5, 0.5]], [[4.5, 0.5], [3.5, 0.5]]])
-    wall_up(grid, [[[3.5, 0.5], [3.5, -0.5]]])
+    add_walls(grid, [[[3.5, -0.5], [4.5, -0.5]], [[4.5, -0.5], [4.5, 0.5]], [[4.5, 0.5], [3.5, 0.5]]])
+    add_walls(grid, [[[3.5, 0.5], [3.5, -0.5]]])
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 2 and len(navigator.plans) == 2
-    assert driver((3.0, 0.0)).plans_by_astar is None
+    assert navigator_to((3.0, 0.0)).plans_by_astar is None
 
 
 def test_a_robot_that_the_guard_has_stopped_turns_on_the_spot_until_it_has_another_plan() -> None:
-    navigator, grid = driver((3.0, 0.0)), empty_grid()
+    navigator, grid = navigator_to((3.0, 0.0)), empty_grid()
     navigator.look(grid, believed(Pose()))
     assert navigator.step(Pose(), 0).speed > 0.0
     navigator.blocked(Pose())
     command = navigator.step(Pose(), 20_000_000)
     assert command.speed == 0.0 and command.turn_rate != 0.0
-    wall_up(grid, [[[0.5, -0.5], [0.5, 0.5]]])
+    add_walls(grid, [[[0.5, -0.5], [0.5, 0.5]]])
     navigator.look(grid, believed(Pose(0.0, 0.0, 0.2)))
     assert len(navigator.plans) == 2
     assert path_is_free(grid.free_space(), navigator.plans[1])
 
 
 def test_plans_that_keep_less_than_the_margin_are_counted() -> None:
-    roomy, tight, grid = driver((3.0, 0.0)), driver((3.0, 0.0)), empty_grid()
+    roomy, tight, grid = navigator_to((3.0, 0.0)), navigator_to((3.0, 0.0)), empty_grid()
     roomy.look(grid, believed(Pose()))
-    wall_up(grid, [[[1.0, -4.0], [1.0, -0.35]], [[1.0, 0.35], [1.0, 4.0]]])
+    add_walls(grid, [[[1.0, -4.0], [1.0, -0.35]], [[1.0, 0.35], [1.0, 4.0]]])
     tight.look(grid, believed(Pose()))
     assert (roomy.plans_below_margin, tight.plans_below_margin) == (0, 1)

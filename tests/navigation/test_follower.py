@@ -9,7 +9,7 @@ from sixthsense.config import FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.follow import Follower
+from sixthsense.navigation.follower import Follower
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 places = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
@@ -50,7 +50,7 @@ def test_it_orients_on_the_spot_and_then_translates() -> None:
 
 
 @pytest.mark.parametrize("goal", [(-1.0, 1e-3), (-1.0, -1e-3)])
-def test_it_turns_the_short_way_round(goal: tuple[float, float]) -> None:
+def test_it_turns_in_the_direction_of_the_smaller_angle(goal: tuple[float, float]) -> None:
     follower = Follower(FOLLOW, ROBOT)
     follower.follow(np.array([(0.0, 0.0), goal]))
     assert math.copysign(1.0, follower.step(Pose()).turn_rate) == math.copysign(1.0, goal[1])
@@ -78,9 +78,7 @@ def test_every_way_point_of_any_path_is_reached_in_order_within_the_limits(
 
 @settings(max_examples=25, deadline=None)
 @given(path=st.lists(places, min_size=1, max_size=3), theta=st.floats(-4.0, 4.0))
-def test_without_noise_the_robot_stays_beside_the_lines_of_its_path(
-    path: list[tuple[float, float]], theta: float
-) -> None:
+def test_without_noise_the_robot_stays_near_its_path(path: list[tuple[float, float]], theta: float) -> None:
     follower = Follower(FOLLOW, ROBOT)
     corners = np.array([(0.0, 0.0), *path])
     follower.follow(corners)

@@ -10,11 +10,11 @@ from sixthsense.config import FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.source import Command
 
-_REORIENT = 5.0  # slacks of heading error at which driving stops for another turn on the spot
+_REORIENT = 5.0  # the robot stops and turns on the spot at this multiple of the heading slack
 
 
 class Follower:
-    """Drives along way points, each reached by a turn on the spot and a straight line."""
+    """Drives along way points: to each by a turn on the spot and a straight line."""
 
     def __init__(self, config: FollowConfig, robot: RobotConfig) -> None:
         self._config = config
@@ -24,17 +24,17 @@ class Follower:
         self._driving = False
 
     def follow(self, path_world: Array) -> None:
-        """Take a new path, (N, 2) metres, world frame; its first point is where the robot is."""
+        """Start a new path, (N, 2) metres, world frame; its first point is the robot's position."""
         self._path = np.array(path_world, dtype=np.float64)
         self._next = 1
         self._driving = False
 
     def remaining(self, pose: Pose) -> Array:
-        """(M, 2): where the robot is and the way points still ahead."""
+        """(M, 2): the robot's position and the way points ahead."""
         return np.vstack([pose.position, self._path[self._next :]])
 
     def step(self, pose: Pose) -> Command:
-        """The command for one control tick; a standstill when no way point is left."""
+        """The command of one control tick; a standstill when no way point is left."""
         config, robot = self._config, self._robot
         while self._next < len(self._path):
             ahead = self._path[self._next] - pose.position
@@ -53,7 +53,7 @@ class Follower:
             if abs(error) > config.heading_slack_rad:
                 return Command(0.0, _clip(error / dt, robot.turn_rate))
             self._driving = True
-        # Drift on the way is steered out gently; a tick never overshoots the way point.
+        # A small turn rate corrects drift while driving. One tick never overshoots the way point.
         steer = _clip(2.0 * error * robot.speed / max(distance, 0.25), robot.turn_rate)
         return Command(min(robot.speed, distance / dt), steer)
 

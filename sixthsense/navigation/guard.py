@@ -1,7 +1,7 @@
-"""The guard: every command passes it on the way to the drive; one that would touch what the laser sees does not.
+"""The guard: slows or stops every command by which the robot would touch a return of the latest scan.
 
-It knows no map and no pose: the latest scan's returns, moved by the odometry since, the disc that the robot is, and how
-it brakes. A disc that turns on the spot touches nothing, so turning is always allowed.
+It uses neither map nor pose, only the returns of the latest scan, the odometry since, the robot's disc and its
+deceleration. A disc that turns on the spot touches nothing, so turning is always allowed.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 
 _TOUCH = 1e-9  # metres
-_STRAIGHT = 1e-6  # an arc that bends this little within a radius is a line
+_STRAIGHT = 1e-6  # an arc with a smaller product of curvature and radius is treated as a line
 
 
 def stopping_distance(speed: float, latency_s: float, deceleration: float) -> float:
-    """Metres from the moment an obstacle appears, seen `latency_s` later, to standstill; m/s and m/s^2."""
+    """Distance, metres, from the moment an obstacle appears to standstill; m/s and m/s^2.
+
+    The robot begins to brake `latency_s` later.
+    """
     return speed * latency_s + 0.5 * speed * speed / deceleration
 
 
 def latency_s(config: Config) -> float:
-    """Longest time from what happens to the command that answers it: a scan's period and a control tick."""
+    """Longest time from an event to the command that reacts to it: a scan's period and a control tick."""
     return (config.laser.period_ticks + 1) * config.robot.control_period_s
 
 
@@ -35,16 +38,16 @@ def latency_s(config: Config) -> float:
 def _limits(
     points: Array, tx: float, ty: float, theta: float, speed: float, turn_rate: float, radius: float, reach: float
 ) -> tuple[float, float]:
-    """Way to the first touch along the arc of a command, and the gap to the nearest return that lies ahead; metres.
+    """Distance to the first contact along a command's arc, and gap to the nearest return ahead; metres.
 
-    Returns (N, 2) `points` in a frame in which the robot, a disc of `radius`, stands at (tx, ty, theta). Either is inf
-    where it would be more than `reach`.
+    `points` (N, 2) are the returns, in a frame in which the robot, a disc of `radius`, stands at (tx, ty, theta). Each
+    result is inf if it would be more than `reach`.
     """
     c, s = math.cos(theta), math.sin(theta)
     forward = 1.0 if speed > 0.0 else -1.0
     curvature = abs(turn_rate / speed)
-    side = 1.0 if turn_rate > 0.0 else -1.0  # the arc seen along the motion, mirrored to a left turn
-    way, gap = np.inf, np.inf
+    side = 1.0 if turn_rate > 0.0 else -1.0  # mirrors the arc, seen along the motion, to a left turn
+    contact, gap = np.inf, np.inf
     farthest_sq = (radius + reach) ** 2
     for i in range(len(points)):
         dx, dy = points[i, 0] - tx, points[i, 1] - ty
@@ -56,27 +59,27 @@ def _limits(
             gap = min(gap, distance - radius)
         if distance <= radius + _TOUCH:
             if ahead > 0.0:
-                way = 0.0
-            continue  # or else the motion leaves it
+                contact = 0.0
+            continue  # else the robot moves away from it
         if curvature * radius < _STRAIGHT:
             if ahead > 0.0 and abs(left) < radius:
-                way = min(way, ahead - math.sqrt(radius * radius - left * left))
+                contact = min(contact, ahead - math.sqrt(radius * radius - left * left))
             continue
-        # The centre moves on a circle about (0, r): it touches where its distance is down to `radius`.
+        # The centre moves on a circle around (0, r). The contact is where its distance to the return is `radius`.
         r = 1.0 / curvature
         rho = math.hypot(ahead, r - left)
         if abs(rho - r) < radius and rho > 0.0:
             at = math.atan2(ahead, r - left) % (2.0 * math.pi)
             half = math.acos(min(max((r * r + rho * rho - radius * radius) / (2.0 * r * rho), -1.0), 1.0))
-            way = min(way, r * ((at - half) % (2.0 * math.pi)))
-    return way if way <= reach else np.inf, gap
+            contact = min(contact, r * ((at - half) % (2.0 * math.pi)))
+    return contact if contact <= reach else np.inf, gap
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _returns(
+def _return_points(
     ranges: NDArray[np.float32], bearings: Array, max_range: float, mx: float, my: float, mtheta: float
 ) -> Array:
-    """(K, 2) the beams' ends that are returns, in the frame in which the laser stands at (mx, my, mtheta)."""
+    """(K, 2) the returns, in the frame in which the laser stands at (mx, my, mtheta)."""
     points = np.empty((len(ranges), 2))
     k = 0
     for i in range(len(ranges)):
@@ -88,7 +91,7 @@ def _returns(
 
 
 class Guard:
-    """Slows commands so that the robot can stop before what it sees, and stops those that would touch it."""
+    """Slows commands so that the robot can stop before any return, and stops those that would touch one."""
 
     def __init__(self, config: Config, radius_m: float) -> None:
         """Guard a robot that is a disc of `radius_m`."""
@@ -103,11 +106,11 @@ class Guard:
         self._stopped = False
 
     def moved(self, motion: Pose) -> None:
-        """Take in the motion of a control tick, by odometry: `T_before_after`."""
+        """Take in the motion of a control tick from odometry, `T_before_after`."""
         self._since = self._since @ motion
 
     def see(self, scan: Scan) -> None:
-        """Take in a scan, taken where the robot is now."""
+        """Take in a scan from the robot's present pose."""
         self._scan, self._since = scan, Pose()
 
     @property
@@ -116,40 +119,40 @@ class Guard:
         return self._stopped
 
     def check(self, command: Command) -> Command:
-        """The command, slowed or stopped if need be; its turn rate is never touched when it stands still.
+        """The command, slowed or stopped if necessary; a turn on the spot is never changed.
 
-        Two laws bound the speed v, d(v) being the stopping distance. On the way: d(v) is at most the way that the
-        disc, with its buffer, can go along the command's arc before it touches a return; where that is not even d of
-        creep speed the robot stops. Beside: d(v) is at most the gap to the nearest return in the half plane ahead, so
-        that the robot stands before it reaches it, wherever it heads meanwhile; but creep speed is always left, or a
-        narrow door would be closed.
+        Two laws bound the speed v by its stopping distance d(v). Along the arc: d(v) is at most the distance that the
+        disc, with its buffer, can move along the command's arc before it touches a return. If that is less than d of
+        creep speed, the robot stops. In any direction: d(v) is at most the gap to the nearest return in the half plane
+        ahead, so that the robot can stop before it, however it turns meanwhile. This law leaves at least creep speed,
+        or the robot could not pass a narrow door.
         """
         if command.speed == 0.0 or not self._config.safety.guard:
             self._stopped = False
             return command
         if self._scan is not None:
             scan, mount = self._scan, self._scan.T_robot_laser
-            self._points = _returns(scan.ranges, scan.bearings, scan.max_range, mount.x, mount.y, mount.theta)
+            self._points = _return_points(scan.ranges, scan.bearings, scan.max_range, mount.x, mount.y, mount.theta)
             self._scan = None
         since, speed = self._since, abs(command.speed)
         reach = stopping_distance(speed, self._latency_s, self._config.robot.deceleration)
-        way, gap = _limits(
+        contact, gap = _limits(
             self._points, since.x, since.y, since.theta, command.speed, command.turn_rate, self._radius_m, reach
         )
         creep = min(self._config.safety.creep, speed)
-        limit = self._within(way)
+        limit = self._speed_within(contact)
         stopped = limit < creep
         self.stops += stopped and not self._stopped
         self._stopped = stopped
         if stopped:
             return Command(0.0, command.turn_rate)
-        limit = min(limit, max(self._within(gap), creep))
+        limit = min(limit, max(self._speed_within(gap), creep))
         if limit >= speed:
             return command
         # On the same arc, slower.
         return Command(command.speed * limit / speed, command.turn_rate * limit / speed)
 
-    def _within(self, distance_m: float) -> float:
+    def _speed_within(self, distance_m: float) -> float:
         """The speed whose stopping distance is `distance_m`, m/s."""
         if not 0.0 < distance_m < math.inf:
             return max(distance_m, 0.0)

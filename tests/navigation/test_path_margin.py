@@ -9,10 +9,10 @@ from sixthsense.config import Config, GridConfig, merge
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.navigation.clearance import margin_m, plan_with_margin, way_out
+from sixthsense.navigation.guard import latency_s, stopping_distance
+from sixthsense.navigation.path_margin import margin_m, plan_with_margin
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
-from sixthsense.navigation.safety import latency_s, stopping_distance
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
@@ -45,7 +45,7 @@ def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: 
 
 
 @pytest.mark.parametrize("margin", [0.013, 0.1, 0.27, -0.03, -0.2, -math.inf])
-def test_a_margin_is_the_inflation_of_a_robot_that_much_larger(margin: float) -> None:
+def test_a_margin_equals_the_inflation_of_a_robot_larger_by_it(margin: float) -> None:
     walls = [(1.0, -1.0, 1.0, 2.0), (-2.0, 0.5, -1.0, 1.3), (0.3, -1.7, 0.31, -1.7)]
     grid = grid_of(*walls)
     larger = grid_of(*walls, radius=max(RADIUS + margin, 0.0), clearance=0.05 if margin > -0.2 else 0.0)
@@ -69,7 +69,7 @@ def test_a_margin_leaves_a_free_rim_around_what_it_blocks() -> None:
         assert not edge.any()
 
 
-def test_a_margin_gives_way_around_the_points_that_are_asked_for_but_the_inflation_does_not() -> None:
+def test_the_margin_but_not_the_inflation_is_dropped_around_given_points() -> None:
     grid, near = grid_of((1.0, -1.0, 1.0, 1.0)), (0.7, 0.0)
     assert grid.free_space(margin_m=0.3).is_blocked(near)
     space = grid.free_space(near, margin_m=0.3)
@@ -79,14 +79,14 @@ def test_a_margin_gives_way_around_the_points_that_are_asked_for_but_the_inflati
 
 
 @pytest.mark.parametrize("margin", [math.nan, math.inf])
-def test_a_margin_that_is_no_number_is_refused(margin: float) -> None:
+def test_an_infinite_margin_or_nan_is_rejected(margin: float) -> None:
     with pytest.raises(ValueError, match="margin_m: found"):
         grid_of().free_space(margin_m=margin)
     with pytest.raises(InputError, match="inflation"):
         grid_of().free_space(margin_m=100.0)
 
 
-def test_the_margin_is_the_quantile_across_the_worst_direction_and_room_to_brake() -> None:
+def test_the_margin_is_the_quantile_in_the_worst_direction_plus_the_stopping_distance() -> None:
     braking = stopping_distance(0.5, latency_s(CONFIG), 1.0)
     assert margin_m(np.zeros((3, 3)), CONFIG) == pytest.approx(braking)
     turn = np.array([[math.cos(0.7), -math.sin(0.7)], [math.sin(0.7), math.cos(0.7)]])
@@ -97,12 +97,12 @@ def test_the_margin_is_the_quantile_across_the_worst_direction_and_room_to_brake
         assert margin_m(cov, config) == pytest.approx(braking + norm.ppf(probability) * 0.02)
 
 
-def test_the_margin_is_capped_however_unsure_the_robot_is() -> None:
+def test_the_margin_is_capped_however_uncertain_the_pose_is() -> None:
     assert margin_m(100.0 * np.eye(3), CONFIG) == CONFIG.safety.max_margin_m
     assert margin_m(np.eye(3), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})) == 0.0
 
 
-def test_where_there_is_room_a_path_keeps_the_margin() -> None:
+def test_a_path_keeps_the_margin_where_there_is_room() -> None:
     grid = grid_of((0.0, -2.0, 0.0, 0.0))
     start, goal = np.array([-1.0, -1.0]), np.array([1.0, -1.0])
     for wanted in (0.0, 0.1, 0.3):
@@ -112,7 +112,7 @@ def test_where_there_is_room_a_path_keeps_the_margin() -> None:
 
 
 @pytest.mark.parametrize(("width", "kept"), [(0.65, 0.0), (0.95, 0.15), (1.4, 0.3)])
-def test_a_door_is_passed_with_as_much_of_the_margin_as_it_leaves(width: float, kept: float) -> None:
+def test_a_path_through_a_door_keeps_as_much_of_the_margin_as_fits(width: float, kept: float) -> None:
     half = 0.5 * width
     grid = grid_of((0.0, -3.0, 0.0, -half), (0.0, half, 0.0, 3.0))
     plan, margin = planned(grid, np.array([-1.0, 0.3]), np.array([1.0, 0.3]))
@@ -120,8 +120,8 @@ def test_a_door_is_passed_with_as_much_of_the_margin_as_it_leaves(width: float, 
     assert np.abs(plan.path_world[np.abs(plan.path_world[:, 0]) < 0.1, 1]).max() < half
 
 
-def test_before_and_after_a_door_too_narrow_for_it_the_margin_is_kept() -> None:
-    # A door 0.65 m wide, and a corner 2 m before it that the shortest way goes round.
+def test_the_margin_is_kept_before_and_after_a_door_too_narrow_for_it() -> None:
+    # A door 0.65 m wide, and a corner 2 m before it on the shortest path.
     door = (0.0, -3.0, 0.0, -0.325), (0.0, 0.325, 0.0, 3.0)
     grid = grid_of(*door, (-3.0, -2.0, -2.0, -0.2), (-2.0, -0.2, -2.0, -2.0))
     plan, kept = planned(grid, np.array([-3.5, -1.5]), np.array([2.0, 0.0]))
@@ -132,51 +132,17 @@ def test_before_and_after_a_door_too_narrow_for_it_the_margin_is_kept() -> None:
     assert gap_m(grid, path[through]) < RADIUS + 0.05 + 0.1
 
 
-def test_a_goal_that_is_walled_in_is_not_reached_with_less_margin_either() -> None:
+def test_an_enclosed_goal_is_unreachable_with_any_margin() -> None:
     grid = grid_of((1, -1, 3, -1), (3, -1, 3, 1), (3, 1, 1, 1), (1, 1, 1, -1))
     plan, kept = planned(grid, np.array([-1.0, 0.0]), np.array([2.0, 0.0]))
     assert plan.status == "no path" and kept == 0.0
 
 
-def test_a_robot_boxed_in_by_the_clearance_alone_squeezes_out_the_way_it_fits() -> None:
-    # A dead end 0.55 m wide, closed towards the nearest free place, which lies behind its wall.
-    grid = grid_of((-1.0, 0.275, 0.6, 0.275), (-1.0, -0.275, 0.6, -0.275), (-1.0, -0.275, -1.0, 0.275), clearance=0.15)
-    space = grid.free_space()
-    start = np.array([0.0, 0.0])
-    assert space.is_blocked(start)
-    path = way_out(grid, space, start, 0.15)
-    assert path is not None
-    assert np.array_equal(path[0], start) and not space.is_blocked(path[-1])
-    assert path[-1][0] > 0.6 and np.abs(path[:, 1]).max() < 0.1
-    assert path_is_free(grid.free_space(margin_m=-0.15), path)
-
-
-def test_a_way_out_never_leads_through_a_wall() -> None:
-    # The nearest free place is behind the thin wall at 0.1 m; the robot's side opens to the other hand.
-    grid = grid_of((-2.0, 0.1, 2.0, 0.1), (-2.0, -0.45, 2.0, -0.45), (2.0, 0.1, 2.0, -0.45), (-2.0, 0.1, -2.0, -0.45))
-    space = grid.free_space()
-    path = way_out(grid, space, np.array([0.0, 0.0]), 0.05)
-    assert path is None or path_is_free(grid.free_space(margin_m=-math.inf), path)
-
-
-def test_a_robot_that_noise_has_put_inside_an_obstacles_disc_gets_away_from_it() -> None:
-    grid = grid_of((-1.0, 0.1, 1.0, 0.1))
-    path = way_out(grid, grid.free_space(), np.array([0.0, 0.0]), 0.05)
-    assert path is not None
-    assert path[-1][1] < -0.1 and not grid.free_space().is_blocked(path[-1])
-
-
-def test_a_robot_walled_in_all_round_has_no_way_out() -> None:
-    box = (-0.3, -0.3, 0.3, -0.3), (0.3, -0.3, 0.3, 0.3), (0.3, 0.3, -0.3, 0.3), (-0.3, 0.3, -0.3, -0.3)
-    grid = grid_of(*box, clearance=0.2)
-    assert way_out(grid, grid.free_space(), np.array([0.0, 0.0]), 0.2) is None
-
-
-def test_what_no_way_of_a_length_can_reach_is_blocked_and_nothing_else() -> None:
+def test_exactly_the_cells_that_no_path_of_a_length_can_reach_are_blocked() -> None:
     space = grid_of((1.0, -1.0, 1.0, 2.0)).free_space()
     a, b, length = (-1.0, 0.5), (2.0, 0.2), 3.5
     between = space.between(a, b, length)
     rows, cols = np.indices(space.blocked.shape)
     x, y = space.origin[0] + (cols + 0.5) * 0.05, space.origin[1] + (rows + 0.5) * 0.05
-    way = np.hypot(x - a[0], y - a[1]) + np.hypot(x - b[0], y - b[1])
-    assert np.array_equal(between.blocked, space.blocked | (way > length + 0.1))
+    length_via = np.hypot(x - a[0], y - a[1]) + np.hypot(x - b[0], y - b[1])
+    assert np.array_equal(between.blocked, space.blocked | (length_via > length + 0.1))

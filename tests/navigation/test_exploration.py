@@ -1,6 +1,7 @@
 import csv
 import json
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,9 @@ import numpy as np
 import pytest
 
 from sixthsense import cli, preset, run
+from sixthsense.core.geometry import Pose
+from sixthsense.navigation.exploration import Exploration
+from sixthsense.navigation.exploration_states import TRANSITIONS, Event, State
 from sixthsense.record.trace import Trace
 
 
@@ -45,7 +49,7 @@ walls = [[-3.0, 2.0, 2.0, 2.5], [2.5, -2.0, 3.0, 1.0], [-3.0, -2.0, -2.0, 0.0]]
 """
 EMPTY = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-3.0, -3.0, 3.0, 3.0]\nwalls = [[50.0, 50.0, 51.0, 50.0]]\n"
 LONG = "start = [1.0, 1.0, 0.0]\nradius = 0.2\n" + box(0.0, 0.0, 9.0, 2.5)
-# The door of 0.6 m in the first wall is all but closed to a robot that keeps its clearance.
+# The door of 0.6 m in the first wall is almost closed for a robot that keeps its clearance.
 SIX_ROOMS = """
 start = [1.0, 1.0, 0.5]
 radius = 0.18
@@ -68,14 +72,43 @@ SEEN_WHOLE = {
 
 
 def explored(folder: Path, scene: str, **changes: Any) -> Trace:
-    file = folder / "drawn.toml"
+    file = folder / "scene.toml"
     file.write_text(scene)
     given = {"estimator": "ekf-invariant", "features": {"landmarks": "both"}, "max_time": 400.0} | changes
     return run(preset(scene=str(file), **given))
 
 
+@dataclass
+class Visited:
+    """What explorations have done."""
+
+    states: list[State]
+    occluded_targets: int = 0
+    retraced: bool = False
+
+
+@pytest.fixture
+def visited(monkeypatch: pytest.MonkeyPatch) -> Visited:
+    """Recorded during the test; every transition is checked against the table."""
+    seen = Visited([])
+    react = Exploration._react
+
+    def recorded(self: Exploration, event: Event, pose: Pose) -> bool:
+        before, target = self.state, self._target
+        reacted = react(self, event, pose)
+        if reacted:
+            assert self.state in TRANSITIONS[before][event].to
+            seen.states.append(self.state)
+        seen.occluded_targets += self._target is not target and self._target.occluded
+        seen.retraced |= self._retracing
+        return reacted
+
+    monkeypatch.setattr(Exploration, "_react", recorded)
+    return seen
+
+
 @pytest.mark.parametrize("name", SEEN_WHOLE)
-def test_all_that_can_be_seen_is_seen_and_the_robot_comes_home(name: str, tmp_path: Path) -> None:
+def test_all_visible_area_is_seen_and_the_robot_returns_home(name: str, tmp_path: Path, visited: Visited) -> None:
     scene, changes = SEEN_WHOLE[name]
     metrics = explored(tmp_path, scene, **changes).metrics
     assert metrics["outcome"] == "explored"
@@ -85,37 +118,40 @@ def test_all_that_can_be_seen_is_seen_and_the_robot_comes_home(name: str, tmp_pa
     assert metrics["places_left"] == 0
 
 
-def test_a_robot_boxed_in_sees_its_box_and_is_done(tmp_path: Path) -> None:
+def test_an_enclosed_robot_sees_its_enclosure_and_is_done(tmp_path: Path) -> None:
     scene = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-5, -5, 5, 5]\n" + box(-0.3, -0.3, 0.3, 0.3)
     trace = explored(tmp_path, scene)
     assert trace.outcome == "explored"
     assert trace.metrics["sim_time_s"] < 60.0
 
 
-def test_a_door_that_only_the_clearance_closes_is_named_as_such(tmp_path: Path) -> None:
+def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tmp_path: Path) -> None:
     trace = explored(tmp_path, two_rooms(0.48))
     assert trace.outcome == "explored in part"
     assert trace.left[0].reason == "cut off by inflation only"
     assert trace.left[0].x > 4.0 - 0.3
 
 
-def test_a_door_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+def test_a_door_that_noise_has_closed_is_approached_for_another_view(tmp_path: Path, visited: Visited) -> None:
     trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
     assert trace.outcome == "explored"
     assert trace.metrics["coverage"] >= 0.995
+    assert visited.occluded_targets > 0
 
 
-def test_a_way_home_that_noise_has_closed_is_looked_at_again_from_nearer(tmp_path: Path) -> None:
+def test_a_path_home_that_noise_has_closed_is_approached_for_another_view(tmp_path: Path, visited: Visited) -> None:
     trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
     assert trace.outcome == "explored"
+    assert "approaching gap" in visited.states
     assert trace.metrics["home_error_m"] <= 0.2
 
 
-def test_a_way_home_that_stays_closed_is_driven_as_the_robot_came(tmp_path: Path) -> None:
+def test_when_the_path_home_stays_closed_the_robot_retraces_its_own_path(tmp_path: Path, visited: Visited) -> None:
     rooms = "start = [0.5, 0.5, 0.0]\nradius = 0.1\nwalls = [[1.0, 0.0, 1.0, 0.35], [1.0, 0.7, 1.0, 1.5],"
     rooms += "[2.0, 0.0, 2.0, 0.9], [2.0, 1.2, 2.0, 1.5]]\n"
     trace = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5))
     assert np.array(trace.truths)[:, 0].max() > 1.2
+    assert visited.retraced
     assert trace.outcome == "explored in part" and trace.left[0].reason == "cut off by inflation only"
     assert trace.metrics["home_error_m"] <= 0.2 and trace.metrics["collisions"] == 0
 
@@ -129,8 +165,8 @@ def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tm
 
 def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:
     trace = explored(tmp_path, OPEN, explore={"margin_m": 0.5})
-    way = np.array(trace.truths)[:, :2]
-    assert (way > [-3.5, -2.5]).all() and (way < [3.5, 3.0]).all()
+    positions = np.array(trace.truths)[:, :2]
+    assert (positions > [-3.5, -2.5]).all() and (positions < [3.5, 3.0]).all()
 
 
 def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
@@ -141,7 +177,7 @@ def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
     assert np.array(part.truths)[:, 0].max() < 4.5
 
 
-def test_the_part_of_a_region_that_only_a_way_outside_it_shows_is_seen_too(tmp_path: Path) -> None:
+def test_the_part_of_a_region_that_is_visible_only_from_outside_is_seen(tmp_path: Path) -> None:
     # Two rooms side by side whose doors lead to a corridor behind; the region holds the near half of both.
     rooms = "start = [1.0, 1.0, 0.0]\nradius = 0.2\nregion = [0.0, 0.0, 6.0, 1.7]\n"
     rooms += "walls = [[3.0, 0.0, 3.0, 3.5], [0.0, 3.5, 1.0, 3.5], [2.0, 3.5, 4.0, 3.5], [5.0, 3.5, 6.0, 3.5]]\n"
@@ -150,42 +186,43 @@ def test_the_part_of_a_region_that_only_a_way_outside_it_shows_is_seen_too(tmp_p
     assert np.array(trace.truths)[:, 1].max() > 3.5
 
 
-def test_random_places_of_the_largest_unseen_area_end_explored_as_well(tmp_path: Path) -> None:
+def test_the_random_method_explores_the_whole_scene(tmp_path: Path) -> None:
     trace = explored(tmp_path, L_SHAPE, explore={"method": "random"})
     assert trace.outcome == "explored"
     assert trace.metrics["coverage"] >= 0.995
 
 
 def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
-    ways = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).truths) for _ in range(2)]
-    np.testing.assert_array_equal(*ways)
+    truths = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).truths) for _ in range(2)]
+    np.testing.assert_array_equal(*truths)
 
 
-def test_without_the_way_home_it_ends_where_the_last_was_seen(tmp_path: Path) -> None:
+def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> None:
     trace = explored(tmp_path, L_SHAPE, explore={"return_home": False})
     assert trace.outcome == "explored"
     assert "home_error_m" not in trace.metrics
     assert math.dist(trace.truths[-1][:2], trace.truths[0][:2]) > 0.5
 
 
-def test_time_that_is_up_is_named(tmp_path: Path) -> None:
+def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path) -> None:
     assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
 
 
-def test_a_pose_known_badly_is_mended_at_a_place_known_well(tmp_path: Path) -> None:
+def test_an_uncertain_pose_is_improved_by_a_revisit(tmp_path: Path, visited: Visited) -> None:
     threshold = {"revisit_sigma_m": 0.001}
-    on = explored(tmp_path, two_rooms(1.0), explore=threshold)
     off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"revisit": False})
+    assert "revisiting" not in visited.states
+    on = explored(tmp_path, two_rooms(1.0), explore=threshold)
+    assert "revisiting" in visited.states
     assert on.outcome == off.outcome == "explored"
-    assert not np.array_equal(on.truths[-1], off.truths[-1])
 
 
-def test_the_command_explores_by_default_and_records_what_it_left(
+def test_the_command_explores_by_default_and_records_unseen_places(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("drawn.toml").write_text(two_rooms(0.3))
-    assert cli.main(["run", "drawn.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
+    Path("scene.toml").write_text(two_rooms(0.3))
+    assert cli.main(["run", "scene.toml", "--out", "run", "--features.landmarks", "both"]) == cli.DONE
     assert "left unseen: (" in capsys.readouterr().out
     metrics = json.loads(Path("run/metrics.json").read_text())
     assert metrics["outcome"] == "explored in part"
@@ -201,8 +238,8 @@ BAD = {
     "a start in a wall": (["--start", "0", "0", "0"], "start: found (0, 0)"),
     "a goal in a wall": (["--goal", "4", "0.2"], "goal: found (4, 0.2)"),
     "a goal outside the map": (["--goal", "40", "1"], "goal: found (40, 1), outside the region"),
-    "a region that is none": (["--region", "1", "1", "0", "0"], "region"),
-    "a share that is none": (["--explore.dust", "2"], "--explore.dust: found 2"),
+    "an empty region": (["--region", "1", "1", "0", "0"], "region"),
+    "an invalid fraction": (["--explore.dust", "2"], "--explore.dust: found 2"),
     "an unknown method": (["--explore.method", "best"], "--explore.method: found 'best', allowed: frontier, random"),
 }
 
@@ -212,9 +249,9 @@ def test_bad_input_is_one_line(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("drawn.toml").write_text(two_rooms(0.3))
+    Path("scene.toml").write_text(two_rooms(0.3))
     options, complaint = BAD[name]
-    assert cli.main(["run", "drawn.toml", "--out", "run", *options]) == cli.BAD_INPUT
+    assert cli.main(["run", "scene.toml", "--out", "run", *options]) == cli.BAD_INPUT
     error = capsys.readouterr().err
     assert complaint in error and error.count("\n") == 1
     assert not Path("run").exists() and not Path("run.partial").exists()
@@ -222,6 +259,6 @@ def test_bad_input_is_one_line(
 
 def test_a_goal_in_a_room_that_cannot_be_reached_is_an_outcome(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("drawn.toml").write_text(two_rooms(0.3))
-    assert cli.main(["run", "drawn.toml", "--out", "run", "--goal", "6", "1.5", "--max-time", "200"]) == cli.FAILED
+    Path("scene.toml").write_text(two_rooms(0.3))
+    assert cli.main(["run", "scene.toml", "--out", "run", "--goal", "6", "1.5", "--max-time", "200"]) == cli.FAILED
     assert json.loads(Path("run/metrics.json").read_text())["outcome"] == "goal unreachable"

@@ -1,0 +1,59 @@
+"""Where an exploring robot may drive: within a margin around its region, and along its own path when it retraces."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from sixthsense.core.geometry import Array
+from sixthsense.navigation.map_window import Region
+from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+
+
+@dataclass(frozen=True, slots=True)
+class DrivingLimits:
+    """A rectangle that the robot's centre must not leave."""
+
+    region: Region
+    """the region to be explored"""
+    margin_m: float
+    """how far outside it the robot may drive"""
+
+    def rows_and_cols(self, space: FreeSpace) -> tuple[slice, slice]:
+        """Rows and columns of a space within the limits."""
+        (x0, y0, x1, y1), margin = self.region, self.margin_m
+        slices = []
+        for low, high, origin, count in (
+            (y0, y1, space.origin[1], space.blocked.shape[0]),
+            (x0, x1, space.origin[0], space.blocked.shape[1]),
+        ):
+            first = math.floor((low - margin - origin) / space.cell_m + TOUCH)
+            past = math.ceil((high + margin - origin) / space.cell_m - TOUCH)
+            slices.append(slice(min(max(first, 0), count), min(max(past, 0), count)))
+        return slices[0], slices[1]
+
+    def blocked(self, space: FreeSpace) -> Bools:
+        """(H, W) the blocked cells of a space, and all cells outside the limits."""
+        inside = self.rows_and_cols(space)
+        blocked = np.ones(space.blocked.shape, dtype=np.bool_)
+        blocked[inside] = space.blocked[inside]
+        return blocked
+
+
+def traversed_cells(space: FreeSpace, positions: Array, grid: Grid, clearance_m: float) -> Bools:
+    """(H, W) the cells along the robot's path (N, 2) and their neighbours where it fits without the clearance."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+    steps = np.arange(0.0, along[-1] + space.cell_m, 0.5 * space.cell_m)
+    points = np.column_stack([np.interp(steps, along, positions[:, axis]) for axis in (0, 1)])
+    cols, rows = np.floor((points - space.origin) / space.cell_m).astype(np.int64).T
+    height, width = space.blocked.shape
+    traversed = np.zeros((height, width), dtype=np.bool_)
+    traversed[np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)] = True
+    traversed = ndimage.binary_dilation(traversed, np.ones((3, 3), dtype=np.bool_))
+    tight = grid.free_space(margin_m=-clearance_m)
+    down, across = (round((space.origin[k] - tight.origin[k]) / space.cell_m) for k in (1, 0))
+    return np.asarray(traversed & ~tight.window(np.arange(height) + down, np.arange(width) + across))

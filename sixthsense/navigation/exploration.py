@@ -1,0 +1,298 @@
+"""One exploration that has a map: what each action of its states does (report section 4.5).
+
+`exploration_states.py` has the states and transitions, `view_planner.py` chooses views, `path_driver.py` drives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.navigation.driving_limits import DrivingLimits, traversed_cells
+from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Region, Target
+from sixthsense.navigation.navigator import Outcome
+from sixthsense.navigation.path_driver import DriveEvent, PathDriver
+from sixthsense.navigation.path_margin import margin_m
+from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
+from sixthsense.navigation.pose_history import PoseHistory
+from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
+from sixthsense.navigation.view_planner import SensorModel, ViewPlanner, distances_without_clearance
+from sixthsense.navigation.visibility import visible_cells
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+
+_SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+_OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExplorationTask:
+    """What to explore, and by what means."""
+
+    home: Array
+    """(2,) where the robot starts and returns to"""
+    region: Region
+    """holds the start"""
+    radius_m: float
+    """the robot's"""
+    sensor: SensorModel
+    paths: PathPlanner
+    follower: Follower
+    config: Config
+    rng: np.random.Generator
+    """for the random method"""
+
+
+class Exploration:
+    """Drives to the view with the largest gain per time until nothing is left to see, then home.
+
+    To be seen are the unseen cells of the region beside free cells that were seen. They are looked at from the nearest
+    cell with a line of sight, and, if a turn around there does not show them, from as near as possible. Then they are
+    given up, with a reason.
+    """
+
+    def __init__(self, task: ExplorationTask, grid: Grid, estimate: Estimate) -> None:
+        """Begin with the first map."""
+        self.outcome: Outcome | None = None
+        self.left: list[UnseenPlace] = []
+        self.state: State = "selecting"
+        self._task = task
+        self._target = NO_TARGET
+        self._failed_views = FailedViewCounts()
+        self._history = PoseHistory(task.config.explore)
+        self._widening = 0  # index into _OUTSIDE_M
+        self._gap_approaches = 0
+        self._retries = 0  # of unreachable cells
+        self._stuck_since_arrival = False
+        self._retracing = False
+        self._map = self._driving_map(grid, estimate)
+        self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
+        self._window = self._window_of_map()
+
+    def look(self, grid: Grid, estimate: Estimate) -> None:
+        """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
+        pose = estimate.pose
+        self._map = self._driving_map(grid, estimate)
+        self._update_window(pose)
+        self._history.add(pose, estimate.pose_cov)
+        if self._history.is_certain:
+            self._react("pose certain", pose)
+        elif self._history.needs_revisit:
+            self._react("pose uncertain", pose)
+        if self._target_is_seen() and self._react("target seen", pose):
+            return
+        if not self.driver.path_is_free(pose):
+            self._react("path blocked", pose)
+
+    def handle(self, event: DriveEvent, pose: Pose) -> bool:
+        """React to an event of the drive; whether the exploration is over."""
+        if event == "arrived":
+            self._stuck_since_arrival = False
+        if event == "stuck" and self._stuck_since_arrival:
+            self._react("stuck again", pose)
+        else:
+            self._stuck_since_arrival |= event == "stuck"
+            self._react(event, pose)
+        return self.outcome is not None
+
+    def _react(self, event: Event, pose: Pose) -> bool:
+        """Carry out the transition of the present state; whether there is one."""
+        transition = TRANSITIONS[self.state].get(event)
+        if transition is None:
+            return False
+        self.state = _ACTIONS[transition.action](self, pose)
+        return True
+
+    # The actions: each returns the next state.
+
+    def _choose_view(self, pose: Pose) -> State:
+        """Head for the view with the largest utility, or home when none is left."""
+        self.driver.stop()
+        target = self._next_target(pose)
+        if target is None and self._retry_unreachable(pose):
+            target = self._next_target(pose)
+        if target is None:
+            target = self._target_outside(pose)
+        self._target = NO_TARGET if target is None else target
+        if target is not None:
+            self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
+            return "to viewpoint"
+        planner = self._view_planner(pose)
+        self.left = unseen_places(planner)
+        if self._task.config.explore.return_home:
+            self.driver.head_for(self._task.home, pose)
+        else:
+            self._finish(pose)
+        return "returning"
+
+    def _replan(self, pose: Pose) -> State:
+        self.driver.plan(pose)
+        return self.state
+
+    def _replan_or_choose_view(self, pose: Pose) -> State:
+        """Without a path, choose anew: the cells seen on the way may favour another viewpoint."""
+        self.driver.plan(pose)
+        return self.state if self.driver.following else self._choose_view(pose)
+
+    def _turn_around(self, pose: Pose) -> State:
+        self.driver.turn_around(pose, self._task.sensor.turn_rad)
+        return "at viewpoint"
+
+    def _count_failed_view(self, pose: Pose) -> State:
+        """Count a failed view of the target and of all else visible from here, then choose another view."""
+        window = self._window
+        cell, reach = window.cell(pose.position), self._task.sensor.gapless_reach
+        visible = visible_cells(window.obstacles, window.unknown, *cell, reach)
+        failed = (self._target.mask(window) | visible) & window.unknown
+        self._failed_views.count_failure(window, failed)
+        if self._target.occluded:
+            # The views from before the gap have not opened it.
+            often = self._failed_views.within(window) >= self._task.config.explore.tries
+            self._failed_views.mark_unreachable(window, failed & often)
+        return self._choose_view(pose)
+
+    def _mark_unreachable(self, pose: Pose) -> State:
+        """Give the target up until a path leads to it, then choose another view."""
+        window = self._window
+        self._failed_views.mark_unreachable(window, self._target.mask(window) & window.unknown)
+        return self._choose_view(pose)
+
+    def _revisit(self, pose: Pose) -> State:
+        """Head for the nearest place where the pose was certain, if one can be reached."""
+        self._history.postpone_revisit()
+        places = self._history.well_known_places()
+        cost = self._distances(pose)
+        costs = np.array([cost[self._window.cell(place)] for place in places])
+        if not np.isfinite(costs).any():
+            return self.state
+        self._target = NO_TARGET
+        self.driver.head_for(places[int(np.argmin(costs))], pose)
+        return "revisiting"
+
+    def _resume(self, pose: Pose) -> State:
+        self._target = NO_TARGET
+        return "selecting"
+
+    def _approach_gap_or_retrace(self, pose: Pose) -> State:
+        """Without a path home: look at the gap that only the clearance closes, else drive back as the robot came."""
+        cost = self._distances(pose)
+        without_clearance = distances_without_clearance(self._window, pose, self._task.radius_m)
+        gap = cell_before_gap(cost, without_clearance, *self._window.cell(self._task.home))
+        if gap is not None and self._gap_approaches < self._task.config.explore.tries:
+            self._gap_approaches += 1
+            self.driver.head_for(self._window.point(*gap), pose)
+            return "approaching gap"
+        if not self._retracing:
+            self._retracing = True
+            self._update_window(pose)
+            self.driver.head_for(self._task.home, pose)
+            if self.driver.following:
+                return "returning"
+        self.outcome = "goal unreachable"
+        return "returning"
+
+    def _finish(self, pose: Pose) -> State:
+        self.outcome = "explored in part" if self.left else "explored"
+        return self.state
+
+    def _give_up(self, pose: Pose) -> State:
+        self.outcome = "stuck"
+        return self.state
+
+    # Views.
+
+    def _next_target(self, pose: Pose) -> Target | None:
+        return self._view_planner(pose).next_target(self._outside_m(), self._widening > 0, self._task.rng)
+
+    def _retry_unreachable(self, pose: Pose) -> bool:
+        """Reset the failure count of unreachable cells that have become visible; whether there are any."""
+        if self._retries == self._task.config.explore.tries:
+            return False
+        self._retries += 1
+        visible = self._view_planner(pose).visible_again()
+        self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
+        return bool(visible.any())
+
+    def _target_outside(self, pose: Pose) -> Target | None:
+        """A target for a robot that may drive farther outside the region, from where it may see more of it."""
+        before = self._widening
+        while self._widening < len(_OUTSIDE_M) - 1:
+            self._widening += 1
+            self._update_window(pose)
+            target = self._next_target(pose)
+            if target is not None:
+                return target
+        self._widening = before
+        self._update_window(pose)
+        return None
+
+    def _view_planner(self, pose: Pose) -> ViewPlanner:
+        """The view planner for the present map; from here on its walls are closed."""
+        self._window = self._window.with_closed_walls(self._map.grid)
+        task, failed_views = self._task, self._failed_views.within(self._window)
+        cost, sigma_m = self._distances(pose), self._history.sigma_m
+        return ViewPlanner(
+            self._window, failed_views, pose, sigma_m, cost, task.radius_m, task.sensor, self._task.config
+        )
+
+    def _target_is_seen(self) -> bool:
+        return self._target.unknown_cells(self._window) <= _SEEN_FRACTION * len(self._target.cells)
+
+    def _distances(self, pose: Pose) -> Costs:
+        """(H, W) distances from the robot over cells that were seen and are not blocked."""
+        window = self._window
+        free = self.driver.space.nearest_free(pose.position, 0.5)
+        here = window.cell(pose.position if free is None else free)
+        return geodesic_distances(window.seen & ~window.blocked, window.blocked, *here)
+
+    # The map within the limits.
+
+    def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
+        def free_space(margin_m: float, places: Array) -> FreeSpace:
+            space = grid.free_space(*places, margin_m=margin_m)
+            blocked = self._limits().blocked(space)
+            if self._retracing and margin_m == 0.0:
+                blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
+            return replace(space, blocked=blocked)
+
+        return DrivingMap(grid, free_space, margin_m(estimate.pose_cov, self._task.config))
+
+    def _update_window(self, pose: Pose) -> None:
+        self.driver.update_map(self._map, pose)
+        self._window = self._window_of_map()
+
+    def _window_of_map(self) -> MapWindow:
+        space = self.driver.space
+        return MapWindow.of(self._map.grid, space, self._limits().rows_and_cols(space), self._task.region)
+
+    def _limits(self) -> DrivingLimits:
+        margin = self._task.config.explore.margin_m
+        return DrivingLimits(self._task.region, max(margin, self._outside_m()) if self._widening > 0 else margin)
+
+    def _outside_m(self) -> float:
+        """Margin outside the region in which unknown cells count, capped by the laser's range."""
+        return min(_OUTSIDE_M[self._widening], self._task.config.laser.max_range)
+
+
+_ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
+    "choose view": Exploration._choose_view,
+    "replan": Exploration._replan,
+    "replan or choose view": Exploration._replan_or_choose_view,
+    "turn around": Exploration._turn_around,
+    "count failed view": Exploration._count_failed_view,
+    "mark unreachable": Exploration._mark_unreachable,
+    "revisit": Exploration._revisit,
+    "resume": Exploration._resume,
+    "approach gap or retrace": Exploration._approach_gap_or_retrace,
+    "finish": Exploration._finish,
+    "give up": Exploration._give_up,
+}

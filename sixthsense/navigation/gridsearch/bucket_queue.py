@@ -1,0 +1,24 @@
+"""A queue of cells in a ring of stacks: pushing and popping take constant time."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Stacks = NDArray[np.int32]
+"""(B, M) the cells in the queue, one row per bucket."""
+Sizes = NDArray[np.int64]
+"""(B,) how many there are in each."""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def push(stacks: Stacks, sizes: Sizes, slot: int, node: int) -> Stacks:
+    """Push `node` on a stack; returns the stacks, with twice the room if that one was full."""
+    if sizes[slot] == stacks.shape[1]:
+        wider = np.empty((stacks.shape[0], 2 * stacks.shape[1]), dtype=np.int32)
+        wider[:, : stacks.shape[1]] = stacks
+        stacks = wider
+    stacks[slot, sizes[slot]] = node
+    sizes[slot] += 1
+    return stacks

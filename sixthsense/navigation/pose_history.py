@@ -1,0 +1,56 @@
+"""Where the robot has been and how certain its position was there: when to revisit a place, and which."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sixthsense.config import ExploreConfig
+from sixthsense.core.geometry import Array, Pose
+
+_WELL_KNOWN = 0.5  # a place is worth a revisit if sigma there was at most this share of the present one
+_NEXT_REVISIT = 1.5  # growth of sigma before another revisit is tried
+
+
+class PoseHistory:
+    """Positions at the key scans and their largest standard deviations."""
+
+    def __init__(self, explore: ExploreConfig) -> None:
+        """Begin with no position; `explore` sets the threshold of a revisit."""
+        self.sigma_m = 0.0
+        """largest standard deviation of the latest position"""
+        self._explore = explore
+        self._revisit_threshold_m = explore.revisit_sigma_m
+        self._rows: list[tuple[float, float, float]] = []
+
+    def add(self, pose: Pose, pose_cov: Array) -> None:
+        """Append the pose of a key scan, with its covariance (3, 3)."""
+        self.sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(pose_cov[:2, :2])[-1]), 0.0))
+        self._rows.append((pose.x, pose.y, self.sigma_m))
+        if self.sigma_m <= self._explore.revisit_sigma_m:
+            self._revisit_threshold_m = self._explore.revisit_sigma_m
+
+    @property
+    def positions(self) -> Array:
+        """(N, 2) all positions, world frame, metres."""
+        return np.array([row[:2] for row in self._rows])
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the position is certain enough to end a revisit."""
+        return self.sigma_m <= _WELL_KNOWN * self._explore.revisit_sigma_m
+
+    @property
+    def needs_revisit(self) -> bool:
+        """Whether the position is so uncertain that a revisit is due."""
+        return self._explore.revisit and self.sigma_m > self._revisit_threshold_m
+
+    def postpone_revisit(self) -> None:
+        """Require a larger uncertainty for the next revisit, whatever the present one achieves."""
+        self._revisit_threshold_m = _NEXT_REVISIT * self.sigma_m
+
+    def well_known_places(self) -> Array:
+        """(K, 2) positions that were much more certain than the present one."""
+        places = [(x, y) for x, y, sigma in self._rows if sigma <= _WELL_KNOWN * self.sigma_m]
+        return np.array(places).reshape(-1, 2)

@@ -1,0 +1,285 @@
+"""The transitions of an exploration, one by one, on maps that a noiseless robot has seen."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from sixthsense.config import Config, merge
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.navigation.exploration import _ACTIONS, Exploration, ExplorationTask
+from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.map_window import NO_TARGET, UNREACHABLE
+from sixthsense.navigation.path_planner import PathPlanner
+from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.view_planner import SensorModel
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.grid import Grid
+
+CONFIG = Config()
+RADIUS = 0.2
+START = Pose(1.0, 1.0, 0.0)
+AFTER_CHOICE = ("to viewpoint", "returning")
+
+
+def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[list[list[float]]]:
+    return [[[x0, y0], [x1, y0]], [[x1, y0], [x1, y1]], [[x1, y1], [x0, y1]], [[x0, y1], [x0, y0]]]
+
+
+ROOM = np.array(rectangle(0.0, 0.0, 3.0, 3.0))
+# The second room is visible from the first only through the door.
+TWO_ROOMS = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 1.8]], [[4.0, 2.8], [4.0, 3.0]]])
+NARROW_DOOR = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 1.25]], [[4.0, 1.75], [4.0, 3.0]]])
+
+
+class Stage:
+    """An exploration of a region, and the map that the robot has of it."""
+
+    def __init__(self, walls: Array, changes: dict[str, object] | None = None) -> None:
+        self.config = merge(CONFIG, changes or {})
+        self.walls = walls
+        self.grid = Grid(self.config.grid, RADIUS)
+        self.see(START)
+        task = ExplorationTask(
+            home=START.position,
+            region=(0.0, 0.0, float(walls[..., 0].max()), 3.0),
+            radius_m=RADIUS,
+            sensor=SensorModel.of(self.config.laser, self.config.grid.cell_m, self.config.keyscans.turn_rad),
+            paths=PathPlanner(make_planner("astar"), self.config),
+            follower=Follower(self.config.follow, self.config.robot),
+            config=self.config,
+            rng=np.random.default_rng(0),
+        )
+        self.exploration = Exploration(task, self.grid, estimate(START))
+
+    def see(self, pose: Pose) -> None:
+        """Map the scan from a pose, together with the walls."""
+        laser = self.config.laser
+        ranges = cast_rays(pose, beam_bearings(laser), self.walls, laser.max_range)
+        self.grid.add(pose, Scan.from_config(ranges, laser), np.zeros((0, 2, 2)))
+
+    def look(self, pose: Pose, sigma_m: float = 0.0) -> State:
+        self.exploration.look(self.grid, estimate(pose, sigma_m))
+        return self.exploration.state
+
+    def at_viewpoint(self) -> Pose:
+        """Drive, without the drive, to the first viewpoint."""
+        self.look(START)
+        pose = Pose(*self.exploration.driver.goal, 0.0)
+        self.exploration.handle("arrived", pose)
+        return pose
+
+
+def seen_room(changes: dict[str, object] | None = None) -> Stage:
+    """A room of which all is seen."""
+    stage = Stage(ROOM, changes)
+    for x in (0.7, 1.5, 2.3):
+        for y in (0.7, 1.5, 2.3):
+            stage.see(Pose(x, y, 0.0))
+    return stage
+
+
+def estimate(pose: Pose, sigma_m: float = 0.0) -> Estimate:
+    none = np.zeros(0, dtype=np.int64)
+    cov = np.diag([sigma_m**2, sigma_m**2, 0.0])
+    return Estimate(pose, cov, none, np.zeros((0, 2)), none.astype(np.bool_))
+
+
+ALL = [(state, event) for state in get_args(State) for event in get_args(Event)]
+
+
+def test_every_state_is_in_the_table_and_is_left_by_some_event() -> None:
+    assert set(TRANSITIONS) == set(get_args(State))
+    for state, row in TRANSITIONS.items():
+        assert any(to != state for transition in row.values() for to in transition.to)
+    reached = {to for row in TRANSITIONS.values() for transition in row.values() for to in transition.to}
+    assert reached == set(get_args(State))
+
+
+def test_every_action_is_in_the_table_and_is_implemented() -> None:
+    used = {transition.action for row in TRANSITIONS.values() for transition in row.values()}
+    assert used == set(_ACTIONS) == set(get_args(Action))
+
+
+@pytest.mark.parametrize(("state", "event"), ALL)
+def test_each_event_leads_to_a_state_that_the_table_names(state: State, event: Event) -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    exploration = stage.exploration
+    exploration.state = state
+    reacted = exploration._react(event, START)
+    transition = TRANSITIONS[state].get(event)
+    assert reacted == (transition is not None)
+    assert exploration.state in (transition.to if transition else (state,))
+
+
+def test_the_first_map_selects_a_view_and_a_path_to_it() -> None:
+    stage = Stage(TWO_ROOMS)
+    assert stage.exploration.state == "selecting"
+    assert stage.look(START) == "to viewpoint"
+    assert stage.exploration.driver.following and len(stage.exploration._target.cells) > 0
+
+
+def test_when_nothing_is_left_to_see_the_robot_returns_home() -> None:
+    stage = seen_room()
+    assert stage.look(START) == "returning"
+    assert stage.exploration.driver.goal.tolist() == START.position.tolist()
+    assert stage.exploration.handle("arrived", START)
+    assert stage.exploration.outcome == "explored"
+
+
+def test_without_the_way_home_the_exploration_ends_when_nothing_is_left_to_see() -> None:
+    stage = seen_room({"explore": {"return_home": False}})
+    stage.look(START)
+    assert stage.exploration.outcome == "explored"
+
+
+def test_on_arrival_at_a_viewpoint_the_robot_turns_and_further_arrivals_change_nothing() -> None:
+    stage = Stage(TWO_ROOMS)
+    pose = stage.at_viewpoint()
+    exploration = stage.exploration
+    assert exploration.state == "at viewpoint" and not exploration.driver.following
+    target = exploration._target
+    exploration.handle("arrived", pose)
+    assert exploration.state == "at viewpoint" and exploration._target is target
+    assert exploration.driver.step(pose, 0, exploration).turn_rate > 0.0
+
+
+def test_a_map_that_does_not_show_the_target_leaves_the_robot_turning() -> None:
+    stage = Stage(TWO_ROOMS)
+    pose = stage.at_viewpoint()
+    assert stage.look(pose) == "at viewpoint"
+    assert not stage.exploration.driver.following
+
+
+def test_a_target_that_is_seen_is_replaced() -> None:
+    stage = Stage(TWO_ROOMS)
+    pose = stage.at_viewpoint()
+    before = stage.exploration._target
+    for _ in range(3):
+        stage.see(Pose(6.0, 1.5, 0.0))
+        stage.see(pose)
+    assert stage.look(pose) in AFTER_CHOICE
+    assert stage.exploration._target is not before
+
+
+def test_a_turn_at_the_viewpoint_that_does_not_show_the_target_is_counted() -> None:
+    stage = Stage(TWO_ROOMS)
+    pose = stage.at_viewpoint()
+    exploration = stage.exploration
+    failed = exploration._target.mask(exploration._window) & exploration._window.unknown
+    assert failed.any()
+    exploration.handle("turned around", pose)
+    assert (exploration._failed_views.within(exploration._window)[failed] == 1).all()
+    assert exploration.state in AFTER_CHOICE
+
+
+@pytest.mark.parametrize("event", ["turned around", "stuck"])
+def test_a_target_without_a_path_becomes_unreachable(event: Event) -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    exploration = stage.exploration
+    exploration._retries = stage.config.explore.tries  # else the count may be reset at once
+    failed = exploration._target.mask(exploration._window) & exploration._window.unknown
+    assert failed.any()
+    exploration.handle(event, START)  # type: ignore[arg-type]
+    assert (exploration._failed_views.within(exploration._window)[failed] == UNREACHABLE).all()
+    assert exploration.state in AFTER_CHOICE
+
+
+def test_a_robot_that_is_stuck_twice_without_an_arrival_gives_up() -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    assert not stage.exploration.handle("stuck", START)
+    assert stage.exploration.handle("stuck", START)
+    assert stage.exploration.outcome == "stuck"
+
+
+def test_an_arrival_between_two_times_stuck_lets_the_robot_go_on() -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    stage.exploration.handle("stuck", START)
+    stage.exploration.state = "to viewpoint"
+    stage.exploration.handle("arrived", START)
+    assert not stage.exploration.handle("stuck", START)
+
+
+def test_an_uncertain_pose_is_revisited_and_exploration_goes_on_when_it_is_certain() -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    pose = Pose(2.0, 1.5, 0.0)
+    assert stage.look(pose, sigma_m=0.2) == "revisiting"
+    assert stage.exploration._target is NO_TARGET
+    np.testing.assert_allclose(stage.exploration.driver.goal, START.position)
+    assert stage.look(pose, sigma_m=0.2) == "revisiting"
+    assert stage.look(pose, sigma_m=0.01) == "to viewpoint"
+
+
+def test_a_revisit_that_does_not_help_is_repeated_only_when_the_pose_is_much_less_certain() -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    pose = Pose(2.0, 1.5, 0.0)
+    stage.look(pose, sigma_m=0.2)
+    stage.exploration.handle("arrived", START)
+    assert stage.exploration.state == "to viewpoint"
+    assert stage.look(pose, sigma_m=0.25) == "to viewpoint"
+    assert stage.look(pose, sigma_m=0.35) == "revisiting"
+
+
+def test_an_uncertain_pose_without_a_certain_place_is_not_revisited() -> None:
+    stage = Stage(TWO_ROOMS)
+    assert stage.look(START, sigma_m=0.2) == "to viewpoint"
+
+
+@pytest.mark.parametrize("state", ["revisiting", "approaching gap"])
+@pytest.mark.parametrize("event", ["arrived", "turned around", "stuck"])
+def test_a_detour_ends_with_another_view(state: State, event: Event) -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    stage.exploration.state, stage.exploration._target = state, NO_TARGET
+    stage.exploration.handle(event, START)  # type: ignore[arg-type]
+    assert stage.exploration.state == "to viewpoint"
+
+
+@pytest.mark.parametrize("state", ["revisiting", "approaching gap", "returning"])
+def test_a_blocked_path_is_planned_again_towards_the_same_goal(state: State) -> None:
+    stage = Stage(TWO_ROOMS)
+    stage.look(START)
+    exploration = stage.exploration
+    exploration.state, exploration._target = state, NO_TARGET
+    goal = exploration.driver.goal
+    exploration.driver.stop()
+    assert stage.look(START, sigma_m=0.08) == state  # too uncertain to end a revisit
+    assert exploration.driver.following and exploration.driver.goal is goal
+
+
+def test_a_robot_stuck_on_the_way_home_gives_up_at_once() -> None:
+    stage = seen_room()
+    stage.look(START)
+    assert stage.exploration.handle("stuck", START)
+    assert stage.exploration.outcome == "stuck"
+
+
+def test_without_a_path_home_the_robot_approaches_the_gap_as_often_as_is_tried_then_retraces_then_gives_up() -> None:
+    stage = Stage(NARROW_DOOR)
+    for x in (1.0, 2.0, 3.0, 3.8, 4.2, 5.0, 7.0):
+        stage.see(Pose(x, 1.5, 0.0))
+    stage.look(START)
+    pose = Pose(6.0, 1.5, 0.0)
+    stage.look(pose)
+    exploration = stage.exploration
+    exploration.state, exploration._target = "returning", NO_TARGET
+    for _ in range(stage.config.explore.tries):
+        exploration.state = "returning"
+        exploration.handle("turned around", pose)
+        assert exploration.state == "approaching gap"
+        assert 4.0 < exploration.driver.goal[0] < 5.0
+    exploration.state = "returning"
+    over = exploration.handle("turned around", pose)
+    assert exploration._retracing
+    if not over:  # its own path led through the door
+        assert exploration.state == "returning" and exploration.driver.following
+        exploration.handle("turned around", pose)
+    assert exploration.outcome == "goal unreachable"

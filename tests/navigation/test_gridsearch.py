@@ -1,0 +1,103 @@
+import heapq
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.ndimage import label
+from test_planners import WORLDS
+
+from sixthsense.navigation.gridsearch import (
+    cell_before_gap,
+    connected_mask,
+    geodesic_distances,
+    path_to_nearest,
+    reachable_cells,
+)
+
+Mask = NDArray[np.bool_]
+
+
+def scattered(seed: int, share: float, shape: tuple[int, int] = (23, 31)) -> Mask:
+    return np.random.default_rng(seed).random(shape) < share
+
+
+def plain_distances(passable: Mask, blocked: Mask, row: int, col: int) -> NDArray[np.float64]:
+    """Dijkstra's search of the textbook."""
+    cost = np.full(passable.shape, np.inf)
+    cost[row, col] = 0.0
+    queue = [(0.0, row, col)]
+    while queue:
+        here, r, c = heapq.heappop(queue)
+        for dr, dc in ((a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)):
+            p, q = r + dr, c + dc
+            if not (0 <= p < cost.shape[0] and 0 <= q < cost.shape[1] and passable[p, q]):
+                continue
+            if dr and dc and (blocked[r, q] or blocked[p, c]):
+                continue
+            there = here + math.hypot(dr, dc)
+            if there < cost[p, q] - 1e-12:
+                cost[p, q] = there
+                heapq.heappush(queue, (there, p, q))
+    return cost
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_geodesic_distances_are_those_of_a_plain_search(seed: int) -> None:
+    blocked, unseen = scattered(seed, 0.25), scattered(seed + 100, 0.1)
+    blocked[5, 7] = unseen[5, 7] = False
+    passable = ~blocked & ~unseen
+    np.testing.assert_allclose(
+        geodesic_distances(passable, blocked, 5, 7), plain_distances(passable, blocked, 5, 7), atol=5e-3, rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_path_to_the_nearest_cell_is_as_short_as_a_plain_search_finds(seed: int) -> None:
+    free, wanted = ~scattered(seed, 0.3, (21, 21)), scattered(seed + 100, 0.05, (21, 21))
+    free[10, 10] = True
+    cost = plain_distances(free, ~free, 10, 10)
+    nearest = float(cost[wanted & free].min(initial=math.inf))
+    path = path_to_nearest(free, wanted, 0.5, 4.0)
+    if 0.5 * nearest > 4.0:
+        assert path is None
+        return
+    assert path is not None
+    assert path[0].tolist() == [10, 10] and wanted[tuple(path[-1])] and free[tuple(path.T)].all()
+    assert np.hypot(*np.diff(path, axis=0).T).sum() == pytest.approx(nearest)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("world", WORLDS)
+def test_reachable_cells_are_the_connected_ones(world, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    blocked = world(rng)
+    rooms, _ = label(~blocked)
+    row, col = rng.permutation(np.argwhere(~blocked))[0].tolist()
+    cells = reachable_cells(blocked, row, col)
+    assert cells[0] == row * blocked.shape[1] + col
+    assert np.array_equal(np.sort(cells), np.flatnonzero(rooms == rooms[row, col]))
+    assert np.array_equal(np.flatnonzero(connected_mask(~blocked, row, col)), np.sort(cells))
+
+
+def test_cells_behind_a_wall_are_not_connected() -> None:
+    free = np.ones((5, 9), dtype=np.bool_)
+    free[:, 4] = False
+    assert connected_mask(free, 0, 0).sum() == 20
+    assert connected_mask(free, 2, 4).sum() == 0
+
+
+def test_the_cell_before_a_gap_is_the_last_reachable_one_on_the_path_through_it() -> None:
+    wall = np.zeros((9, 12), dtype=np.bool_)
+    wall[:, 6] = True
+    wall[2, 6] = False  # a door
+    closed = wall.copy()
+    closed[1:4, 5:8] = True  # for a robot that keeps its clearance
+    without_clearance = geodesic_distances(~wall, wall, 7, 1)
+    cost = geodesic_distances(~closed, closed, 7, 1)
+    cell = cell_before_gap(cost, without_clearance, 7, 10)
+    assert cell is not None
+    row, col = cell
+    assert np.isfinite(cost[row, col]) and math.hypot(row - 2, col - 6) < 3.0
+    assert cell_before_gap(cost, without_clearance, 5, 2) is None  # reached by both
+    assert cell_before_gap(cost, cost, 7, 10) is None  # reached by neither
