@@ -1,10 +1,10 @@
-"""What each part of the pipeline is worth: the goal task with one switch turned at a time, over seeds.
+"""Ablations: the goal task with one part of the pipeline switched off or on at a time, over seeds.
 
 A true landmark is an end, a corner or a crossing of walls. It is visible in a scan if it lies within the laser's field
-of view and within 3 m, where beams a degree apart are 5 cm apart, and the ray from the laser's true pose to it meets
-nothing on its way. A sighting is false if it lies farther than 0.15 m from every true landmark, visible or not; a
-visible landmark is missed if no sighting lies that near to it. Both are counted on the scans of the baseline's runs, a
-scan a second, placed at their true poses, so that every switch of the extraction faces the same evidence.
+of view and within 3 m, where beams one degree apart are 5 cm apart, and if the ray from the laser's true pose to it is
+free. A sighting is false if it lies farther than 0.15 m from every true landmark, visible or not. A visible landmark is
+missed if no sighting lies within 0.15 m of it. Both are counted on the scans of the baseline's runs, one scan per
+second, placed at their true poses, so that every switch of the extraction is measured on the same scans.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 
 from sixthsense.config import Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance, wrap_angle
@@ -30,8 +30,8 @@ from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
 
 GATE_M, NEAR_M = 0.15, 3.0
-_SIGHT_M = 0.02  # a ray that ends this near to a landmark has reached it
-_EVERY_S = 1.0  # between two scans that are counted
+_SIGHT_M = 0.02  # a ray that ends this close to a landmark has reached it
+_EVERY_S = 1.0  # between two counted scans
 
 BASELINE = "baseline"
 PRESETS = ("default", "report")
@@ -46,7 +46,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 _EXTRACTION = (BASELINE, "iep_off", "least_squares_off")
 
-# Column's head, figure's key.
+# Column name and key of the figure.
 COLUMNS = (
     ("false / scan", "false_per_scan"),
     ("missed / scan", "missed_per_scan"),
@@ -65,7 +65,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A scan and what it should show."""
+    """A scan and the landmarks visible in it."""
 
     scan: Scan
     truth: Pose
@@ -75,7 +75,7 @@ class View:
 
 
 def visible_landmarks(pose: Pose, landmarks: Array, walls: Array, laser: LaserConfig) -> Array:
-    """The (V, 2) of `landmarks` (M, 2) near the true `pose` that the robot's laser has in sight; metres, world."""
+    """The `landmarks` (M, 2) visible to the laser of a robot at the true `pose`: (V, 2), metres, world frame."""
     T_world_laser = pose @ Pose(*laser.mount)
     seen = T_world_laser.inverse() @ landmarks
     bearings, ranges = np.arctan2(seen[:, 1], seen[:, 0]), np.hypot(seen[:, 0], seen[:, 1])
@@ -85,7 +85,7 @@ def visible_landmarks(pose: Pose, landmarks: Array, walls: Array, laser: LaserCo
 
 
 def collect(config: Config) -> tuple[Trace, list[View]]:
-    """Run once, and keep a view a second."""
+    """Run once and keep one view per second."""
     scene = load_scene(config.scene)
     landmarks = true_landmarks(scene.walls)
     views: list[View] = []
@@ -102,7 +102,7 @@ def collect(config: Config) -> tuple[Trace, list[View]]:
 
 
 def detection_figures(views: Sequence[View], walls: Array, config: Config) -> Figures:
-    """False and missed landmarks per scan, and how far (RMS, mm) the others and walls' ends are from the truth."""
+    """False and missed landmarks per scan, and the RMS error, mm, of the other landmarks and of wall ends."""
     landmarks = true_landmarks(walls)
     rng = np.random.default_rng(0)
     false = missed = 0
@@ -127,7 +127,7 @@ def detection_figures(views: Sequence[View], walls: Array, config: Config) -> Fi
 
 
 def run_figures(trace: Trace, landmarks: Array) -> dict[str, float]:
-    """What one run comes to."""
+    """Figures of one run."""
     truth = np.array(trace.truths)
     gaps = _distances(trace.final.landmarks, landmarks).min(axis=1, initial=math.inf)
     return {
@@ -144,7 +144,10 @@ def run_figures(trace: Trace, landmarks: Array) -> dict[str, float]:
 
 
 def ablation_figures(name: str, seeds: int, scene: str = "apartment", max_time: float | None = None) -> Figures:
-    """All switches for one preset, under keys `preset.switch.figure`; times and lengths are of runs at their goal."""
+    """Figures of all switches for one preset, with keys `preset.switch.figure`.
+
+    Times and lengths are those of runs that reached the goal.
+    """
     report = {"task": "goal", "features": {"landmarks": "corners"}}
     base = preset(name, scene=scene, max_time=max_time or MAX_TIME[name], **report)
     walls = load_scene(scene).walls
@@ -168,8 +171,8 @@ def ablation_figures(name: str, seeds: int, scene: str = "apartment", max_time: 
             found |= detection_figures(views, walls, config)
         done = [row for row in rows if row["done"]] or rows
         for key in rows[0]:
-            way = key in ("sim_time_s", "path_length_m", "turned_rad")
-            found[f"{key}_median"] = float(np.median([row[key] for row in (done if way else rows)]))
+            is_travel = key in ("sim_time_s", "path_length_m", "turned_rad")
+            found[f"{key}_median"] = float(np.median([row[key] for row in (done if is_travel else rows)]))
         found["landmarks_false_mean"] = float(np.mean([row["landmarks_false"] for row in rows]))
         found["goals_reached"] = sum(row["done"] for row in rows)
         found["ate_rmse_m_max"] = max(row["ate_rmse_m"] for row in rows)
@@ -180,12 +183,12 @@ def ablation_figures(name: str, seeds: int, scene: str = "apartment", max_time: 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """Something the report says, and the figure that has to change for it to be so."""
+    """A statement of the report and the condition on the figures under which it holds."""
 
     switch: str
     text: str
     worse: Callable[[Mapping[str, float], Mapping[str, float]], bool]
-    """whether the report is right, from the figures without the part and with it"""
+    """whether the statement holds, given the figures without the part and with it"""
     shown: tuple[str, ...]
 
 
@@ -225,7 +228,7 @@ CLAIMS = (
 
 
 def sentence(name: str, claim: Claim, figures: Figures) -> str:
-    """Whether a claim holds for a preset, and the figures that say so."""
+    """Whether a claim holds for a preset, with the figures it depends on."""
     ours, base = _of(figures, f"{name}.{claim.switch}."), _of(figures, f"{name}.{BASELINE}.")
     verdict = "holds" if claim.worse(ours, base) else "does not hold here"
     changes = ", ".join(f"{key} {base[key]:.3g} -> {ours[key]:.3g}" for key in claim.shown)
@@ -237,7 +240,7 @@ def _of(figures: Figures, prefix: str) -> Figures:
 
 
 def row(name: str, switch: str, figures: Figures) -> list[str]:
-    """A line of the table."""
+    """A row of the table."""
     own = _of(figures, f"{name}.{switch}.")
     outcomes = [f"{int(n)} {k.removeprefix('outcome.')}" for k, n in own.items() if k.startswith("outcome.")]
     cells = [f"{own[key]:.3g}" if key in own else "" for _, key in COLUMNS]
@@ -252,10 +255,9 @@ def _distances(points: Array, others: Array) -> Array:
 
 def main() -> None:
     parser = arguments((__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="so many seeds per preset and switch")
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="seeds per preset and switch (20)")
     options = parser.parse_args()
-    if options.seeds < 1:
-        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    check_at_least(parser, options, seeds=1)
     warm_up()
     figures: Figures = {}
     for name in PRESETS:

@@ -1,8 +1,9 @@
-"""Small valid bags of every kind, and bags made anew of damaged messages: all but the messages is then right.
+"""Small valid bags of every kind, and valid bags with damaged messages, for fuzzing.
 
-A plain bag is how a message is damaged behind the checksums, lengths and indexes of its file: records with a mark
-between them, the first a byte that chooses the compression, then one per topic (its number with the highest bit set;
-name, type and definition, zeros between) and one per message (number of the topic, stamp of 8 bytes, content).
+A plain bag lets a fuzzer damage messages while checksums, lengths and indexes of the file stay valid. It is a sequence
+of records separated by a mark: first a byte that selects the compression, then one record per topic (its number with
+the highest bit set; name, type and definition, separated by zeros) and one per message (number of the topic, stamp of
+8 bytes, content).
 """
 
 from __future__ import annotations
@@ -36,14 +37,14 @@ INSERT INTO schema VALUES (4, 'humble');
 
 
 class _Messages:
-    """Messages of a robot that drives past nothing in particular."""
+    """A few messages of each type that a log reader uses."""
 
     def __init__(self, one: bool) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._one = one
         self.store = get_typestore(Stores.ROS1_NOETIC if one else Stores.ROS2_HUMBLE)
-        if one:  # it does not know tf2
+        if one:  # the typestore lacks tf2
             self.store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
 
     def _make(self, name: str, *values: Any) -> Any:
@@ -81,7 +82,7 @@ class _Messages:
 
 @cache
 def _definition(one: bool, name: str) -> tuple[str, str]:
-    """What a bag says of a type, and its digest; nothing of one that is not known."""
+    """The definition of a type and its digest; empty for an unknown type."""
     try:
         definition, digest = _Messages(one).store.generate_msgdef(name, ros_version=1 if one else 2)
         return definition, digest
@@ -100,21 +101,21 @@ class Topic:
     digest: str
 
 
-def _plain(one: bool, told: bool) -> bytes:
-    """The messages as a plain bag; their types' definitions in it if `told`, else those that are right are meant."""
+def _plain(one: bool, has_definitions: bool) -> bytes:
+    """The messages as a plain bag, with the definitions of their types if `has_definitions`."""
     topics: dict[str, int] = {}
     records, messages = [], []
     for name, kind, stamp_ns, content in _Messages(one):
         if name not in topics:
             topics[name] = len(topics)
-            definition = _definition(one, kind)[0] if told else ""
+            definition = _definition(one, kind)[0] if has_definitions else ""
             records.append(bytes([128 + topics[name]]) + f"{name}\0{kind}\0{definition}".encode())
         messages.append(struct.pack("<BQ", topics[name], stamp_ns) + content)
-    return b"~" + _MARK.join([bytes([told]), *records, *messages])
+    return b"~" + _MARK.join([bytes([has_definitions]), *records, *messages])
 
 
 def _parsed(data: bytes, one: bool) -> tuple[int, list[Topic], list[tuple[int, int, bytes]]]:
-    """Compression, topics, messages (number of the topic, stamp, content) of a plain bag, whatever is left of it."""
+    """Compression, topics and messages (number of the topic, stamp, content) of a plain bag, also of a damaged one."""
     first, *records = data.split(_MARK)
     topics, messages = [], []
     for record in records:
@@ -129,7 +130,7 @@ def _parsed(data: bytes, one: bool) -> tuple[int, list[Topic], list[tuple[int, i
 
 
 def mcap(data: bytes) -> bytes:
-    """An MCAP file, plain, by lz4 or by zstd, made of a plain bag."""
+    """An MCAP file from a plain bag: uncompressed, lz4 or zstd."""
     from mcap.writer import CompressionType, Writer
 
     compression, topics, messages = _parsed(data, False)
@@ -149,7 +150,7 @@ def mcap(data: bytes) -> bytes:
 
 
 def database(data: bytes) -> bytes:
-    """A database of ROS 2 made of a plain bag."""
+    """A ROS 2 SQLite database from a plain bag."""
     _, topics, messages = _parsed(data, False)
     with sqlite3.connect(":memory:") as store:
         store.executescript(_TABLES)
@@ -164,7 +165,7 @@ def database(data: bytes) -> bytes:
 
 
 def _one_record(data: bytes, **fields: bytes) -> bytes:
-    """A record of ROS 1: a header, each length before what it counts, then data."""
+    """A ROS 1 record: header fields and data, each with its length first."""
     return _counted(b"".join(_counted(name.encode() + b"=" + value) for name, value in fields.items())) + _counted(data)
 
 
@@ -173,7 +174,7 @@ def _counted(data: bytes) -> bytes:
 
 
 def bag_of_one(data: bytes) -> bytes:
-    """A bag of ROS 1, plain, by bz2 or by lz4, made of a plain bag (wiki.ros.org/Bags/Format/2.0)."""
+    """A ROS 1 bag from a plain bag: uncompressed, bz2 or lz4 (wiki.ros.org/Bags/Format/2.0)."""
     from lz4.frame import compress
 
     compression, topics, messages = _parsed(data, True)
@@ -184,9 +185,9 @@ def bag_of_one(data: bytes) -> bytes:
             "topic": topic.name, "type": topic.kind.replace("/msg/", "/"), "md5sum": topic.digest,
             "message_definition": topic.definition,
         }  # fmt: skip
-        told = b"".join(_counted(f"{name}={value}".encode()) for name, value in fields.items())
+        header = b"".join(_counted(f"{name}={value}".encode()) for name, value in fields.items())
         conn = struct.pack("<I", topic.number)
-        connections += _one_record(told, op=b"\x07", conn=conn, topic=topic.name.encode())
+        connections += _one_record(header, op=b"\x07", conn=conn, topic=topic.name.encode())
     for number, stamp_ns, content in messages:
         if number in known:
             time = struct.pack("<II", stamp_ns // 10**9 % 2**32, stamp_ns % 10**9)
@@ -211,7 +212,7 @@ def bag_of_one(data: bytes) -> bytes:
 
 
 def foreign(kind: str) -> Callable[[Path], list[bytes]]:
-    """Bags of others: one as its own library writes it, and two plain ones."""
+    """Seeds of a kind of bag: one written by rosbags, and two plain ones."""
 
     def seeds(folder: Path) -> list[bytes]:
         from rosbags.rosbag1 import Writer as Writer1
@@ -235,12 +236,12 @@ def foreign(kind: str) -> Callable[[Path], list[bytes]]:
 
 
 def of_a_run(folder: Path) -> list[bytes]:
-    """The bag of a run, and the plain one it is made of."""
+    """The bag of a run, and the plain bag it is made from."""
     return [mcap(_plain(False, False)[1:]), _plain(False, False)]
 
 
 def compile_once() -> None:
-    """Make the library keep what it compiles for a bag's types, which is most of the time that reading takes."""
+    """Make rosbags cache the code that it compiles for a bag's types, which takes most of the reading time."""
     from rosbags.highlevel import anyreader
     from rosbags.serde import utils
     from rosbags.typesys import store

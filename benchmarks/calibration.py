@@ -1,4 +1,4 @@
-"""What calibration is worth: worlds that are noisier than assumed, each toured before and after measuring its noise."""
+"""The effect of calibration: tours of worlds noisier than assumed, before and after their noise was calibrated."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.evaluation.calibrate import SAMPLES, calibrate
@@ -15,19 +15,19 @@ from sixthsense.loop import run, warm_up
 
 SCENE = "apartment"
 TOUR_S = 200.0
-MORE = 3.0  # so many times the noise that is assumed
+NOISE_FACTOR = 3.0  # of the world's noise to the assumed noise
 
 _MOTION, _LASER = preset().assumed.motion, preset().assumed.laser
-_TURN = {"motion": {"turn_rate": MORE * _MOTION.turn_rate}}
+_TURN = {"motion": {"turn_rate": NOISE_FACTOR * _MOTION.turn_rate}}
 _SLIP = {
     "motion": {
-        "slip_heading_per_sqrt_m": MORE * _MOTION.slip_heading_per_sqrt_m,
-        "slip_heading_per_sqrt_rad": MORE * _MOTION.slip_heading_per_sqrt_rad,
+        "slip_heading_per_sqrt_m": NOISE_FACTOR * _MOTION.slip_heading_per_sqrt_m,
+        "slip_heading_per_sqrt_rad": NOISE_FACTOR * _MOTION.slip_heading_per_sqrt_rad,
     }
 }
-_RANGE = {"laser": {"range_m": MORE * _LASER.range_m}}
+_RANGE = {"laser": {"range_m": NOISE_FACTOR * _LASER.range_m}}
 
-# Name: preset, and what the world does besides. The first is the control: what is assumed is true.
+# Name: preset and changes of the world. The first is the control: the assumed noise is correct.
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "as_assumed": ("default", {}),
     "worn": ("worn", {}),
@@ -37,7 +37,7 @@ WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     "all_x3": ("default", {"motion": _TURN["motion"] | _SLIP["motion"], **_RANGE}),
 }
 
-# Column's head, key in the run's metrics.
+# Column name and key in the run's metrics.
 COLUMNS = (
     ("ATE m", "ate_rmse_m"),
     ("pose NEES", "pose_nees_world_mean"),
@@ -47,15 +47,15 @@ STEPS = ("before", "after")
 
 
 def world_config(name: str, max_time: float = TOUR_S) -> Config:
-    """A tour in the world of that name, with the default's assumptions."""
+    """A tour in the world `name` with the assumptions of the default preset."""
     base, changes = WORLDS[name]
     return merge(preset(base, scene=SCENE, task="tour", max_time=max_time), {"world": changes})
 
 
 def world_figures(name: str, seeds: int, max_time: float = TOUR_S, samples: int = SAMPLES) -> Figures:
-    """Medians over the seeds under `world.step.key_median`, and how many runs ended before their time.
+    """Medians over the seeds with keys `world.step.key_median`, and the number of runs that ended early.
 
-    Each seed measures for itself and tours twice. What a run that ended early has measured is counted like the others.
+    Each seed calibrates on its own and tours twice. Runs that ended early count like the others.
     """
     rows: dict[str, list[dict[str, Any]]] = {step: [] for step in STEPS}
     for seed in range(seeds):
@@ -74,7 +74,7 @@ def world_figures(name: str, seeds: int, max_time: float = TOUR_S, samples: int 
 
 
 def row(name: str, figures: Figures) -> list[str]:
-    """A line of the table: each figure before -> after."""
+    """A row of the table: each figure before -> after."""
     cells = [
         " -> ".join(_cell(figures.get(f"{name}.{step}.{key}_median"), ".3g") for step in STEPS) for _, key in COLUMNS
     ]
@@ -87,10 +87,9 @@ def _cell(value: float | None, form: str) -> str:
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("--seeds", type=int, default=6, metavar="N", help="so many seeds per world")
+    parser.add_argument("--seeds", type=int, default=6, metavar="N", help="seeds per world (6)")
     options = parser.parse_args()
-    if options.seeds < 1:
-        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    check_at_least(parser, options, seeds=1)
     warm_up()
     figures: Figures = {}
     rows = [["world", *(column[0] for column in COLUMNS), "ended early"]]

@@ -1,4 +1,4 @@
-"""A campaign of 40 short runs: two workers against one, through a scheduler started by hand, and one worker killed."""
+"""A campaign of 40 short runs: speed with one and two workers, local and by a scheduler, and with a killed worker."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RUNS = 40
 COMMAND = ("campaign", "apartment", "--seeds", f"0:{RUNS}", "--task", "tour")
 TIMED = ("run_time_s", "wall_time_s", "realtime_factor", "scan_ms", "stage_ms", "host")
 
-REACH = {
+TARGETS = {
     "local.2_over_1": ">= 1.7",
     "by_hand.2_over_1": ">= 1.7",
     "killed.rows": f"{RUNS}",
@@ -36,7 +36,7 @@ REACH = {
 
 
 def start(out: Path, max_time: float, *options: str) -> subprocess.Popen[bytes]:
-    """Begin the campaign as a program of its own."""
+    """Start the campaign as a process."""
     words = [*COMMAND, "--max-time", str(max_time), "--out", str(out), *options]
     return subprocess.Popen(
         [sys.executable, "-m", "sixthsense.cli", *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
@@ -50,9 +50,9 @@ def end(campaign: subprocess.Popen[bytes]) -> None:
 
 
 def speed(name: str, workers: int, out: Path, max_time: float, *options: str) -> Figures:
-    """Runs per hour of the whole command, from its start to its end, and what share of it the workers were in runs.
+    """Runs per hour over the whole command, and the share of its time that the workers spent in runs.
 
-    Others' load lowers the first, what the campaign itself costs (start, warm-up, rows) the second.
+    The load of other programs lowers the former; the campaign's own overhead (start, warm-up, rows) lowers the latter.
     """
     began = time.perf_counter()
     end(start(out, max_time, *options))
@@ -63,7 +63,7 @@ def speed(name: str, workers: int, out: Path, max_time: float, *options: str) ->
 
 @contextlib.contextmanager
 def by_hand(workers: int) -> Iterator[str]:
-    """A scheduler and workers as programs, as Dask's documentation starts them; gives the scheduler's address."""
+    """The address of a scheduler with workers, started as processes like in Dask's documentation."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -80,7 +80,7 @@ def by_hand(workers: int) -> Iterator[str]:
 
 
 def kill_one(programs: list[psutil.Process], out: Path) -> None:
-    """Kill -9 a process that makes runs, as soon as a third of the rows is there."""
+    """Kill a worker process with SIGKILL once a third of the rows is written."""
     while len(list((out / "rows").glob("run-*"))) < RUNS // 3:
         time.sleep(0.1)
     workers = [p for program in programs for p in program.children(recursive=True) if "spawn_main" in str(p.cmdline())]
@@ -95,7 +95,7 @@ def rows(out: Path, name: str) -> Figures:
 
 
 def measured(out: Path) -> pd.DataFrame:
-    """The table without what a clock has measured: the same runs give the same bits, wherever they were made."""
+    """The table without measured times: all else is reproducible on any worker."""
     frame = load_campaign(out)
     return frame[[name for name in frame.columns if not name.startswith(TIMED)]]
 
@@ -131,7 +131,7 @@ def main() -> None:
             int((~((first == other) | (first.isna() & other.isna())).all(axis=1)).sum()) for other in others
         )
     figures["load.after"] = os.getloadavg()[0]
-    print_figures(figures, REACH)
+    print_figures(figures, TARGETS)
     write_json(options.json, figures)
 
 

@@ -1,7 +1,7 @@
-"""What de-skewing is worth: a tour of the apartment with a scanner that takes a tenth of a second, over seeds.
+"""The effect of de-skewing: tours of the apartment with a scanner whose sweep takes 0.1 s, over seeds.
 
-The map's error is the root mean square, over the obstacle cells of the final map, of the distance from a cell's centre
-to the nearest true wall; a cell that a wall runs through has half a cell's width of it at most.
+The map error is the root mean square, over the obstacle cells of the final map, of the distance from a cell's centre to
+the nearest true wall. It is not zero for a perfect map: the centre of a correct cell lies up to half a cell off.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.core.geometry import point_segment_distance
@@ -26,7 +26,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "skewed": {"laser": {"sweep_s": SWEEP_S}, "features": {"deskew": False}},
 }
 
-# Column's head, key of the figure.
+# Column name and key of the figure.
 COLUMNS = (
     ("ATE mm, median", "ate_rmse_mm_median"),
     ("max", "ate_rmse_mm_max"),
@@ -47,7 +47,7 @@ def map_rmse_m(trace: Trace) -> float:
 
 
 def setting_figures(name: str, base: Config, changes: Mapping[str, Any], seeds: int) -> Figures:
-    """Run a setting's seeds; keys `name.figure`."""
+    """Figures of one setting over its seeds, with keys `name.figure`."""
     config = merge(base, changes)
     rows = []
     for seed in range(seeds):
@@ -70,12 +70,11 @@ def setting_figures(name: str, base: Config, changes: Mapping[str, Any], seeds: 
 
 def main() -> None:
     parser = arguments((__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="so many seeds per setting and estimator")
+    parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds per setting and estimator (5)")
     parser.add_argument("--estimators", nargs="+", default=["ekf-invariant", "isam2"], metavar="NAME")
     parser.add_argument("--max-time", type=float, default=120.0, metavar="S", help="simulated seconds of each run")
     options = parser.parse_args()
-    if options.seeds < 1:
-        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    check_at_least(parser, options, seeds=1)
     warm_up()
     figures: Figures = {}
     rows = [["estimator and scans", *(head for head, _ in COLUMNS)]]

@@ -1,4 +1,4 @@
-"""How the EKF's update grows with the map, beside one pass over an array as large as its covariance."""
+"""Time of an EKF update over the size of the map, compared with one pass over its covariance."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sixthsense.slam.estimators.ekf import EKF
 
 SIZES = (10, 30, 100, 300, 1000, 2000)
 SEEN = 10
-REACH = {"n1000_m10_passes": "<= 3"}
+TARGETS = {"n1000_m10_passes": "<= 3"}
 
 NOISE_M = 0.02
 MOTION = Pose(0.1, 0.0, 0.01)
@@ -33,15 +33,15 @@ def sight(ids: NDArray[np.int64], landmarks: Array, truth: Pose, rng: np.random.
 
 
 def update_figures(n: int, repeats: int, seen: int = SEEN) -> Figures:
-    """Milliseconds of a key scan's prediction and update of `n` landmarks, and of the pass; their ratio.
+    """Milliseconds of prediction and update with `n` landmarks and of one pass over the covariance, and their ratio.
 
-    The pass reads and writes every number of a column-major (3 + 2n, 3 + 2n) array once; a filter that keeps a dense
-    covariance has to do at least half of that, a triangle's worth.
+    The pass reads and writes every number of a column-major (3 + 2n, 3 + 2n) array once. A filter with a dense
+    covariance must do at least half of that, one triangle.
     """
     rng = np.random.default_rng(n)
     landmarks = rng.uniform(-50.0, 50.0, (n, 2))
     truth = Pose()
-    # Uncertain at the birth of the map, so that all landmarks are correlated.
+    # The start is uncertain so that all landmarks are correlated.
     ekf = EKF(truth, np.diag([1e-2, 1e-2, 1e-3]))
     ekf.update(sight(np.arange(n), landmarks, truth, rng))
     scans = []
@@ -58,16 +58,20 @@ def update_figures(n: int, repeats: int, seen: int = SEEN) -> Figures:
         nonlocal whole
         whole *= 1.0000001
 
-    ms = alternate(scans, update, one_pass)[3:]  # the first touch memory that was never touched
+    ms = alternate(scans, update, one_pass)[3:]  # the first runs fault memory pages in
     error_m = math.hypot(*(ekf.estimate().pose.position - truth.position))
-    assert error_m < 1.0, "a filter that lost its way measures nothing"
-    ours, full = np.median(ms, axis=0)
+    assert error_m < 1.0, "the filter has diverged: its times mean nothing"
+    update_ms, pass_ms = np.median(ms, axis=0)
     name = f"n{n}_m{seen}"
-    return {f"{name}_ms": float(ours), f"{name}_pass_ms": float(full), f"{name}_passes": float(ours / full)}
+    return {
+        f"{name}_ms": float(update_ms),
+        f"{name}_pass_ms": float(pass_ms),
+        f"{name}_passes": float(update_ms / pass_ms),
+    }
 
 
 def scaling_figures(sizes: tuple[int, ...] = SIZES, repeats: int = 100) -> Figures:
-    """The figures of all sizes of map."""
+    """Figures of all map sizes."""
     figures: Figures = {}
     for n in sizes:
         figures |= update_figures(n, repeats)
@@ -75,7 +79,7 @@ def scaling_figures(sizes: tuple[int, ...] = SIZES, repeats: int = 100) -> Figur
 
 
 def save_figure(file: Path, figures: Figures, sizes: tuple[int, ...] = SIZES) -> None:
-    """Draw both curves, log-log."""
+    """Draw both times over the number of landmarks, log-log."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -84,13 +88,13 @@ def save_figure(file: Path, figures: Figures, sizes: tuple[int, ...] = SIZES) ->
     ax = figure.add_subplot()
     update = [figures[f"n{n}_m{SEEN}_ms"] for n in sizes]
     one_pass = [figures[f"n{n}_m{SEEN}_pass_ms"] for n in sizes]
-    ax.loglog(sizes, update, "o-", label=f"update with {SEEN} sightings")
+    ax.loglog(sizes, update, "o-", label=f"predict and update with {SEEN} sightings")
     ax.loglog(sizes, one_pass, "s--", label="one pass over the covariance")
     ax.set_xticks(sizes, [f"{n}" for n in sizes])
     ax.minorticks_off()
     ax.set_xlabel("landmarks in the map")
-    ax.set_ylabel("time (ms, median)")
-    ax.set_title("EKF-SLAM: cost of a batch update, one BLAS thread")
+    ax.set_ylabel("median time [ms]")
+    ax.set_title("EKF-SLAM: time of a batch update, one BLAS thread")
     ax.grid(alpha=0.3)
     ax.legend()
     figure.savefig(file, dpi=150)
@@ -98,11 +102,11 @@ def save_figure(file: Path, figures: Figures, sizes: tuple[int, ...] = SIZES) ->
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="write a PNG of the two curves")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="write the figure as a PNG")
     options = parser.parse_args()
     with single_threaded():
         figures = scaling_figures()
-    print_figures(figures, REACH)
+    print_figures(figures, TARGETS)
     write_json(options.json, figures)
     if options.figure is not None:
         save_figure(options.figure, figures)

@@ -1,7 +1,7 @@
-"""Exploration: outcome, coverage, collisions, the error at home, travel and time; against random goals and a known map.
+"""Exploration: outcome, coverage, collisions, error at home, travel and time, against random goals and a known map.
 
-The tour of a known map is a yardstick, no bound: viewpoints that together show all of the visible area are picked
-greedily, joined by the nearest first and untangled by 2-opt, ways measured around the walls.
+The tour of a known map is a reference, not a lower bound: viewpoints that together see the whole visible area are
+chosen greedily, joined in nearest-neighbour order and improved by 2-opt. Distances are geodesic.
 """
 
 from __future__ import annotations
@@ -9,12 +9,11 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
 
 from sixthsense.campaign import CampaignError, load_campaign
 from sixthsense.campaign.folder import read_folder
@@ -28,12 +27,12 @@ from sixthsense.sources.scene import load_scene
 
 COLUMNS = ("coverage", "home_error_m", "path_length_m", "sim_time_s", "realtime_factor", "ate_rmse_m")
 CELL_M = 0.1
-ENOUGH = 0.995  # of the visible area, for the tour of a known map
-LATTICE = 3  # cells between its viewpoints
+SEEN_SHARE = 0.995  # of the visible area, at the end of the tour of a known map
+LATTICE = 3  # cells between candidate viewpoints
 
 
 def settings(options: Any) -> list[tuple[str, Config]]:
-    """A name and a configuration per kind of run: scenes by estimators by planners by methods by revisiting."""
+    """Name and configuration of each setting: all combinations of scene, estimator, planner, method and revisiting."""
     found = []
     for scene in options.scenes:
         for estimator in options.estimators:
@@ -53,18 +52,18 @@ def settings(options: Any) -> list[tuple[str, Config]]:
 
 
 def measure(config: Config) -> dict[str, Any]:
-    """The metrics of one run, in a process of its own."""
+    """The metrics of one run."""
     return run(config).metrics
 
 
 def known_map_tour(scene_name: str, config: Config) -> float:
-    """Metres of a round trip from the start past viewpoints that show the visible area to a robot that has the map."""
+    """Length, metres, of a round trip through viewpoints that see the whole visible area of a known map."""
     scene = load_scene(scene_name)
     assert scene.start is not None
     start = (scene.start.x, scene.start.y)
     area = visible_area(scene.walls, scene.region, start, scene.radius, config.laser.max_range, CELL_M)
     shape, origin = area.mask.shape, np.array(area.origin)
-    obstacles, tight = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    obstacles, inflated = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     x = origin[0] + (np.arange(shape[1]) + 0.5) * CELL_M
     y = origin[1] + (np.arange(shape[0]) + 0.5) * CELL_M
     for a, b in scene.walls:
@@ -73,31 +72,31 @@ def known_map_tour(scene_name: str, config: Config) -> float:
         s = np.clip(s, 0.0, 1.0)
         away = np.hypot(x[None, :] - a[0] - s * e[0], y[:, None] - a[1] - s * e[1])
         obstacles |= away < 0.51 * CELL_M
-        tight |= away < scene.radius
+        inflated |= away < scene.radius
     home = int((start[1] - origin[1]) / CELL_M), int((start[0] - origin[0]) / CELL_M)
-    reachable = np.isfinite(geodesic_distances(~tight, tight, *home))
+    reachable = np.isfinite(geodesic_distances(~inflated, inflated, *home))
     rows, cols = np.nonzero(reachable)
     on = (rows % LATTICE == 0) & (cols % LATTICE == 0)
     places = np.vstack([[home], np.stack([rows[on], cols[on]], axis=1)])
-    reach = config.laser.max_range / CELL_M
-    shown = np.array([visible_cells(obstacles, area.mask, r, c, reach)[area.mask] for r, c in places])
+    range_cells = config.laser.max_range / CELL_M
+    shown = np.array([visible_cells(obstacles, area.mask, r, c, range_cells)[area.mask] for r, c in places])
     wanted = shown.any(axis=0)
     left, picked = wanted & ~shown[0], [0]
-    while np.count_nonzero(left) > (1.0 - ENOUGH) * np.count_nonzero(wanted):
+    while np.count_nonzero(left) > (1.0 - SEEN_SHARE) * np.count_nonzero(wanted):
         picked.append(int(np.argmax(shown[:, left].sum(axis=1))))
         left &= ~shown[picked[-1]]
     stops = places[picked]
-    lengths = np.array([geodesic_distances(~tight, tight, *stop)[stops[:, 0], stops[:, 1]] for stop in stops])
+    lengths = np.array([geodesic_distances(~inflated, inflated, *stop)[stops[:, 0], stops[:, 1]] for stop in stops])
     return _round_trip(lengths.astype(np.float64)) * CELL_M
 
 
 def _round_trip(lengths: Array) -> float:
-    """Length of a round trip through all stops: the nearest next, then 2-opt until nothing is gained."""
+    """Length of a round trip through all stops: nearest neighbour first, then 2-opt to a local optimum."""
     order = [0]
     while len(order) < len(lengths):
-        ways = lengths[order[-1]].copy()
-        ways[order] = math.inf
-        order.append(int(np.argmin(ways)))
+        remaining = lengths[order[-1]].copy()
+        remaining[order] = math.inf
+        order.append(int(np.argmin(remaining)))
     improved = True
     while improved:
         improved = False
@@ -116,18 +115,17 @@ def main() -> None:
     parser.add_argument("--estimators", nargs="+", default=["ekf-invariant"])
     parser.add_argument("--planners", nargs="+", default=["astar"])
     parser.add_argument("--methods", nargs="+", default=["frontier"], choices=["frontier", "random"])
-    parser.add_argument("--revisit", nargs="+", default=["on"], choices=["on", "off"], help="the ablation: on off")
-    parser.add_argument("--revisit-sigma", type=float, default=0.1, metavar="M", help="threshold of revisiting")
+    parser.add_argument("--revisit", nargs="+", default=["on"], choices=["on", "off"], help="on off: the ablation")
+    parser.add_argument("--revisit-sigma", type=float, default=0.1, metavar="M", help="threshold of revisiting (0.1)")
     parser.add_argument("--landmarks", default="both", choices=["corners", "walls", "both"])
     parser.add_argument("--preset", default="default")
-    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="how many, from 0 on")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 0 to N - 1 (10)")
     parser.add_argument("--max-time", type=float, default=3600.0, metavar="S", help="simulated seconds of a run")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes")
-    parser.add_argument("--campaign", metavar="DIR", help="the table of a campaign's rows, instead of runs made here")
-    parser.add_argument("--tour", action="store_true", help="also the tour of the known map")
+    parser.add_argument("--campaign", metavar="DIR", help="tabulate the runs of a campaign instead of new ones")
+    parser.add_argument("--tour", action="store_true", help="also compute the tour of the known map")
     options = parser.parse_args()
-    if options.seeds < 1 or options.jobs < 1:
-        parser.error("--seeds, --jobs: allowed: at least 1")
+    check_at_least(parser, options, seeds=1, jobs=1)
     if options.campaign is not None:
         try:
             runs = campaign_runs(options.campaign)
@@ -137,8 +135,7 @@ def main() -> None:
         warm_up()
         kinds = settings(options)
         configs = [dataclasses.replace(config, seed=seed) for _, config in kinds for seed in range(options.seeds)]
-        with ProcessPoolExecutor(options.jobs, initializer=warm_up) as pool:
-            results = list(pool.map(measure, configs))
+        results = list(pooled(measure, configs, options.jobs, warm_up))
         runs = {name: results[k * options.seeds : (k + 1) * options.seeds] for k, (name, _) in enumerate(kinds)}
     figures, rows = summary(runs)
     figures |= ratios(figures, options)
@@ -151,7 +148,7 @@ def main() -> None:
 
 
 def campaign_runs(folder: str) -> dict[str, list[dict[str, Any]]]:
-    """The metrics of a campaign's runs per scene, estimator, planner and preset; what was not measured is left out."""
+    """The metrics of a campaign's runs by scene, estimator, planner, method and preset, without missing values."""
     runs: dict[str, list[dict[str, Any]]] = {}
     method = read_folder(Path(folder))["fields"].get("explore", {}).get("method", ExploreConfig().method)
     for row in load_campaign(folder).to_dict("records"):
@@ -161,7 +158,7 @@ def campaign_runs(folder: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def summary(runs: dict[str, list[dict[str, Any]]]) -> tuple[Figures, list[list[str]]]:
-    """Figures over the runs of each kind, and a table with a line for each."""
+    """Figures over the runs of each setting, and a table with a row for each."""
     figures: Figures = {}
     rows = [[
         "setting", "runs", "outcomes", "collisions", "coverage, min", "home m, max", "travel m", "sim s", "x real",
@@ -176,15 +173,15 @@ def summary(runs: dict[str, list[dict[str, Any]]]) -> tuple[Figures, list[list[s
             values = [result[key] for result in mine if key in result]
             if values:
                 figures[f"{name}.{key}"] = float(reduce.get(key, np.median)(values))
-        said = ", ".join(f"{n} {o}" for o, n in outcomes.most_common())
+        counts = ", ".join(f"{n} {o}" for o, n in outcomes.most_common())
         cells = [figures.get(f"{name}.{key}") for key in COLUMNS]
         shown = ["" if value is None else f"{value:.4g}" for value in cells]
-        rows.append([name, str(len(mine)), said, f"{figures[f'{name}.collisions']:.0f}", *shown])
+        rows.append([name, str(len(mine)), counts, f"{figures[f'{name}.collisions']:.0f}", *shown])
     return figures, rows
 
 
 def ratios(figures: Figures, options: Any) -> Figures:
-    """Travel by frontiers over that by random goals, and over the tour of the known map, where both were measured."""
+    """Ratios of the path length by frontiers to that by random goals and to the tour of the known map."""
     found: Figures = {}
     tours = {s: known_map_tour(s, preset(options.preset)) for s in options.scenes} if options.tour else {}
     for scene, length in tours.items():

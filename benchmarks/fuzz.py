@@ -1,8 +1,8 @@
 """Feed every parser damaged files: `python benchmarks/fuzz.py --inputs 100000 --only map-png --engine random`.
 
-Whatever the bytes, the outcome is a result or an InputError of one line, in bounded time and memory; anything else, a
-warning of Python's too, is a fault. `--engine atheris` (the optional extra `fuzz`) steers by coverage, `--engine
-random` needs nothing.
+For any bytes, the outcome must be a result or an InputError of one line, in bounded time and memory. Everything else is
+a fault, Python's warnings included. `--engine atheris` (the optional extra `fuzz`) is guided by coverage; `--engine
+random` has no dependencies.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ import sixthsense
 from sixthsense.config.errors import InputError
 
 LONGEST_S = 10.0
-LONGEST_LINE = 2000  # characters of a complaint
+LONGEST_LINE = 2000  # characters of an error message
 LARGEST_MB = 3000
 _KEPT_FAULTS = 20
 _INSTRUMENTED = ["sixthsense", "rosbags", "mcap", "tomllib", "yaml", "PIL"]
@@ -48,12 +48,12 @@ _BINARY = [b"\x00" * 4, b"\xff" * 4, b"\xff\xff\xff\x7f", b"\x00" * 8, b"\xff" *
            struct.pack("<f", float("nan")), struct.pack("<f", 1e38), struct.pack("<I", 1 << 28)]  # fmt: skip
 
 
-# What Python does not show to a user.
+# Warnings that Python does not show by default.
 _UNSEEN = (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning)
 
 
 class FaultError(Exception):
-    """An outcome that a user must never see."""
+    """An outcome that must not happen for any input."""
 
 
 def mutate(data: bytes, rng: random.Random) -> bytes:
@@ -87,7 +87,7 @@ def mutate(data: bytes, rng: random.Random) -> bytes:
 
 
 def attempt(parser: Parser, folder: Path, data: bytes) -> bool:
-    """Whether the bytes made a result; FaultError if they made neither that nor a complaint of one line."""
+    """Whether the bytes gave a result; FaultError for anything but a result or an error of one line."""
     began = time.perf_counter()
     try:
         with warnings.catch_warnings(record=True) as told:
@@ -110,7 +110,7 @@ def _outcome(parser: Parser, folder: Path, content: bytes) -> bool:
     except InputError as error:
         line = str(error)
         if len(line.splitlines()) != 1 or len(line) > LONGEST_LINE:
-            said = f"a complaint of {len(line.splitlines())} lines, {len(line)} characters: {line[:200]!r}"
+            said = f"an error of {len(line.splitlines())} lines, {len(line)} characters: {line[:200]!r}"
             raise FaultError(said) from error
         return False
     except Exception as error:
@@ -121,7 +121,7 @@ def _outcome(parser: Parser, folder: Path, content: bytes) -> bool:
 
 
 class Tally:
-    """What came of the inputs so far; leaves the process when there were enough, or the time is over."""
+    """Counts of the outcomes so far; ends the process after the last input or when the time is over."""
 
     def __init__(self, parser: Parser, folder: Path, inputs: int, minutes: float) -> None:
         self._parser, self._folder, self._inputs, self._longest_s = parser, folder, inputs, 60.0 * minutes
@@ -131,7 +131,7 @@ class Tally:
 
     def __call__(self, data: bytes) -> None:
         """Try one input."""
-        if not self._count % 100:  # ends a hang, and shows where it was; the input is then still in the folder
+        if not self._count % 100:  # ends a hang with a traceback; its input is still in the folder
             faulthandler.dump_traceback_later(100 * LONGEST_S, exit=True)
         self._count += 1
         try:
@@ -158,7 +158,7 @@ class Tally:
         }  # fmt: skip
         (self._folder / "tally.json").write_text(json.dumps(told))
         sys.stderr.flush()
-        os._exit(0)  # the engine would go on
+        os._exit(0)  # the engine would continue
 
 
 def _peak_mb() -> float:
@@ -166,7 +166,7 @@ def _peak_mb() -> float:
 
 
 def _work(parser: Parser, folder: Path, options: argparse.Namespace) -> None:
-    """Feed one parser, in a process of its own."""
+    """Fuzz one parser; runs in its own process."""
     seeds = parser.seeds(folder)
     if options.engine == "atheris":
         _work_with_atheris(parser, folder, options, seeds)
@@ -177,7 +177,7 @@ def _work(parser: Parser, folder: Path, options: argparse.Namespace) -> None:
 
 
 def _read_all(parser: Parser, folder: Path, seeds: list[bytes]) -> None:
-    """Read what is valid, which loads and compiles all there is to."""
+    """Read all valid inputs, which imports and compiles everything."""
     for valid in seeds:
         parser.read(folder, parser.form(valid))
     if "rosbags" in sys.modules:
@@ -187,12 +187,12 @@ def _read_all(parser: Parser, folder: Path, seeds: list[bytes]) -> None:
 def _work_with_atheris(parser: Parser, folder: Path, options: argparse.Namespace, seeds: list[bytes]) -> None:
     import atheris
 
-    # What numba compiles must stay as it is.
+    # Functions compiled by Numba must not be instrumented.
     package = Path(sixthsense.__file__).parent
     sources = {file: ".".join(file.relative_to(package.parent).with_suffix("").parts) for file in package.rglob("*.py")}
     compiled = [name for file, name in sources.items() if "numba.njit" in file.read_text()]
     with atheris.instrument_imports(include=_INSTRUMENTED, exclude=compiled):
-        for name in list(sys.modules):  # making the seeds has loaded some
+        for name in list(sys.modules):  # making the seeds has imported some
             if name.partition(".")[0] in _INSTRUMENTED and name not in ("sixthsense.config.errors", *compiled):
                 del sys.modules[name]
         _read_all(parser, folder, seeds)
@@ -203,8 +203,8 @@ def _work_with_atheris(parser: Parser, folder: Path, options: argparse.Namespace
     tally = Tally(parser, folder, options.inputs, options.minutes)
 
     def custom(data: bytes, longest: int, number: int) -> bytes:
-        # A third is damaged as the other engine does it, a third anew from what is valid: what coverage has led to is
-        # damaged so often before that it seldom gets far.
+        # A third is mutated by the random engine, a third by it from a valid seed: inputs of the corpus have often been
+        # mutated so much that parsers reject them early.
         rng = random.Random(number)
         kind = rng.randrange(3)
         if kind == 0:
@@ -218,7 +218,7 @@ def _work_with_atheris(parser: Parser, folder: Path, options: argparse.Namespace
 
 
 def _feed(name: str, options: argparse.Namespace) -> dict[str, Any]:
-    """One parser's row of the table; what its process leaves stays if there was a fault."""
+    """The row of one parser in the table; its folder is kept if there was a fault."""
     folder = Path(tempfile.mkdtemp(prefix=f"fuzz-{name}-"))
     words = ["--worker", str(folder), "--only", name, "--engine", options.engine]
     for key in ("inputs", "minutes", "seed"):

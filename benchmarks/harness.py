@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing in alternation, the machine, and figures as a table and as JSON."""
+"""Shared by the benchmarks: options, timing in alternation, process pools, and figures as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -6,17 +6,21 @@ import argparse
 import json
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
 import numba
 import numpy as np
 from threadpoolctl import threadpool_limits
+from tqdm import tqdm
 
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.tables import text_table
 
 T = TypeVar("T")
+R = TypeVar("R")
 Figures = dict[str, float]
 
 
@@ -27,15 +31,43 @@ def arguments(description: str | None) -> argparse.ArgumentParser:
     return parser
 
 
+def check_at_least(parser: argparse.ArgumentParser, options: argparse.Namespace, **bounds: float) -> None:
+    """End the program with one line if an option is below its bound; an option that is None was not given."""
+    for name, least in bounds.items():
+        value = getattr(options, name)
+        if value is not None and not value >= least:
+            parser.error(f"--{name.replace('_', '-')}: found {value}, allowed: at least {least:g}")
+
+
 def single_threaded() -> threadpool_limits:
     """A context in which BLAS runs on one thread."""
     return threadpool_limits(limits=1, user_api="blas")
 
 
-def alternate(inputs: Iterable[T], *functions: Callable[[T], object]) -> Array:
-    """Time functions in turn on each input, A B A B, so that a busy moment hits all alike.
+def pooled(
+    function: Callable[[T], R], items: Sequence[T], jobs: int, initialize: Callable[[], object] = single_threaded
+) -> Iterator[R]:
+    """The results of `function` in the order of `items`, computed by `jobs` processes, with a progress bar.
 
-    Returns (inputs, functions) milliseconds. Whatever must be compiled should have been.
+    `initialize` is called once in each process. One job runs in this process, with BLAS on one thread.
+    """
+    with tqdm(total=len(items), unit=" runs", disable=None, leave=False) as bar:
+        if jobs == 1:
+            with single_threaded():
+                for item in items:
+                    yield function(item)
+                    bar.update()
+            return
+        with ProcessPoolExecutor(jobs, initializer=initialize) as pool:
+            for result in pool.map(function, items):
+                yield result
+                bar.update()
+
+
+def alternate(inputs: Iterable[T], *functions: Callable[[T], object]) -> Array:
+    """(inputs, functions) milliseconds of each function on each input, called in turn: A B A B.
+
+    Alternation spreads the load of other programs evenly over the functions. Compile everything before.
     """
     rows = []
     for value in inputs:
@@ -59,21 +91,18 @@ def machine() -> str:
 
 
 def print_table(rows: Sequence[Sequence[str]]) -> None:
-    """Print rows in columns, the first row being the head: the first column flush left, the others flush right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        first, *rest = (cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-        print("  ".join([first.strip().ljust(widths[0]), *rest]))
+    """Print rows in columns; the first row holds the column names."""
+    print(text_table(rows, align="right"))
 
 
-def print_figures(figures: Mapping[str, float], reach: Mapping[str, str]) -> None:
-    """Print the machine, then each figure beside what it should reach."""
+def print_figures(figures: Mapping[str, float], targets: Mapping[str, str]) -> None:
+    """Print the machine, then each figure with its target."""
     print(machine())
-    head = ("figure", "measured", "should reach")
-    print_table([head, *((key, f"{value:.4g}", reach.get(key, "")) for key, value in figures.items())])
+    head = ("figure", "measured", "target")
+    print_table([head, *((key, f"{value:.4g}", targets.get(key, "")) for key, value in figures.items())])
 
 
 def write_json(file: Path | None, figures: Mapping[str, float]) -> None:
-    """Write the figures, if a file was asked for."""
+    """Write the figures if a file was given."""
     if file is not None:
         file.write_text(json.dumps(figures, indent=2) + "\n")

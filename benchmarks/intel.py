@@ -1,4 +1,4 @@
-"""The Intel Research Lab's log: the trajectory against its hand-checked relations, beside the wheels' own."""
+"""The log of the Intel Research Lab: the trajectory and raw odometry against the hand-checked relations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 
 from sixthsense.config import Config, preset
 from sixthsense.evaluation import metrics
@@ -23,7 +23,7 @@ ERRORS = ("relations_trans_m_mean", "relations_trans_m_std", "relations_rot_deg_
 
 
 def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -> Figures:
-    """Replay the log with each seed, which feeds RANSAC alone: errors per seed and their medians, odometry's, speed."""
+    """Errors for each seed, their medians, errors of odometry, and speed. The seed only affects RANSAC."""
     figures: Figures = {}
     speeds: list[float] = []
     for seed in range(seeds):
@@ -33,9 +33,11 @@ def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -
         speeds.append(result["realtime_factor"])
         if seed == 0:
             stamps = np.array(trace.log_stamps_s)
-            way, angle = metrics.relations_error(stamps, np.array(trace.odometry), relations.stamps, relations.poses)
+            translation, angle = metrics.relations_error(
+                stamps, np.array(trace.odometry), relations.stamps, relations.poses
+            )
             turn = np.degrees(angle)
-            errors = (way.mean(), way.std(), turn.mean(), turn.std())
+            errors = (translation.mean(), translation.std(), turn.mean(), turn.std())
             figures |= {f"odometry.{key}": float(error) for key, error in zip(ERRORS, errors, strict=True)}
     for key in ERRORS:
         figures[f"{key}_median"] = float(np.median([figures[f"seed{seed}.{key}"] for seed in range(seeds)]))
@@ -44,11 +46,11 @@ def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -
 
 
 def rows(figures: Figures, seeds: int) -> list[list[str]]:
-    """The table: a line per seed, their median, and raw odometry."""
+    """The table: a row per seed, their median, and raw odometry."""
 
     def line(name: str, keys: list[str]) -> list[str]:
-        way, way_std, turn, turn_std = (figures[key] for key in keys)
-        return [name, f"{way:.3f} ± {way_std:.3f}", f"{turn:.2f} ± {turn_std:.2f}"]
+        translation, translation_std, rotation, rotation_std = (figures[key] for key in keys)
+        return [name, f"{translation:.3f} ± {translation_std:.3f}", f"{rotation:.2f} ± {rotation_std:.2f}"]
 
     lines = [["trajectory", "translation, m", "rotation, degrees"]]
     lines += [line(f"seed {seed}", [f"seed{seed}.{key}" for key in ERRORS]) for seed in range(seeds)]
@@ -62,8 +64,7 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=5, metavar="N", help="seeds 0 to N - 1 (5)")
     parser.add_argument("--estimator", choices=ESTIMATORS, default="isam2", help="(isam2)")
     options = parser.parse_args()
-    if options.seeds < 1:
-        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    check_at_least(parser, options, seeds=1)
     folder = Path(os.environ.get("SIXTHSENSE_DATA", "")) / "intel"
     files = folder / "intel.clf.bz2", folder / "intel.relations"
     if "SIXTHSENSE_DATA" not in os.environ or not all(file.is_file() for file in files):
@@ -79,8 +80,8 @@ def main() -> int:
     print(machine())
     print_table(rows(figures, options.seeds))
     speed = figures["realtime_factor_median"]
-    print(f"a log of {log.duration_s:.0f} s, {len(log.scans)} scans: read in {reading_s:.1f} s, ", end="")
-    print(f"replayed in {log.duration_s / speed:.1f} s, {speed:.0f} times as fast as recorded")
+    print(f"log of {log.duration_s:.0f} s, {len(log.scans)} scans: read in {reading_s:.1f} s, ", end="")
+    print(f"replayed in {log.duration_s / speed:.1f} s, {speed:.0f} times real time")
     write_json(options.json, figures)
     return 0
 

@@ -1,4 +1,4 @@
-"""The hot loops beside named peers: ray casting, feature extraction, A* and scan insertion."""
+"""The compiled kernels against references: ray casting, feature extraction, A* and scan insertion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sixthsense.slam.features import extract
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.sources.scene import Scene, load_scene
 
-REACH = {
+TARGETS = {
     "raycast_speedup_numpy": ">= 4",
     "raycast_max_difference_m": "<= 1e-9",
     "extract_ms_p50": "< 0.5",
@@ -32,7 +32,7 @@ SQRT2 = math.sqrt(2.0)
 
 
 def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]:
-    """Random poses at which the robot touches nothing, in the part of the scene that can be seen from its start."""
+    """Random collision-free poses in the visible area of the scene."""
     assert scene.start is not None
     area = visible_area(scene.walls, scene.region, (scene.start.x, scene.start.y), scene.radius, 10.0)
     cells = np.argwhere(area.mask)
@@ -46,7 +46,7 @@ def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> list[Pose]
 
 
 def noisy_scans(scene: Scene, poses: Iterable[Pose], rng: np.random.Generator) -> list[Scan]:
-    """Scans as the default robot takes them."""
+    """Scans with the noise of the default robot."""
     config = preset()
     bearings, laser = beam_bearings(config.laser), config.laser
     noise = config.world.laser.range_m
@@ -55,7 +55,7 @@ def noisy_scans(scene: Scene, poses: Iterable[Pose], rng: np.random.Generator) -
 
 
 def cast_rays_numpy(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
-    """The peer: all beams against all walls in range at once, by Cramer's rule on (M, N) matrices."""
+    """Vectorised reference: all beams against all walls in range, by Cramer's rule on (M, N) matrices."""
     angles = bearings + T_world_laser.theta
     directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, N)
     start = walls[:, 0] - T_world_laser.position
@@ -76,7 +76,7 @@ def cast_rays_numpy(T_world_laser: Pose, bearings: Array, walls: Array, max_rang
 
 
 def cast_rays_plain(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
-    """The reference: one beam and one wall at a time, seen in the beam's own frame, where it runs along x."""
+    """Plain reference: one beam and one wall at a time, in the frame of the beam, which is its x axis."""
     ranges = np.full(len(bearings), np.inf)
     for i, bearing in enumerate(bearings):
         inverse = (T_world_laser @ Pose(theta=bearing)).inverse()
@@ -89,7 +89,7 @@ def cast_rays_plain(T_world_laser: Pose, bearings: Array, walls: Array, max_rang
 
 
 def raycast_figures(poses: int = 1000, checked: int = 50) -> Figures:
-    """Speed of `cast_rays` against NumPy over random poses, and its largest difference from the plain reference."""
+    """Time of `cast_rays` and of the NumPy reference at random poses, and the difference from the plain reference."""
     scene, laser = load_scene("apartment"), preset().laser
     bearings = beam_bearings(laser)
     places = free_poses(scene, poses, np.random.default_rng(0))
@@ -135,7 +135,7 @@ def scan_figures(poses: int = 1000) -> Figures:
 
 
 def search_heapq(blocked: NDArray[np.bool_], start: int, goal: int) -> tuple[float, int]:
-    """The peer: A* on a heap, in plain Python on flat lists, with the same moves, costs and heuristic.
+    """Reference: A* with a heap in plain Python, with the same moves, costs and heuristic.
 
     `start` and `goal` are flat indices into `blocked`. Returns the cost in cells and the number of expansions.
     """
@@ -172,7 +172,7 @@ def search_heapq(blocked: NDArray[np.bool_], start: int, goal: int) -> tuple[flo
 
 
 def random_grid(seed: int, size: int) -> NDArray[np.bool_]:
-    """(size, size) cells with 300 random rectangles of at most 6 % of the side, free in two opposite corners."""
+    """(size, size) cells with 300 random rectangles of at most 6 % of the side, and two free opposite corners."""
     rng = np.random.default_rng(seed)
     blocked = np.zeros((size, size), dtype=np.bool_)
     sides = rng.integers(max(size // 200, 1), max(size * 6 // 100, 2), (300, 2))
@@ -183,7 +183,7 @@ def random_grid(seed: int, size: int) -> NDArray[np.bool_]:
 
 
 def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures:
-    """Corner-to-corner searches on the first random grids that have a path, against the heap."""
+    """Corner-to-corner searches on the first random grids with a path, against the heap."""
     last = size - 1
     solvable: list[NDArray[np.bool_]] = []
     expanded: list[int] = []
@@ -225,7 +225,7 @@ def main() -> None:
     options = arguments(__doc__).parse_args()
     with single_threaded():
         figures = raycast_figures() | scan_figures() | astar_figures()
-    print_figures(figures, REACH)
+    print_figures(figures, TARGETS)
     write_json(options.json, figures)
 
 

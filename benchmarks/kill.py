@@ -1,4 +1,4 @@
-"""Kill runs at random moments and see what their folders still tell: `python benchmarks/kill.py --kills 50`."""
+"""Kill runs at random times and measure how much of the record is lost: `python benchmarks/kill.py --kills 50`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from sixthsense.record.trace import Trace
 
-# The command itself, with a note of the last tick recorded and the last one flushed, in memory that outlives it.
+# The command, which also writes the last recorded and the last flushed stamp into shared memory.
 CHILD = """
 import mmap, struct, sys
 from sixthsense import cli
@@ -38,20 +38,20 @@ sys.exit(cli.main(sys.argv[2:]))
 
 @dataclass(frozen=True)
 class Kill:
-    """What a killed run has left, and what it knew."""
+    """The folder of a killed run and its progress at that time."""
 
     partial: Path
-    """what is left"""
+    """the folder"""
     recorded_ns: int
-    """stamp of the last tick the loop handed to the bag"""
+    """stamp of the last tick passed to the bag writer"""
     flushed_ns: int
-    """stamp of the last tick flushed"""
+    """stamp of the last flushed tick"""
     lost_wall_s: float
-    """since the file was last written"""
+    """time since the file was last written"""
 
 
 def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
-    """Start a run in `folder` and kill it `after_s` seconds after its first tick is on record."""
+    """Start a run in `folder` and kill it `after_s` seconds after its first tick is on disk."""
     notes = folder / "notes"
     notes.write_bytes(struct.pack("<qq", -1, -1))
     words = ["run", "--task", "tour", "--max-time", "1e6", "--seed", str(seed), "--out", str(folder / "run")]
@@ -60,7 +60,7 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
         with notes.open("r+b") as file, mmap.mmap(file.fileno(), 16, access=mmap.ACCESS_READ) as seen:
             while seen[8:16] == b"\xff" * 8:
                 if child.poll() is not None:
-                    raise RuntimeError(f"the run ended by itself with exit code {child.returncode}")
+                    raise RuntimeError(f"the run ended before it was killed, with exit code {child.returncode}")
                 time.sleep(0.01)
         time.sleep(after_s)
         child.send_signal(signal.SIGKILL)
@@ -75,7 +75,7 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=50)
-    parser.add_argument("--longest", type=float, default=6.0, help="seconds of wall time after which a run is killed")
+    parser.add_argument("--longest", type=float, default=6.0, help="longest wall time, s, after which a run is killed")
     options = parser.parse_args()
     rng = np.random.default_rng(0)
     wall, simulated = [], []
@@ -94,7 +94,7 @@ def main() -> None:
                 flush=True,
             )
             assert last_ns >= kill.flushed_ns, "more than the last chunk is lost"
-            assert wall[-1] < 1.0, "no chunk in the last second"
+            assert wall[-1] < 1.0, "no chunk was written in the last second"
     print(f"lost at most {max(wall):.3f} s of wall time ({max(simulated):.1f} s simulated) in {options.kills} kills")
 
 

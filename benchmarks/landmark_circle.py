@@ -1,27 +1,25 @@
-"""Are the estimators honest? A robot drives a circle of landmarks with known association, on the same evidence for all.
+"""Consistency of the estimators on the landmark circle: known association, the same measurements for every estimator.
 
-The set-up, in `sixthsense/testing/circle.py`, is the 2-D SLAM benchmark of the UKF-M package (Brossard, Barrau and
+The setup, in `sixthsense/testing/circle.py`, is the 2-D SLAM benchmark of the UKF-M package (Brossard, Barrau and
 Bonnabel, ICRA 2020).
 
-Errors are those of the causal estimate, of each pose when it was the newest. `nees3` is the pose's NEES in world
-coordinates, `nees3_invariant` that of the right-invariant error (both 3 if consistent), `nees_heading` that of the
-heading alone (1), in both the same. All are means over runs and steps, from the step on at which odometry alone makes
-the covariance one of full rank; judged so, it is the same step for all, whatever an estimator adds to a singular one.
-`share_in_band` is the share of the steps at which the mean of `nees3` over runs lies in its 95 % band.
+Errors are those of the causal estimate. `nees3` is the NEES of the pose in world coordinates, `nees3_invariant` the
+NEES of the right-invariant error (both 3 if consistent), `nees_heading` the NEES of the heading (1), which is the same
+in both coordinates. All are means over runs and steps, from the step at which the covariance of odometry alone has full
+rank. This step is the same for every estimator, even for one that adds noise to a singular covariance.
+`share_in_band` is the share of steps at which the mean of `nees3` over runs lies in its 95 % band.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, single_threaded, write_json
-from tqdm import tqdm
+from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
 
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import nees_band, share_in_band
@@ -29,10 +27,10 @@ from sixthsense.figures.plot import CYCLE
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.circle import STEP_S, STEPS, Track, follow, simulate
 
-DRAWN_STEPS = 20  # the curves' grain: a twelfth of a round
-WIDTHS = (1.5, 6.0, 4.0, 2.5, 1.0)  # several curves lie on each other
+DRAWN_STEPS = 20  # steps in one point of a curve: a twelfth of a circle
+WIDTHS = (1.5, 6.0, 4.0, 2.5, 1.0)  # different, because several curves coincide
 
-# Column's head, key, its form, and what it should be for the standard filter and for the others.
+# Column name, key, format, and the targets of the standard EKF and of the other estimators.
 COLUMNS = (
     ("position m", "position_rmse_m", ".3f", "", ""),
     ("x ekf", "position_rmse_by_ekf", ".3f", "", "at most 0.90"),
@@ -46,7 +44,7 @@ COLUMNS = (
 
 
 def follow_all(run: int, estimators: Sequence[str], seed: int, steps: int = STEPS) -> dict[str, Track]:
-    """One run's evidence through each of the estimators."""
+    """The track of each estimator on the measurements of one run."""
     evidence = simulate(seed, run, steps)
     return {name: follow(name, evidence) for name in estimators}
 
@@ -54,34 +52,25 @@ def follow_all(run: int, estimators: Sequence[str], seed: int, steps: int = STEP
 def all_runs(
     runs: int, estimators: Sequence[str] = ESTIMATORS, seed: int = 0, jobs: int = 1, steps: int = STEPS
 ) -> dict[str, list[Track]]:
-    """The tracks of each estimator, a run each, in the order of the runs however many processes there are."""
+    """The tracks of each estimator, one per run, in the order of the runs."""
     task = partial(follow_all, estimators=estimators, seed=seed, steps=steps)
     tracks: dict[str, list[Track]] = {name: [] for name in estimators}
-    for one in tqdm(_mapped(task, runs, jobs), total=runs, unit=" runs", disable=None, leave=False):
+    for one in pooled(task, range(runs), jobs):
         for name, track in one.items():
             tracks[name].append(track)
     return tracks
 
 
-def _mapped(task: partial[dict[str, Track]], runs: int, jobs: int) -> Iterator[dict[str, Track]]:
-    if jobs == 1:
-        with single_threaded():
-            yield from map(task, range(runs))
-    else:
-        with ProcessPoolExecutor(jobs, initializer=single_threaded) as pool:
-            yield from pool.map(task, range(runs))
-
-
 def _mean_over_runs(tracks: list[Track], field: str) -> Array:
-    """(K,), nan at steps at which some run does not have it yet."""
+    """(K,) mean of a field; NaN at steps at which one run has no value yet."""
     return np.asarray(np.mean([getattr(track, field) for track in tracks], axis=0))
 
 
 def circle_figures(tracks: dict[str, list[Track]]) -> Figures:
-    """Flat keys, `ekf_invariant.position_rmse_m` and so on; ratios to `ekf`, and of `isam2` to `ekf-invariant`.
+    """Flat keys such as `ekf_invariant.position_rmse_m`, with ratios to `ekf`, and of `isam2` to `ekf-invariant`.
 
-    A run's NEES is correlated from step to step, so that its mean over the steps counts as one draw: `_se`, absent for
-    one run, is the standard error of the mean of these over the runs, as their spread has it.
+    The NEES of one run is correlated over its steps, so its mean over the steps counts as one sample. `_se` is the
+    standard error of the mean of these samples; it is absent for a single run.
     """
     figures: Figures = {}
     for name, runs in tracks.items():
@@ -110,13 +99,13 @@ def _rms(values: list[Array]) -> float:
 
 
 def table(figures: Figures, estimators: Sequence[str]) -> list[list[str]]:
-    """The lines of the table: a head, the estimators, and what they should reach."""
+    """The rows of the table: column names, the estimators, and their targets."""
     rows = [["estimator", *(head for head, *_ in COLUMNS)]]
     for name in estimators:
         key = name.replace("-", "_")
         rows.append([name, *(_cell(figures, f"{key}.{column}", form) for _, column, form, _, _ in COLUMNS)])
-    rows.append(["should reach, ekf", *(standard for *_, standard, _ in COLUMNS)])
-    rows.append(["should reach, others", *(others for *_, others in COLUMNS)])
+    rows.append(["target, ekf", *(standard for *_, standard, _ in COLUMNS)])
+    rows.append(["target, others", *(others for *_, others in COLUMNS)])
     return rows
 
 
@@ -128,7 +117,7 @@ def _cell(figures: Figures, key: str, form: str) -> str:
 
 
 def save_figure(file: Path, tracks: dict[str, list[Track]]) -> None:
-    """Draw NEES of the pose and of the heading, and both errors, over time."""
+    """Draw NEES and RMSE of pose and heading over time."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -138,22 +127,22 @@ def save_figure(file: Path, tracks: dict[str, list[Track]]) -> None:
     runs = len(next(iter(tracks.values())))
     for ax, field, dof in ((axes[0], "nees3", 3), (axes[1], "nees_heading", 1)):
         low, high = nees_band(runs, dof)
-        ax.axhspan(low, high, color="0.88", label="95 % band of a step")
+        ax.axhspan(low, high, color="0.88", label="95 % band of one step")
         _draw(ax, {name: _mean_over_runs(one, field) for name, one in tracks.items()})
     _draw(axes[2], {name: _rms_over_runs([track.position_m for track in one]) for name, one in tracks.items()})
     _draw(axes[3], {name: np.degrees(_rms_over_runs([track.heading for track in one])) for name, one in tracks.items()})
     labels = (
-        "NEES of the pose, world coordinates",
-        "NEES of the heading",
-        "position RMSE (m)",
-        "heading RMSE (degrees)",
+        "pose NEES, world [1]",
+        "heading NEES [1]",
+        "position RMSE [m]",
+        "heading RMSE [°]",
     )
     for ax, label in zip(axes, labels, strict=True):
         ax.set_ylabel(label)
         ax.set_ylim(bottom=0.0)
         ax.grid(alpha=0.3)
     for ax in axes[2:]:
-        ax.set_xlabel("time (s)")
+        ax.set_xlabel("time [s]")
     axes[1].legend(fontsize="small")
     figure.suptitle(f"Landmark circle, {runs} runs, means over {DRAWN_STEPS} steps")
     figure.savefig(file, dpi=150)
@@ -174,15 +163,13 @@ def _draw(ax: Any, curves: dict[str, Array]) -> None:
 
 def main() -> None:
     parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="so many runs (100)")
-    parser.add_argument("--estimator", nargs="+", default=ESTIMATORS, choices=ESTIMATORS, help="these alone")
-    parser.add_argument("--seed", type=int, default=0, metavar="S", help="of all runs (0)")
+    parser.add_argument("--runs", type=int, default=100, metavar="N", help="number of runs (100)")
+    parser.add_argument("--estimator", nargs="+", default=ESTIMATORS, choices=ESTIMATORS, help="only these")
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all runs (0)")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="write a PNG of NEES and errors over time")
     options = parser.parse_args()
-    for name, least in (("runs", 1), ("seed", 0), ("jobs", 1)):
-        if getattr(options, name) < least:
-            parser.error(f"--{name}: found {getattr(options, name)}, allowed: at least {least}")
+    check_at_least(parser, options, runs=1, seed=0, jobs=1)
     tracks = all_runs(options.runs, options.estimator, options.seed, options.jobs)
     figures = circle_figures(tracks)
     print(machine())

@@ -1,7 +1,7 @@
-"""MRCLAM set 6, robot 3, known landmarks: every estimator against Vicon, on the same evidence.
+"""MRCLAM set 6, robot 3, known landmarks: every estimator against Vicon, on the same measurements.
 
-Position RMSE is per axis, sqrt(mean(ex^2 + ey^2) / 2), of the causal estimate at every record of the log, NEES (3 if
-consistent) that at the steps with a sighting, NIS per degree of freedom (1) that of their innovations.
+The position RMSE is per axis, sqrt(mean(ex^2 + ey^2) / 2), of the causal estimate at every record of the log. NEES (3
+if consistent) and NIS per degree of freedom (1) are taken at the steps with a sighting.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ COLUMNS = (
 
 
 def per_axis_rmse(estimate: Array, truth: Array) -> float:
-    """Root mean square of the position's error along an axis, of (N, 3) poses."""
+    """RMSE of the position along one axis, metres, of (N, 3) poses."""
     return float(np.sqrt(np.mean(np.sum((estimate[:, :2] - truth[:, :2]) ** 2, axis=1)) / 2.0))
 
 
 def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
-    """How one estimator fared."""
+    """Figures of one estimator."""
     metrics, truth, key_truth = trace.metrics, np.array(trace.truths), np.array(trace.key_truths)
     causal = np.array([estimate.pose.array() for estimate in trace.key_estimates])
     figures = {
@@ -70,14 +70,14 @@ def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
 
 
 def log_figures(log: MrclamLog, config: Config, estimators: Sequence[str] = ESTIMATORS) -> Figures:
-    """Flat keys: `ekf_invariant.position_rmse_per_axis_m` and so on, and `dead_reckoning.` for the wheels alone."""
+    """Flat keys such as `ekf_invariant.position_rmse_per_axis_m`; odometry alone is `dead_reckoning`."""
     figures: Figures = {}
     for name in estimators:
         trace = replay(log, dataclasses.replace(config, estimator=name))
         figures |= {f"{name.replace('-', '_')}.{key}": value for key, value in estimator_figures(trace, log).items()}
-        wheels, truth = np.array(trace.odometry), np.array(trace.truths)
-    figures["dead_reckoning.position_rmse_per_axis_m"] = per_axis_rmse(wheels, truth)
-    figures["dead_reckoning.heading_rmse_deg"] = math.degrees(heading_rmse(wheels, truth))
+        odometry, truth = np.array(trace.odometry), np.array(trace.truths)
+    figures["dead_reckoning.position_rmse_per_axis_m"] = per_axis_rmse(odometry, truth)
+    figures["dead_reckoning.heading_rmse_deg"] = math.degrees(heading_rmse(odometry, truth))
     if "ekf.position_rmse_per_axis_m" in figures:
         for name in estimators:
             key = f"{name.replace('-', '_')}.position_rmse"
@@ -86,7 +86,7 @@ def log_figures(log: MrclamLog, config: Config, estimators: Sequence[str] = ESTI
 
 
 def rows(figures: Figures, estimators: Sequence[str] = ESTIMATORS) -> list[list[str]]:
-    """The table: a line per estimator, one of the wheels, and what was published."""
+    """The table: a row per estimator, one of odometry, and the published values."""
     lines = [["", *(head for head, _, _ in COLUMNS)]]
     for name in ("dead reckoning", *estimators):
         label = name.replace("-", "_").replace(" ", "_")
@@ -101,11 +101,11 @@ def main() -> int:
     data = os.environ.get("SIXTHSENSE_DATA")
     default = None if data is None else Path(data) / "mrclam6"
     parser.add_argument("--data", type=Path, default=default, metavar="DIR", help="the set ($SIXTHSENSE_DATA/mrclam6)")
-    parser.add_argument("--runs", type=int, default=1, metavar="N", help="a log gives the same each time: 1")
-    parser.add_argument("--as-recorded", action="store_true", help="take the log's ranges as ranges, not as depths")
+    parser.add_argument("--runs", type=int, default=1, metavar="N", help="a replay is deterministic: 1")
+    parser.add_argument("--as-recorded", action="store_true", help="take the column range as a range, not as a depth")
     options = parser.parse_args()
     if options.runs != 1:
-        parser.error(f"--runs: found {options.runs}, allowed: 1, a log gives the same each time")
+        parser.error(f"--runs: found {options.runs}, allowed: 1, a replay is deterministic")
     if options.data is None or not options.data.is_dir():
         print("mrclam.py: --data or SIXTHSENSE_DATA/mrclam6 must be the folder of set 6 of MRCLAM", file=sys.stderr)
         return 2
@@ -114,7 +114,7 @@ def main() -> int:
     figures = log_figures(log, config)
     print(machine())
     print_table(rows(figures))
-    print("should reach: ekf-fej, ekf-oc, ekf-invariant and isam2 no worse per axis than ekf")
+    print("target: ekf-fej, ekf-oc, ekf-invariant and isam2 no worse per axis than ekf")
     write_json(options.json, figures)
     return 0
 

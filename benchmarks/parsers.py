@@ -1,4 +1,4 @@
-"""Every parser, each with small valid files to be damaged."""
+"""All parsers of files, each with small valid inputs as seeds."""
 
 from __future__ import annotations
 
@@ -62,18 +62,18 @@ _WORDS = b"apartment --seed 3 --laser.beams=90 --goal 1.0 2 --laser.mount 0 0 1e
 
 @dataclass(frozen=True)
 class Parser:
-    """A way from bytes into the program."""
+    """One parser and its seeds."""
 
     name: str
     seeds: Callable[[Path], list[bytes]]
-    """valid inputs; may use a folder"""
+    """valid inputs; may write to a folder"""
     read: Callable[[Path, bytes], Any]
-    """parses bytes, by a file in a folder where it reads files"""
+    """parses bytes; writes them to a file in the folder if it reads files"""
     wrap: Callable[[bytes], bytes] | None = None
-    """Inputs that begin with `~` are its argument: what lies below a compression or a checksum."""
+    """applied to inputs that begin with `~`: adds a compression or checksums"""
 
     def form(self, data: bytes) -> bytes:
-        """The bytes that the parser gets."""
+        """The bytes passed to the parser."""
         return self.wrap(data[1:]) if self.wrap is not None and data.startswith(b"~") else data
 
 
@@ -121,7 +121,7 @@ def _plain_pgm() -> bytes:
 
 
 def _png(inner: bytes) -> bytes:
-    """A PNG whose checksums are right: `inner` is its header and its rows."""
+    """A PNG with valid checksums; `inner` is its header and its rows."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -154,7 +154,7 @@ def _log(name: str) -> Callable[[Path, bytes], Any]:
 
 
 def _sound(log: Any) -> Any:
-    """The log, if all of it can be reckoned with."""
+    """The log, after a check that all its numbers are usable."""
     poses = [pose.array() for tick in log.ticks for pose in (tick.odometry, tick.truth) if pose is not None]
     assert np.abs(poses).max() <= 1e10
     assert np.all(np.diff([tick.stamp_ns for tick in log.ticks]) > 0)
@@ -183,7 +183,7 @@ def _words(folder: Path, data: bytes) -> Any:
     from sixthsense.cli.options import words
     from sixthsense.cli.run import Run
 
-    # A shell hands over bytes as this does.
+    # A shell passes arguments in this encoding.
     args = [word.replace("\0", "") for word in data.decode("utf-8", "surrogateescape").split(" ")]
     if args[0] == "report":
         return words(args, {"out": Path, "overwrite": bool})

@@ -1,10 +1,11 @@
-"""Is the whole pipeline honest? Tours with unknown association in closed loop: NEES, NIS and wrong matches.
+"""Consistency of the whole pipeline: closed-loop tours with unknown association, with NEES, NIS and wrong matches.
 
-`nees3` is the pose's NEES in world coordinates, `nees3_invariant` that of the right-invariant error (both 3 if
-consistent): per second the mean over runs of that of the last key scan, then the mean over time. `share_in_band` is the
-share of seconds at which the mean over runs lies in the 95 % band for that many runs. Seconds are correlated, and so
-are `nees_position` (2) and `nees_heading` (1); `nees3_spread` is the standard deviation of the runs' means over time.
-A wrong match is one that the truth contradicts (`sixthsense.evaluation.matches`).
+`nees3` is the NEES of the pose in world coordinates, `nees3_invariant` the NEES of the right-invariant error (both 3 if
+consistent): for each second the mean over runs at the latest key scan, then the mean over time. `nees_position` (2) and
+`nees_heading` (1) are computed in the same way. `share_in_band` is the share of seconds at which the mean over runs
+lies in the 95 % band for that number of runs; successive seconds are correlated. `nees3_spread` is the standard
+deviation over runs of the mean over time. A wrong match is one that contradicts the truth
+(`sixthsense.evaluation.matches`).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from tours import (
 from sixthsense.evaluation.metrics import nees_band, share_in_band
 from sixthsense.slam.estimators import ESTIMATORS
 
-# Column's head, key, its form, and what it should reach.
+# Column name, key, format and target.
 COLUMNS = (
     ("NEES", "nees3", ".2f", "2.5-3.5"),
     ("spread", "nees3_spread", ".2f", ""),
@@ -48,7 +49,7 @@ COLUMNS = (
 
 
 def pipeline_figures(found: Sequence[Row]) -> Figures:
-    """Figures of runs that differ in their seed alone, which may lie far apart."""
+    """Figures of runs that differ only in their seed."""
     figures: Figures = {"runs": len(found), "tour_ended": sum(row["outcome"] == "tour ended" for row in found)}
     for name in NEES:
         figures[name] = float(np.nanmean(over_runs(found, name)))
@@ -68,22 +69,22 @@ def _ratio(found: Sequence[Row], above: str, below: str) -> float:
 
 
 def estimator_rows(found: Sequence[Row], estimators: Sequence[str]) -> dict[str, list[Row]]:
-    """The rows of each estimator, by the prefix of its figures' keys."""
+    """The rows of each estimator, by the prefix of the keys of its figures."""
     return {name.replace("-", "_"): [row for row in found if row["estimator"] == name] for name in estimators}
 
 
 def table(figures: Figures, estimators: Sequence[str]) -> list[list[str]]:
-    """The lines of the table: a head, the estimators, and what they should reach."""
+    """The rows of the table: column names, the estimators, and their targets."""
     lines = [["estimator", *(head for head, *_ in COLUMNS)]]
     for name in estimators:
         key = name.replace("-", "_")
         lines.append([name, *(format(figures[f"{key}.{column}"], form) for _, column, form, _ in COLUMNS)])
-    lines.append(["should reach", *(reach for *_, reach in COLUMNS)])
+    lines.append(["target", *(target for *_, target in COLUMNS)])
     return lines
 
 
 def per_run(found: Sequence[Row]) -> list[list[str]]:
-    """A line per run, to find the seeds that are off."""
+    """A row per run, to find outliers."""
     lines = [["run", "NEES", "of position", "of heading", "NIS/dof", "wrong", "unexplained", "ATE m", "outcome"]]
     for row in found:
         nees = (f"{nees_of(row, name):.2f}" for name in ("nees3", "nees_position", "nees_heading"))
@@ -124,7 +125,7 @@ def main() -> None:
     low, high = nees_band(options.seeds)
     print(machine())
     print(f"{options.scene}, {options.preset}: {options.seeds} tours of {options.max_time:g} s")
-    print(f"95 % band of a second: {low:.2f}-{high:.2f}")
+    print(f"95 % band of one second: {low:.2f}-{high:.2f}")
     print_table(per_run(found))
     print_table(table(figures, options.estimator))
     write_json(options.json, figures)

@@ -1,4 +1,4 @@
-"""The planners on true maps: A* against Dijkstra, four ways of planning side by side, and replans in Willow Garage."""
+"""The planners on true maps: A* against Dijkstra, four planners on the same queries, and replans in Willow Garage."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, print_figures, print_table, single_threaded, write_json
+from harness import Figures, arguments, check_at_least, print_figures, print_table, single_threaded, write_json
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
@@ -29,12 +29,12 @@ from sixthsense.sources.scene import Scene, SceneError, check_placement, load_sc
 SCENES = ("apartment", "office", "loop")
 WILLOW = "willow-2010-02-18-0.10"
 WALLS_ABOVE = 0.196
-"""occupied_thresh for Willow Garage's map: at its own, 0.65, its faint walls would not be any"""
+"""occupied_thresh for Willow Garage's map: its own value, 0.65, would miss its faint walls"""
 LASER_M = 10.0
-"""A new obstacle is seen this far ahead at most."""
+"""Largest distance ahead at which a new obstacle is seen."""
 OBSTACLE_M = 0.2
-"""Radius of a new obstacle: a person's legs, a bin."""
-REACH = {
+"""Radius of a new obstacle, such as a person's legs or a bin."""
+TARGETS = {
     "optimality.worst_difference_m": "<= 1e-9",
     "all.rrtstar.ratio_median": "<= 1.03",
     "all.informed.ratio_median": "<= 1.03",
@@ -44,8 +44,8 @@ REACH = {
 
 
 @dataclass(frozen=True)
-class Question:
-    """What every planner is asked."""
+class Query:
+    """Start and goal of a plan."""
 
     start: Array
     """(2,) metres, world frame"""
@@ -55,27 +55,27 @@ class Question:
 
 @dataclass(frozen=True)
 class TrueMap:
-    """A scene's walls drawn into a grid, as the robot would have it after having seen them all."""
+    """A grid with all walls of a scene, as after a complete exploration without noise."""
 
     space: FreeSpace
-    """where the robot's centre may be"""
+    """free space of the robot's centre"""
     cells: NDArray[np.int64]
-    """(K, 2) row, col of the free cells that the robot can reach"""
+    """(K, 2) row, col of the cells that the robot can reach"""
     radius_m: float
-    """of the robot and its clearance"""
+    """radius of the robot plus clearance"""
 
-    def questions(self, count: int, rng: np.random.Generator) -> list[Question]:
-        """From anywhere to anywhere, centres of cells."""
+    def queries(self, count: int, rng: np.random.Generator) -> list[Query]:
+        """Queries between centres of random cells."""
         picks = self.cells[rng.integers(len(self.cells), size=(count, 2))].tolist()
-        return [Question(self.space.centre(*a), self.space.centre(*b)) for a, b in picks]
+        return [Query(self.space.centre(*a), self.space.centre(*b)) for a, b in picks]
 
 
 def true_map(scene: Scene, cell_m: float = 0.05) -> TrueMap:
-    """Draw a scene's walls; where it has no start of its own, reachable is the largest room."""
+    """The true map of a scene; without a start in the scene, the reachable cells are those of the largest room."""
     config = GridConfig(cell_m=cell_m)
     grid = Grid(config, scene.radius)
-    nothing = Scan.from_config(np.full(2, np.nan), LaserConfig(beams=2))
-    grid.add(Pose(), nothing, scene.walls)
+    no_returns = Scan.from_config(np.full(2, np.nan), LaserConfig(beams=2))
+    grid.add(Pose(), no_returns, scene.walls)
     space = grid.free_space()
     rooms, _ = ndimage.label(~space.blocked)
     if scene.start is not None:
@@ -89,7 +89,7 @@ def true_map(scene: Scene, cell_m: float = 0.05) -> TrueMap:
 
 
 def _is_inside(scene: Scene, space: FreeSpace, cells: NDArray[np.int64]) -> bool:
-    """Whether a robot may stand in a room, given by its cells, and the room is not all that lies about the map."""
+    """Whether a robot may stand in a room, given by its cells, and the room is not the outside of the building."""
     x, y = space.centre(*cells[len(cells) // 2].tolist())
     try:
         check_placement(scene, (x, y, 0.0))
@@ -99,7 +99,7 @@ def _is_inside(scene: Scene, space: FreeSpace, cells: NDArray[np.int64]) -> bool
 
 
 def step_graph(blocked: Bools) -> sparse.csr_array:
-    """The graph of steps between the cells of (H, W) `blocked`, flat; costs in cells, no corner cut."""
+    """The graph of steps between the free cells of `blocked` (H, W), by flat index; costs in cells, no cut corners."""
     height, width = blocked.shape
     index = np.arange(height * width).reshape(height, width)
     free = ~blocked
@@ -117,30 +117,30 @@ def step_graph(blocked: Bools) -> sparse.csr_array:
 
 
 def dijkstra(graph: sparse.csr_array, space: FreeSpace, source: Array) -> Array:
-    """(H, W) costs, metres, from the cell of `source` to every other, by SciPy; inf where there is no way."""
+    """(H, W) costs, metres, from the cell of `source` to every cell, by SciPy; inf where there is no path."""
     row, col = space.cell_of(source)
     costs = csgraph.dijkstra(graph, directed=False, indices=row * space.blocked.shape[1] + col)
     return np.asarray(costs).reshape(space.blocked.shape) * space.cell_m
 
 
 def optimality_figures(maps: dict[str, TrueMap], sources: int, goals: int) -> Figures:
-    """Largest difference of A*'s cost from Dijkstra's over `sources` starts with `goals` goals each, in every map."""
+    """Largest difference between the costs of A* and Dijkstra, for `sources` starts with `goals` goals each per map."""
     rng = np.random.default_rng(1)
-    worst, asked = 0.0, 0
+    worst, count = 0.0, 0
     for drawn in maps.values():
         graph = step_graph(drawn.space.blocked)
         for _ in range(sources):
-            start = drawn.questions(1, rng)[0].start
+            start = drawn.queries(1, rng)[0].start
             costs = dijkstra(graph, drawn.space, start)
-            for question in drawn.questions(goals, rng):
-                plan = make_planner("astar").plan(drawn.space, start, question.goal)
-                worst = max(worst, abs(plan.cost - float(costs[drawn.space.cell_of(question.goal)])))
-                asked += 1
-    return {"optimality.queries": asked, "optimality.worst_difference_m": worst}
+            for query in drawn.queries(goals, rng):
+                plan = make_planner("astar").plan(drawn.space, start, query.goal)
+                worst = max(worst, abs(plan.cost - float(costs[drawn.space.cell_of(query.goal)])))
+                count += 1
+    return {"optimality.queries": count, "optimality.worst_difference_m": worst}
 
 
 def astar_shortcut(space: FreeSpace, start: Array, goal: Array) -> Plan:
-    """A*, and of its path the way points that a straight line cannot do without."""
+    """A* with its path shortcut to the necessary way points."""
     plan = make_planner("astar").plan(space, start, goal)
     if not plan.found:
         return plan
@@ -149,7 +149,7 @@ def astar_shortcut(space: FreeSpace, start: Array, goal: Array) -> Plan:
 
 
 def timed(function: Callable[[], Array]) -> tuple[Array, float]:
-    """What a function returns, and the seconds it took."""
+    """The result of a function and the seconds it took."""
     began = time.perf_counter()
     value = function()
     return value, time.perf_counter() - began
@@ -163,41 +163,41 @@ def turns(path_world: Array) -> float:
 
 
 def comparison_figures(maps: dict[str, TrueMap], queries: int, config: RRTStarConfig) -> Figures:
-    """Four ways of planning on the same `queries` questions a map: medians, and lengths relative to A* + shortcut.
+    """Four planners on the same `queries` per map: medians, and lengths relative to A* with shortcut.
 
-    Drive time is that of a robot that turns on the spot at every way point, at the default robot's speeds.
+    The drive time is that of the default robot if it turns on the spot at every way point.
     """
     robot = RobotConfig()
     plain = RRTStarConfig(False, config.iterations, config.range_m, config.goal_bias)
-    ways: dict[str, Callable[[FreeSpace, Array, Array], Plan]] = {
-        "astar": lambda *question: make_planner("astar").plan(*question),
+    planners: dict[str, Callable[[FreeSpace, Array, Array], Plan]] = {
+        "astar": lambda *query: make_planner("astar").plan(*query),
         "astar_shortcut": astar_shortcut,
-        "rrtstar": lambda *question: make_planner("rrtstar", plain).plan(*question),
-        "informed": lambda *question: make_planner("rrtstar", config).plan(*question),
+        "rrtstar": lambda *query: make_planner("rrtstar", plain).plan(*query),
+        "informed": lambda *query: make_planner("rrtstar", config).plan(*query),
     }
     figures: Figures = {}
-    everywhere: dict[str, list[list[float]]] = {name: [] for name in ways}
-    missing = dict.fromkeys(ways, 0)
-    for scene, drawn in maps.items():
-        here: dict[str, list[list[float]]] = {name: [] for name in ways}
-        gave_up = dict.fromkeys(ways, 0)
-        for question in drawn.questions(queries, np.random.default_rng(2)):
-            plans = {name: way(drawn.space, question.start, question.goal) for name, way in ways.items()}
+    everywhere: dict[str, list[list[float]]] = {name: [] for name in planners}
+    missing = dict.fromkeys(planners, 0)
+    for scene, true in maps.items():
+        here: dict[str, list[list[float]]] = {name: [] for name in planners}
+        gave_up = dict.fromkeys(planners, 0)
+        for query in true.queries(queries, np.random.default_rng(2)):
+            plans = {name: plan(true.space, query.start, query.goal) for name, plan in planners.items()}
             shortest = plans["astar_shortcut"].cost
             for name, plan in plans.items():
                 if not plan.found:
                     gave_up[name] += 1
                     continue
-                assert path_is_free(drawn.space, plan.path_world)
+                assert path_is_free(true.space, plan.path_world)
                 turned = turns(plan.path_world)
                 drive = turned / robot.turn_rate + plan.cost / robot.speed
                 ratio = plan.cost / shortest if shortest > 0.0 else 1.0
                 here[name].append([plan.cost, turned, drive, 1e3 * plan.seconds, ratio])
-        for name in ways:
+        for name in planners:
             figures |= _medians(f"{scene}.{name}", here[name], gave_up[name])
             everywhere[name] += here[name]
             missing[name] += gave_up[name]
-    for name in ways:
+    for name in planners:
         figures |= _medians(f"all.{name}", everywhere[name], missing[name])
     return figures
 
@@ -206,7 +206,7 @@ COLUMNS = ("length_m", "turns_rad", "drive_s", "plan_ms", "ratio")
 
 
 def _medians(name: str, rows: list[list[float]], gave_up: int) -> Figures:
-    """Medians over the plans found, the ratio's 90th percentile, and how many were not."""
+    """Medians over the found plans, the 90th percentile of the ratio, and the number of failures."""
     table = np.array(rows).reshape(-1, len(COLUMNS))
     figures: Figures = {f"{name}.gave_up": gave_up}
     if len(table):
@@ -216,7 +216,7 @@ def _medians(name: str, rows: list[list[float]], gave_up: int) -> Figures:
 
 
 def comparison_rows(figures: Figures) -> list[list[str]]:
-    """The table: a line per map and way of planning."""
+    """The table: a row per map and planner."""
     lines = [["map, planner", "gave up", *(f"{key}, median" for key in COLUMNS), "ratio, p90"]]
     for key in figures:
         name = key.removesuffix(".gave_up")
@@ -229,43 +229,43 @@ def comparison_rows(figures: Figures) -> list[list[str]]:
 
 
 def replan_figures(drawn: TrueMap, replans: int, checked: int) -> Figures:
-    """Plans anew when one obstacle is seen on the path, ahead of a robot under way: A* with its memory, and without.
+    """Times of replanning after a new obstacle appears on the rest of the path: incremental A*, and A* from scratch.
 
-    ahead: at most `LASER_M` from the robot, as a laser sees it; anywhere: anywhere on the rest of the path. The first
-    `checked` of each are compared with Dijkstra. cpu_ms leaves out the time that a busy machine gave to others.
+    ahead: the obstacle lies at most `LASER_M` from the robot; anywhere: anywhere on the rest of the path. The first
+    `checked` replans of each are compared with Dijkstra. cpu_ms excludes the time of other processes.
     """
     figures: Figures = {}
     for where in ("ahead", "anywhere"):
         rng = np.random.default_rng(3)
         kept, cpu, scratch, scratch_cpu, first, found, worst = [], [], [], [], [], 0, 0.0
         while len(kept) < replans:
-            question = drawn.questions(1, rng)[0]
+            query = drawn.queries(1, rng)[0]
             planner = make_planner("astar")
-            plan = planner.plan(drawn.space, question.start, question.goal)
+            plan = planner.plan(drawn.space, query.start, query.goal)
             path = plan.path_world
             along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
             if plan.cost < 3.0:
                 continue
             here = rng.uniform(0.0, plan.cost - 2.0)
-            reach = plan.cost - here - 1.0
-            there = here + rng.uniform(1.0, max(1.0, min(reach, LASER_M) if where == "ahead" else reach))
+            rest = plan.cost - here - 1.0
+            there = here + rng.uniform(1.0, max(1.0, min(rest, LASER_M) if where == "ahead" else rest))
             robot, obstacle = (path[np.searchsorted(along, way)] for way in (here, there))
             blocked = with_obstacle(drawn.space, obstacle, OBSTACLE_M + drawn.radius_m)
             space = FreeSpace(blocked, drawn.space.seen, drawn.space.origin, drawn.space.cell_m)
-            if space.is_blocked(robot) or space.is_blocked(question.goal):
+            if space.is_blocked(robot) or space.is_blocked(query.goal):
                 continue
             began = time.thread_time()
-            again = planner.plan(space, robot, question.goal)
+            again = planner.plan(space, robot, query.goal)
             cpu.append(1e3 * (time.thread_time() - began))
             began = time.thread_time()
-            anew = make_planner("astar").plan(space, robot, question.goal)
+            anew = make_planner("astar").plan(space, robot, query.goal)
             scratch_cpu.append(1e3 * (time.thread_time() - began))
             if again.found != anew.found:
                 worst = math.inf
             elif again.found:
                 worst = max(worst, abs(again.cost - anew.cost))
             if again.found and len(kept) < checked:
-                cost = dijkstra(step_graph(blocked), space, robot)[space.cell_of(question.goal)]
+                cost = dijkstra(step_graph(blocked), space, robot)[space.cell_of(query.goal)]
                 worst = max(worst, abs(again.cost - float(cost)))
             found += again.found
             first.append(1e3 * plan.seconds)
@@ -288,7 +288,7 @@ def replan_figures(drawn: TrueMap, replans: int, checked: int) -> Figures:
 
 
 def with_obstacle(space: FreeSpace, centre: Array, radius_m: float) -> Bools:
-    """The blocked cells, and those whose centres a disc about (2,) `centre` covers."""
+    """The blocked cells and those whose centres lie in a disc around `centre` (2,)."""
     height, width = space.blocked.shape
     x = space.origin[0] + (np.arange(width) + 0.5) * space.cell_m - centre[0]
     y = space.origin[1] + (np.arange(height) + 0.5) * space.cell_m - centre[1]
@@ -297,7 +297,7 @@ def with_obstacle(space: FreeSpace, centre: Array, radius_m: float) -> Bools:
 
 
 def willow(folder: Path) -> Scene:
-    """Willow Garage's map among the data in `folder`, its walls taken for walls."""
+    """Willow Garage's map in the data folder `folder`, with its faint walls occupied."""
     text = (folder / f"{WILLOW}.yaml").read_text()
     lines = [line for line in text.splitlines() if not line.startswith(("image:", "occupied_thresh:"))]
     lines += [f"image: {(folder / f'{WILLOW}.pgm').resolve()}", f"occupied_thresh: {WALLS_ABOVE}"]
@@ -309,13 +309,13 @@ def willow(folder: Path) -> Scene:
 
 def main() -> int:
     parser = arguments(__doc__)
-    parser.add_argument("--queries", type=int, default=67, metavar="N", help="questions in each of three scenes (67)")
-    parser.add_argument("--iterations", type=int, default=RRTStarConfig().iterations, metavar="N", help="RRT*'s budget")
+    parser.add_argument("--queries", type=int, default=67, metavar="N", help="queries in each of three scenes (67)")
+    parser.add_argument(
+        "--iterations", type=int, default=RRTStarConfig().iterations, metavar="N", help="iterations of RRT*"
+    )
     parser.add_argument("--replans", type=int, default=200, metavar="N", help="replans in Willow Garage (200)")
     options = parser.parse_args()
-    for name in ("queries", "iterations", "replans"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name}: found {getattr(options, name)}, allowed: at least 1")
+    check_at_least(parser, options, queries=1, iterations=1, replans=1)
     with single_threaded():
         maps = {name: true_map(load_scene(name)) for name in SCENES}
         figures = optimality_figures(maps, 17, 10)
@@ -327,7 +327,7 @@ def main() -> int:
             print("planning.py: no replans, SIXTHSENSE_DATA must be a folder with maps/", file=sys.stderr)
     print_table(comparison_rows(comparison))
     figures |= comparison
-    print_figures({key: value for key, value in figures.items() if key in REACH or key not in comparison}, REACH)
+    print_figures({key: value for key, value in figures.items() if key in TARGETS or key not in comparison}, TARGETS)
     write_json(options.json, figures)
     return 0
 

@@ -1,4 +1,4 @@
-"""Counterparts of the report's figures, each found and drawn anew; docs/report_figures.md says what they show."""
+"""Counterparts of the report's figures, from new runs; docs/report_figures.md describes them."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from sixthsense.loop import warm_up
 from sixthsense.navigation.planners.shortcut import shortcut
 from sixthsense.slam.features import Features
 
-SCAN = 48  # key scan of the apartment in which much is to be seen: corridor, living room, bath, kitchen
+SCAN = 48  # a key scan of the apartment that sees corridor, living room, bath and kitchen
 CORNERS = {"landmarks": "corners"}
 WITHOUT_IEP = preset("default", task="goal", features={**CORNERS, "split": {"enabled": False}})
-# Three times the noise, known as such, and RANSAC's best pair as it is: bad landmarks come about.
+# Three times the laser noise and no least-squares fit produce bad landmarks.
 ROUGH: dict[str, Any] = {
     "world": {"laser": {"range_m": 0.03}},
     "assumed": {"laser": {"range_m": 0.03}},
@@ -39,7 +39,7 @@ ROUGH: dict[str, Any] = {
 
 @functools.cache
 def apartment() -> Recording:
-    """The run that most figures are of."""
+    """The run shown in most figures."""
     return record(preset("default", task="goal", features=CORNERS))
 
 
@@ -48,13 +48,13 @@ def calibration(file: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         noise = Path(folder) / "noise.toml"
         if sixthsense(["calibrate", "apartment", "--out", str(noise)]) != 0:
-            raise SystemExit("the calibration has failed")
+            raise SystemExit("calibration failed")
         file.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(noise.with_suffix(".png"), file)
 
 
 def pipeline() -> Any:
-    """Figure 2: one scan on its way to landmarks."""
+    """Figure 2: the stages from a scan to landmarks."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
     figure, axes = new_axes(2, 3, 12.0, 9.2)
@@ -76,7 +76,7 @@ def pipeline() -> Any:
 
 
 def partitions() -> Any:
-    """Figure 3: partitions by discontinuity, and by iterative end points."""
+    """Figure 3: partitions by discontinuity and by iterative end points."""
     run = apartment()
     pose, scan, features = run.pose(SCAN), run.scans[SCAN], run.features(SCAN)
     figure, axes = new_axes(1, 2, 12.0, 6.2)
@@ -90,7 +90,7 @@ def partitions() -> Any:
 
 
 def detections() -> Any:
-    """Figure 4: walls and landmarks that one scan shows."""
+    """Figure 4: walls and landmarks detected in one scan."""
     run = apartment()
     figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
     draw_truth(ax, run.scene)
@@ -102,13 +102,13 @@ def detections() -> Any:
 
 
 def state() -> Any:
-    """Figure 5: landmarks of the state, with their covariance."""
+    """Figure 5: landmarks in the state with their covariance."""
     run = apartment()
     figure, (ax,) = new_axes(1, 1, 11.0, 8.2)
     draw_truth(ax, run.scene)
     plot.draw_landmarks(ax, run.trace, enlarged=10.0)
-    way = np.array(run.trace.estimates)[:, :2]
-    ax.plot(way[:, 0], way[:, 1], color=ESTIMATE, linewidth=1.0, label="driven, estimated")
+    path = np.array(run.trace.estimates)[:, :2]
+    ax.plot(path[:, 0], path[:, 1], color=ESTIMATE, linewidth=1.0, label="estimated path")
     fig.draw_robot(ax, run.trace.final.pose, run.trace.radius_m)
     legend(figure)
     return figure
@@ -140,20 +140,20 @@ def length(path: Array) -> float:
 
 
 def replanning() -> Any:
-    """Figure 7: a plan, and the one that replaced it; of all, where the way to go grew most."""
+    """Figure 7: a plan and its replacement, for the replan that increased the total path length most."""
     run = apartment()
     plans = run.trace.plans
     made = [made_at(run, n) for n in range(len(plans))]
-    # What a plan costs in all: the way driven until it was made, and the plan.
+    # Total length: the path driven until the plan was made, and the plan.
     costs = np.array([length(run.way(k)) + length(plan) for k, plan in zip(made, plans, strict=True)])
     i = int(np.argmax(np.diff(costs)))
     figure, axes = new_axes(1, 2, 13.0, 5.2)
-    for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "planned anew")):
+    for ax, n, title in ((axes[0], i, "planned"), (axes[1], i + 1, "replanned")):
         k = made[n]
         draw_truth(ax, run.scene)
         fig.draw_hits(ax, run.grid(k), run.trace.config.grid.cell_m)
         if n > i:
-            ax.plot(*plans[i].T, color=PLAN, linewidth=1.0, linestyle=":", zorder=4, label="plan given up")
+            ax.plot(*plans[i].T, color=PLAN, linewidth=1.0, linestyle=":", zorder=4, label="previous plan")
         fig.draw_path(ax, plans[n])
         fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
         window(ax, np.concatenate(plans[i : i + 2]))
@@ -163,7 +163,7 @@ def replanning() -> Any:
 
 
 def trajectory() -> Any:
-    """Figure 8: plans, their short cuts, and the way point headed for; of all, the three that gain most."""
+    """Figure 8: the three plans that the shortcut shortens most, with the current way point."""
     run = apartment()
     rows = []
     for n, plan in enumerate(run.trace.plans):
@@ -178,14 +178,14 @@ def trajectory() -> Any:
         fig.draw_path(ax, plan, optimised)
         fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
         window(ax, plan)
-        said = f"{len(plan)} way points, {len(optimised)} after, {100 * gain:.0f} cm saved"
-        ax.set_title(f"{run.time_s(k):.1f} s: {said}", fontsize=10)
+        change = f"{len(plan)} way points, {len(optimised)} after the shortcut, {100 * gain:.0f} cm saved"
+        ax.set_title(f"{run.time_s(k):.1f} s: {change}", fontsize=10)
     legend(figure)
     return figure
 
 
 def seen_region() -> Any:
-    """Figure 9: the region seen."""
+    """Figure 9: the seen area."""
     run = apartment()
     figure, axes = new_axes(1, 2, 13.0, 5.0)
     for ax, k in zip(axes, (SCAN, len(run.scans) - 1), strict=True):
@@ -209,7 +209,7 @@ def moments() -> Any:
         fig.draw_hits(ax, grid, run.trace.config.grid.cell_m)
         if run.plans[k]:
             fig.draw_path(ax, run.trace.plans[run.plans[k] - 1])
-        ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.4, zorder=6, label="driven, estimated")
+        ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.4, zorder=6, label="estimated path")
         style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.2, "zorder": 7}
         ax.scatter(landmarks[:, 0], landmarks[:, 1], s=22.0, label="landmarks in the state", **style)
         fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
@@ -220,7 +220,7 @@ def moments() -> Any:
 
 
 def iep() -> Any:
-    """Figure 11: RANSAC on first-level partitions, and on second-level; the scan in which the former strays most."""
+    """Figure 11: RANSAC on first-level and second-level partitions, in the scan in which they differ most."""
     run = apartment()
     scene = run.scene
     poses = [Pose.from_array(row) for row in run.trace.key_truths]
@@ -235,18 +235,18 @@ def iep() -> Any:
         fig.draw_detections(ax, poses[k], features)
         fig.draw_robot(ax, poses[k], run.trace.radius_m)
         off = fig.strays_m(poses[k], features, scene)
-        ax.set_title(f"RANSAC on {of}-level partitions: at most {off:.2f} m off")
+        ax.set_title(f"RANSAC on {of}-level partitions: maximum error {off:.2f} m")
     legend(figure)
     return figure
 
 
 def culling() -> Any:
-    """Figure 12: a bad landmark before and after it was culled."""
+    """Figure 12: a bad landmark before and after its removal."""
     run = record(preset("default", **ROUGH))
     bad = fig.worst_culled(run)
     figure, axes = new_axes(1, 2, 13.0, 6.4)
-    for ax, k, said in (
-        (axes[0], bad.gone - 1, f"born at {run.time_s(bad.born):.1f} s"),
+    for ax, k, event in (
+        (axes[0], bad.gone - 1, f"initialised at {run.time_s(bad.born):.1f} s"),
         (axes[1], bad.gone, "culled"),
     ):
         landmarks = run.trace.key_estimates[k].landmarks
@@ -256,9 +256,9 @@ def culling() -> Any:
         true = true_landmarks(run.scene.walls)
         ax.scatter(true[:, 0], true[:, 1], s=30.0, marker="+", color=WALL, label="true corners and ends", zorder=7)
         ax.scatter(*bad.position, s=260.0, facecolors="none", edgecolors=LANDMARK, linewidths=1.2, zorder=5)
-        said_off = f"{bad.off_m:.2f} m from any true one"
-        ax.annotate(said_off, bad.position, (0, 16), textcoords="offset points", ha="center")
-        ax.set_title(f"{run.time_s(k):.1f} s: {said}")
+        distance = f"{bad.off_m:.2f} m from the nearest true one"
+        ax.annotate(distance, bad.position, (0, 16), textcoords="offset points", ha="center")
+        ax.set_title(f"{run.time_s(k):.1f} s: {event}")
     legend(figure)
     return figure
 
@@ -279,7 +279,7 @@ FIGURES: dict[int, tuple[str, Callable[[], Any]]] = {
 
 
 def shrink(file: Path) -> None:
-    """Store a PNG with a palette: drawings have few colours, and a repository keeps every version."""
+    """Store a PNG with a palette, which keeps the repository small."""
     from PIL import Image
 
     with Image.open(file) as image:
@@ -289,7 +289,7 @@ def shrink(file: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs/figures"), metavar="DIR", help="folder to write into")
-    parser.add_argument("--only", type=int, nargs="+", choices=[1, *FIGURES], metavar="N", help="these figures alone")
+    parser.add_argument("--only", type=int, nargs="+", choices=[1, *FIGURES], metavar="N", help="only these figures")
     options = parser.parse_args()
     warm_up()
     for number in options.only or [1, *FIGURES]:

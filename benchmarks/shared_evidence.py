@@ -1,8 +1,8 @@
-"""One recorded run, five estimators: `python benchmarks/shared_evidence.py --runs 10 --figure docs/estimators.png`.
+"""Five estimators on one recorded run: `python benchmarks/shared_evidence.py --runs 10 --figure docs/estimators.png`.
 
-A robot drives a tour with `--driver`; what its wheels and its laser said is then replayed to every estimator, so that
-what differs is the estimator alone. Errors are those of the causal estimate at key scans. With `--folder RUN` the
-recorded run is one that `sixthsense run` has left.
+A robot drives a tour with the estimator `--driver`. Its odometry and scans are then replayed to every estimator, so
+only the estimator differs. Errors are those of the causal estimate at key scans. With `--folder RUN` the recorded run
+is a folder written by `sixthsense run`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 from tqdm import tqdm
 
 from sixthsense.config import Config, load_config, preset
@@ -27,7 +27,7 @@ from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
 
-# Column's head and key in the run's metrics.
+# Column name, key in the run's metrics, and the factor to the column's unit.
 COLUMNS = (
     ("ATE mm", "ate_rmse_m", 1e3),
     ("max mm", "ate_max_m", 1e3),
@@ -53,7 +53,7 @@ def record(config: Config) -> Log:
 
 
 def compare(log: Log, config: Config, estimators: Sequence[str]) -> dict[str, Trace]:
-    """Replay one log to each estimator."""
+    """The trace of each estimator on one log."""
     return {name: replay(log, dataclasses.replace(config, estimator=name)) for name in estimators}
 
 
@@ -69,7 +69,7 @@ def over_time(trace: Trace) -> tuple[Array, Array, Array, Array]:
 
 
 def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
-    """Means over the runs of each column; keys `ekf_invariant.ate_rmse_m`."""
+    """Mean over the runs of each column, by keys such as `ekf_invariant.ate_rmse_m`."""
     figures: Figures = {}
     for name, runs in traces.items():
         metrics = [trace.metrics for trace in runs]
@@ -81,12 +81,12 @@ def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
 
 
 def draw(traces: Mapping[str, Sequence[Trace]], title: str) -> Any:
-    """Error, NEES and processing time over time, means over runs in bins of 10 s, one line per estimator."""
+    """Draw error, NEES and processing time over time, in bins of 10 s over all runs, one line per estimator."""
     figure = new_figure(11.0, 8.0)
     axes = figure.subplots(3, 1, sharex=True)
     count = max(len(runs) for runs in traces.values())
     low, high = nees_band(count)
-    axes[1].axhspan(low, high, color="#BBBBBB", alpha=0.5, linewidth=0, label=f"95 % of the mean of {count}")
+    axes[1].axhspan(low, high, color="#BBBBBB", alpha=0.5, linewidth=0, label=f"95 % band, mean of {count}")
     for (name, runs), color in zip(traces.items(), CYCLE, strict=False):
         rows = [np.concatenate(columns) for columns in zip(*map(over_time, runs), strict=True)]
         t, error, nees, ms = rows
@@ -97,7 +97,7 @@ def draw(traces: Mapping[str, Sequence[Trace]], title: str) -> Any:
                 line = [reduce(values[which == b]) if np.isfinite(values[which == b]).any() else np.nan for b in bins]
             ax.plot((bins + 0.5) * BIN_S, line, color=color, linewidth=1.2, label=name)
     axes[0].set_ylabel("position RMSE [mm]")
-    axes[1].set_ylabel("NEES of the pose [1]")
+    axes[1].set_ylabel("pose NEES, world [1]")
     axes[2].set_ylabel("key scan, median [ms]")
     axes[2].set_xlabel("time [s]")
     axes[0].legend(ncols=5, fontsize=8, loc="upper left")
@@ -118,14 +118,13 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1, metavar="N", help="recorded runs, seeds 0 to N - 1")
     parser.add_argument("--scene", default="apartment")
     parser.add_argument("--preset", default="default")
-    parser.add_argument("--seconds", type=float, default=400.0, help="simulated, of each tour")
-    parser.add_argument("--driver", default="ekf-invariant", choices=ESTIMATORS, help="who drives")
+    parser.add_argument("--seconds", type=float, default=400.0, help="simulated seconds of each tour")
+    parser.add_argument("--driver", default="ekf-invariant", choices=ESTIMATORS, help="estimator that drives")
     parser.add_argument("--folder", type=Path, metavar="RUN", help="a recorded run, instead of new ones")
     parser.add_argument("--estimator", nargs="+", default=list(ESTIMATORS), choices=ESTIMATORS, metavar="NAME")
     parser.add_argument("--figure", type=Path, metavar="FILE.png")
     options = parser.parse_args()
-    if options.runs < 1:
-        parser.error(f"--runs: found {options.runs}, allowed: at least 1")
+    check_at_least(parser, options, runs=1)
     warm_up()
     traces: dict[str, list[Trace]] = {name: [] for name in options.estimator}
     for seed in tqdm(range(1 if options.folder else options.runs), unit="run", disable=None):
@@ -148,7 +147,7 @@ def main() -> None:
     write_json(options.json, figures)
     if options.figure:
         count = len(next(iter(traces.values())))
-        title = f"The same evidence, {len(traces)} estimators: {config.scene} tour, {count} run{'s' * (count > 1)}"
+        title = f"{len(traces)} estimators, the same measurements: {config.scene} tour, {count} run{'s' * (count > 1)}"
         save(draw(traces, title), options.figure)
 
 

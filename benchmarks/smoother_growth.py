@@ -1,6 +1,6 @@
-"""What the smoother costs as its graph grows: `python benchmarks/smoother_growth.py --figure growth.png`.
+"""Processing time of the smoother as its graph grows: `python benchmarks/smoother_growth.py --figure growth.png`.
 
-A tour of the apartment of 6,000 scans with `isam2`: the whole processing of every key scan, in tenths of the run.
+A tour of the apartment with 6,000 scans and `isam2`: the processing time of every key scan, by tenths of the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--estimator", default="isam2", choices=ESTIMATORS)
     parser.add_argument("--landmarks", default="both", choices=("corners", "walls", "both"))
-    parser.add_argument("--seconds", type=float, default=600.0, help="simulated; ten scans each")
+    parser.add_argument("--seconds", type=float, default=600.0, help="simulated, with ten scans per second (600)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--figure", type=Path, metavar="FILE.png")
     options = parser.parse_args()
@@ -58,14 +58,16 @@ def main() -> None:
     if options.figure:
         figure = new_figure(11.0, 4.0)
         ax = figure.add_subplot()
-        ax.plot(ms, ".", markersize=2, color=ESTIMATE, label="a key scan")
-        ax.plot([p.mean() for p in parts], [np.median(ms[p]) for p in parts], color=LANDMARK, label="median of a tenth")
+        ax.plot(ms, ".", markersize=2, color=ESTIMATE, label="key scan")
+        ax.plot(
+            [p.mean() for p in parts], [np.median(ms[p]) for p in parts], color=LANDMARK, label="median of each tenth"
+        )
         ax.axhline(BUDGET_MS, color="#999999", linestyle="--", label=f"{BUDGET_MS} ms")
         ax.set_xlabel("key scan")
-        ax.set_ylabel("whole processing [ms]")
+        ax.set_ylabel("processing time [ms]")
         ax.set_ylim(0.0)
         ax.legend(loc="upper left", ncols=3)
-        ax.set_title(f"{options.estimator}: what a key scan costs as the graph grows")
+        ax.set_title(f"{options.estimator}: processing time per key scan as the graph grows")
         save(figure, options.figure)
 
 

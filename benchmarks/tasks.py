@@ -1,4 +1,4 @@
-"""What the robot itself achieves: tasks in the shipped scenes, over seeds."""
+"""Outcomes and errors of closed-loop tasks in the shipped scenes, over seeds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, write_json
 
 from sixthsense.config import preset
 from sixthsense.loop import run, warm_up
@@ -17,19 +17,19 @@ from sixthsense.loop import run, warm_up
 
 @dataclass(frozen=True)
 class Setting:
-    """Runs that differ in their seed alone."""
+    """Runs that differ only in their seed."""
 
     scene: str
     task: Literal["goal", "tour"]
     preset: str
     seeds: int
-    """how many, from 0 on"""
+    """number of seeds, from 0"""
     max_time: float = 600.0
     """simulated seconds"""
 
     @property
     def name(self) -> str:
-        """The prefix of its figures' keys."""
+        """The prefix of the keys of its figures."""
         return f"{self.scene}.{self.task}.{self.preset}"
 
 
@@ -43,7 +43,7 @@ SETTINGS = (
     Setting("block", "goal", "worn", 10),
 )
 
-# Column's head, key in the run's metrics, suffix of the figure's key, and how the runs become one number.
+# Column name, key in the run's metrics, suffix of the figure's key, and the reduction over runs.
 COLUMNS: tuple[tuple[str, str, str, Callable[[Sequence[float]], Any]], ...] = (
     ("collisions", "collisions", "", np.sum),
     ("ATE m, median", "ate_rmse_m", "_median", np.median),
@@ -59,7 +59,7 @@ COLUMNS: tuple[tuple[str, str, str, Callable[[Sequence[float]], Any]], ...] = (
 
 
 def setting_figures(setting: Setting) -> Figures:
-    """Run a setting's seeds: how often each outcome, and the columns of the table; what no run measured is left out."""
+    """Counts of outcomes and the columns of the table over a setting's seeds, without what no run measured."""
     config = preset(setting.preset)
     config = dataclasses.replace(config, scene=setting.scene, task=setting.task, max_time=setting.max_time)
     results = [run(dataclasses.replace(config, seed=seed)).metrics for seed in range(setting.seeds)]
@@ -73,7 +73,7 @@ def setting_figures(setting: Setting) -> Figures:
 
 
 def row(setting: Setting, figures: Figures) -> list[str]:
-    """A line of the table."""
+    """A row of the table."""
     start = f"{setting.name}.outcome."
     outcomes = [f"{int(n)} {key.removeprefix(start)}" for key, n in figures.items() if key.startswith(start)]
     values = [figures.get(f"{setting.name}.{key}{suffix}") for _, key, suffix, _ in COLUMNS]
@@ -83,10 +83,9 @@ def row(setting: Setting, figures: Figures) -> list[str]:
 
 def main() -> None:
     parser = arguments(__doc__)
-    parser.add_argument("--seeds", type=int, metavar="N", help="at most so many seeds per setting")
+    parser.add_argument("--seeds", type=int, metavar="N", help="upper bound of the seeds per setting")
     options = parser.parse_args()
-    if options.seeds is not None and options.seeds < 1:
-        parser.error(f"--seeds: found {options.seeds}, allowed: at least 1")
+    check_at_least(parser, options, seeds=1)
     warm_up()
     figures: Figures = {}
     rows = [["setting", "outcomes", *(column[0] for column in COLUMNS)]]

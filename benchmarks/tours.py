@@ -1,7 +1,7 @@
-"""What the benchmarks of tours share: runs judged against the truth, a row each, made by a few processes and resumed.
+"""Shared by the benchmarks of tours: runs evaluated against the truth, one row each, resumable, in several processes.
 
-A campaign keeps what `Trace.metrics` says of a run; here NEES over time and each match are needed, which only the trace
-knows.
+A campaign keeps the metrics of a run. These benchmarks need NEES over time and every match as well, which only the
+trace has.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ import argparse
 import dataclasses
 import json
 import math
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
+from harness import check_at_least, pooled
 
 from sixthsense.campaign.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
@@ -32,13 +31,13 @@ from sixthsense.sources.scene import load_scene
 Row = dict[str, Any]
 
 NEES = ("nees3", "nees3_invariant", "nees_position", "nees_heading")
-"""of the pose in world and in right-invariant coordinates (3 if consistent), of the position (2), of the heading (1)"""
+"""NEES of the pose in world and right-invariant coordinates (3 if consistent), of position (2) and heading (1)"""
 
 
 def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | None = None, **fields: Any) -> Config:
-    """A tour's configuration for seed 0: the preset of that name, the partial configuration in `file`, the `fields`.
+    """The configuration of a tour for seed 0: the preset `name`, the partial configuration in `file`, then `fields`.
 
-    Raises InputError for what is not allowed.
+    Raises InputError for a value that is not allowed.
     """
     config = preset(name)
     if file is not None:
@@ -49,9 +48,9 @@ def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | Non
 
 
 def judge(trace: Trace) -> Row:
-    """What a run is worth: errors, matches against the truth, NIS, and NEES each second, of the last key scan then.
+    """Evaluate a run: errors, matches against the truth, NIS, and for each second the NEES of the latest key scan.
 
-    Of NEES there is none (null) before the covariance has full rank.
+    NEES is None before the covariance has full rank.
     """
     metrics = trace.metrics
     assert trace.scene is not None
@@ -67,7 +66,7 @@ def judge(trace: Trace) -> Row:
     covs = np.array([e.pose_cov for e in trace.key_estimates])
     series = key_scan_nees(poses, truths, covs)
     seconds = np.arange(1, math.floor(trace.config.max_time) + 1)
-    # A run that ended early has nothing to say of the time after.
+    # A run that ended early has no values for the time after its end.
     seconds = seconds[seconds <= metrics["sim_time_s"] + 1e-9]
     last = np.searchsorted(stamps_s, seconds + 1e-9, side="right") - 1
     for name, values in series.items():
@@ -76,7 +75,7 @@ def judge(trace: Trace) -> Row:
 
 
 def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
-    """Each kind of NEES (K,) of poses (K, 3), NaN before their world-frame covariance (K, 3, 3) has full rank."""
+    """Each kind of NEES (K,) of poses (K, 3); NaN before the world-frame covariance (K, 3, 3) has full rank."""
     out = {name: np.full(len(poses), math.nan) for name in NEES}
     first = full_rank_from(covs)
     if first == len(poses):
@@ -92,19 +91,22 @@ def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
 
 
 def make_row(config: Config) -> Row:
-    """Run and judge."""
+    """Run a configuration and evaluate it."""
     names = ("scene", "estimator", "preset", "seed")
     return {**{name: getattr(config, name) for name in names}, **judge(run(config))}
 
 
 def rows(configs: Sequence[Config], jobs: int, folder: Path | None = None) -> list[Row]:
-    """A row per configuration, in order, made by `jobs` processes; with a `folder` each is kept there, or found."""
+    """A row per configuration, in order, computed by `jobs` processes.
+
+    With a `folder`, rows are saved there, and a run whose row it has is not repeated.
+    """
     files = [None if folder is None else folder / f"{_name(config)}.json" for config in configs]
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     found: dict[int, Row] = {k: json.loads(f.read_text()) for k, f in enumerate(files) if f is not None and f.exists()}
     due = [k for k in range(len(configs)) if k not in found]
-    for k, row in zip(due, _made([configs[k] for k in due], jobs), strict=True):
+    for k, row in zip(due, pooled(make_row, [configs[k] for k in due], jobs, warm_up), strict=True):
         found[k] = row
         file = files[k]
         if file is not None:
@@ -119,48 +121,29 @@ def _name(config: Config) -> str:
     return f"{name}-{config.seed:03d}-{config_hash(config)}"
 
 
-def _made(configs: Sequence[Config], jobs: int) -> Iterator[Row]:
-    if not configs:
-        return
-    bar = tqdm(total=len(configs), unit=" runs", disable=None, leave=False)
-    with bar:
-        if jobs == 1:
-            for config in configs:
-                yield make_row(config)
-                bar.update()
-            return
-        with ProcessPoolExecutor(jobs, initializer=warm_up) as pool:
-            for row in pool.map(make_row, configs):
-                yield row
-                bar.update()
-
-
 def add_tour_options(parser: argparse.ArgumentParser, seeds: int) -> None:
-    """The options that benchmarks of tours have in common."""
-    parser.add_argument("--seeds", type=int, default=seeds, metavar="N", help=f"seeds 0 to N - 1 ({seeds})")
-    parser.add_argument("--first-seed", type=int, default=0, metavar="S", help="begin at this seed instead (0)")
+    """Add the options that all benchmarks of tours have."""
+    parser.add_argument("--seeds", type=int, default=seeds, metavar="N", help=f"number of seeds ({seeds})")
+    parser.add_argument("--first-seed", type=int, default=0, metavar="S", help="the first seed (0)")
     parser.add_argument("--max-time", type=float, default=400.0, metavar="S", help="simulated seconds (400)")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
-    parser.add_argument("--rows", type=Path, metavar="DIR", help="keep a row per run there, and skip those it has")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="partial configuration, laid over the preset")
+    parser.add_argument("--rows", type=Path, metavar="DIR", help="save a row per run there, and skip saved runs")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="partial configuration, merged into the preset")
 
 
 def check_tour_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Refuse numbers that will not do, in one line."""
-    for name, least in (("seeds", 1), ("first_seed", 0), ("jobs", 1), ("max_time", 1.0)):
-        if not getattr(options, name) >= least:
-            found = f"--{name.replace('_', '-')}: found {getattr(options, name)}"
-            parser.error(f"{found}, allowed: at least {least}")
+    """End the program with one line for a number that is too small."""
+    check_at_least(parser, options, seeds=1, first_seed=0, jobs=1, max_time=1.0)
 
 
 def seeded(configs: Sequence[Config], options: argparse.Namespace) -> list[Config]:
-    """Each configuration with each seed, seed by seed, so that all settings grow alike."""
+    """Each configuration with each seed, ordered by seed, so that an interrupted benchmark has all settings alike."""
     seeds = range(options.first_seed, options.first_seed + options.seeds)
     return [dataclasses.replace(config, seed=seed) for seed in seeds for config in configs]
 
 
 def over_runs(rows: Sequence[Row], name: str) -> Array:
-    """(T,) per second the mean over runs of a kind of NEES, NaN where no run has it."""
+    """(T,) mean over runs of a kind of NEES for each second, NaN where no run has a value."""
     longest = max(len(row[name]) for row in rows)
     values = np.full((len(rows), longest), math.nan)
     for k, row in enumerate(rows):
@@ -171,7 +154,7 @@ def over_runs(rows: Sequence[Row], name: str) -> Array:
 
 
 def nees_of(row: Row, name: str = "nees3") -> float:
-    """A run's mean over time of a kind of NEES."""
+    """Mean over time of a kind of NEES of one run."""
     return float(np.nanmean(np.array([math.nan if v is None else v for v in row[name]])))
 
 

@@ -1,12 +1,13 @@
-"""Victoria Park with known landmarks: the smoother against GTSAM's ISAM2 called by hand, in the same run.
+"""Victoria Park with known landmarks: the estimator `isam2` against direct calls of GTSAM's ISAM2.
 
-The log is GTSAM's own, 6,969 poses and 3,640 sightings of 151 trees. As in a replay, a step is a pose with a sighting;
-odometry between two of them is folded into one motion. Both sides have the same factors, noise, guesses and parameters.
+The log comes with GTSAM: 6,969 poses and 3,640 sightings of 151 trees. As in a replay, a step is a pose with a
+sighting, and odometry between two steps is composed into one motion. Both sides have the same factors, noise, initial
+values and parameters.
 
-Timed on our side: `predict`, `update` and `estimate`, which gives the loop the pose, its covariance and all landmarks.
-Timed by hand: making the factors from numbers that lie ready, `ISAM2.update`, and reading the same three things,
-`calculateEstimate`, `marginalCovariance` and the landmarks as an array; `pose_only` leaves out the last two. Steps
-alternate, and so does who goes first.
+Timed for the estimator: `predict`, `update` and `estimate`, which returns the pose, its covariance and all landmarks.
+Timed for the direct calls (`by_hand`): construction of the factors, `ISAM2.update`, and reading the same three results
+by `calculateEstimate`, `marginalCovariance` and the landmarks as an array; `pose_only` omits the last two. The sides
+alternate step by step, and so does their order.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
-from harness import Figures, arguments, machine, print_table, single_threaded, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, single_threaded, write_json
 
 from sixthsense.config import ISAM2Config, preset
 from sixthsense.core.geometry import Array, Pose
@@ -35,25 +36,25 @@ from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 
 FILE = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
-FLOOR = 1e-6  # m, rad; what the smoother adds to every motion, so that an exactly known start is no singularity
+FLOOR = 1e-6  # m, rad; sigma that isam2 adds to every motion, so that an exact start is not singular
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A pose with a sighting, in our terms and as numbers for GTSAM."""
+    """A pose with a sighting, as objects of this package and as numbers for GTSAM."""
 
     odometry: Odometry
-    """motion since the step before"""
+    """motion since the previous step"""
     sightings: Mapping[LandmarkId, Sighting]
     motion: tuple[float, float, float]
     motion_cov: Array
-    """(3, 3), axes of the robot after"""
+    """(3, 3), in the frame of the robot after the motion"""
     seen: tuple[tuple[LandmarkId, float, float, Array], ...]
     """landmark, bearing, range, and their covariance (2, 2)"""
 
 
 def steps_of(log: Log) -> list[Step]:
-    """The steps of a log whose ticks state the covariance of their motion."""
+    """The steps of a log whose ticks have the covariance of their motion."""
     steps, since, before = [], STANDSTILL, log.ticks[0].odometry
     for tick in log.ticks:
         if tick.increment_cov is not None:
@@ -69,7 +70,7 @@ def steps_of(log: Log) -> list[Step]:
 
 
 class ByHand:
-    """GTSAM's ISAM2 without us."""
+    """Direct calls of GTSAM's ISAM2."""
 
     def __init__(self, config: ISAM2Config, pose_only: bool = False) -> None:
         self.isam = gtsam.ISAM2(solver_parameters(config))
@@ -79,7 +80,7 @@ class ByHand:
         self._known: set[LandmarkId] = set()
 
     def step(self, step: Step) -> object:
-        """Take a step in, and read what has come of it."""
+        """Add a step and read the result."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         motion = gtsam.Pose2(*step.motion)
         noise = gtsam.noiseModel.Gaussian.Covariance(step.motion_cov)
@@ -118,8 +119,8 @@ class ByHand:
         return float(self.isam.getFactorsUnsafe().error(self.isam.calculateEstimate()))
 
 
-def our_step(estimator: Estimator) -> Callable[[Step], object]:
-    """One turn of the loop, as far as the estimator goes."""
+def estimator_step(estimator: Estimator) -> Callable[[Step], object]:
+    """The calls of one turn of the loop to an estimator."""
 
     def step(step: Step) -> object:
         estimator.predict(step.odometry)
@@ -130,7 +131,7 @@ def our_step(estimator: Estimator) -> Callable[[Step], object]:
 
 
 def race(steps: Sequence[Step], *sides: Callable[[Step], object]) -> Array:
-    """(steps, sides) milliseconds; the sides take turns in going first."""
+    """(steps, sides) milliseconds; the sides alternate in going first."""
     spent = np.zeros((len(steps), len(sides)))
     for k, step in enumerate(steps):
         for turn in range(len(sides)):
@@ -142,12 +143,12 @@ def race(steps: Sequence[Step], *sides: Callable[[Step], object]) -> Array:
 
 
 def smoother_figures(steps: Sequence[Step], config: ISAM2Config, runs: int) -> tuple[Figures, ISAM2]:
-    """Step times and final graph errors, ours and by hand, over `runs` races; and our smoother at the end."""
+    """Step times and final graph errors of both sides over `runs` races, and the estimator at the end."""
     times, figures = [], Figures()
     for _ in range(runs):
         ours = ISAM2(Pose(), np.zeros((3, 3)), config)
         bare, pose_only = ByHand(config), ByHand(config, pose_only=True)
-        times.append(race(steps, our_step(ours), bare.step, pose_only.step))
+        times.append(race(steps, estimator_step(ours), bare.step, pose_only.step))
         figures["isam2.graph_error"] = ours.graph_error()
         figures["by_hand.graph_error"] = bare.graph_error()
     for name, column in zip(("isam2", "by_hand", "pose_only"), np.concatenate(times).T, strict=True):
@@ -160,13 +161,13 @@ def smoother_figures(steps: Sequence[Step], config: ISAM2Config, runs: int) -> t
 
 
 def filter_figures(steps: Sequence[Step], smoothed: Array) -> tuple[Figures, dict[str, Array]]:
-    """Each filter's mean step and distance from the `smoothed` trajectory (K, 3); the trajectories by name."""
+    """Each filter's mean step time and distance from the `smoothed` trajectory (K, 3), and the trajectories by name."""
     figures, ways = Figures(), {}
     for name in ESTIMATORS:
         if name == "isam2":
             continue
         estimator, key = make_estimator(name, Pose(), np.zeros((3, 3))), name.replace("-", "_")
-        figures[f"{key}.step_ms_mean"] = float(race(steps, our_step(estimator)).mean())
+        figures[f"{key}.step_ms_mean"] = float(race(steps, estimator_step(estimator)).mean())
         ways[name] = estimator.trajectory()
         gap = np.linalg.norm(ways[name][:, :2] - smoothed[:, :2], axis=1)
         figures[f"{key}.rms_from_smoothed_m"] = float(np.sqrt(np.mean(gap**2)))
@@ -174,7 +175,7 @@ def filter_figures(steps: Sequence[Step], smoothed: Array) -> tuple[Figures, dic
 
 
 def draw(log: Log, ways: Mapping[str, Array], trees: Array, file: Path) -> None:
-    """Trajectories and trees, from above."""
+    """Draw trajectories and trees."""
     figure = new_figure(9.0, 9.0)
     ax: Any = figure.add_subplot()
     wheels = np.array([tick.odometry.array() for tick in log.ticks])
@@ -192,23 +193,24 @@ def draw(log: Log, ways: Mapping[str, Array], trees: Array, file: Path) -> None:
 
 
 def rows(figures: Figures) -> list[list[str]]:
-    """The table."""
-    lines = [["", "step ms", "99 %", "graph error", "m from smoothed"]]
+    """The rows of the table."""
+    lines = [["", "step ms", "99 % below", "graph error", "m from smoothed"]]
     for name in ("by_hand", "pose_only", *(name.replace("-", "_") for name in ESTIMATORS)):
         cells = [figures.get(f"{name}.{key}") for key in ("step_ms_mean", "step_ms_p99", "graph_error")]
         cells.append(figures.get(f"{name}.rms_from_smoothed_m"))
-        label = {"by_hand": "GTSAM by hand", "pose_only": "the same, pose only"}.get(name, name.replace("_", "-"))
+        label = {"by_hand": "GTSAM directly", "pose_only": "GTSAM directly, pose only"}.get(
+            name, name.replace("_", "-")
+        )
         lines.append([label, *("" if cell is None else f"{cell:.3f}" for cell in cells)])
     return lines
 
 
 def main() -> int:
     parser = arguments(__doc__)
-    parser.add_argument("--runs", type=int, default=1, metavar="N", help="races, over which times are averaged (1)")
+    parser.add_argument("--runs", type=int, default=1, metavar="N", help="repetitions to average times over (1)")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the trajectory and the trees, as a PNG")
     options = parser.parse_args()
-    if options.runs < 1:
-        parser.error(f"--runs: found {options.runs}, allowed: at least 1")
+    check_at_least(parser, options, runs=1)
     log, config = read_graph(FILE), preset("victoria").isam2
     steps = steps_of(log)
     with single_threaded():
@@ -219,9 +221,11 @@ def main() -> int:
     print(machine())
     print_table(rows(figures))
     print(f"{len(steps)} steps, {len(trees)} landmarks")
-    print(f"a step of isam2 takes {figures['step_ratio']:.2f} times one by hand (should reach at most 1.2), ", end="")
-    print(f"{figures['step_ratio_pose_only']:.2f} times one that reads the pose alone")
-    print(f"graph error {figures['graph_error_ratio']:.4f} times that by hand (should reach 0.99 to 1.01)")
+    print(
+        f"step time of isam2: {figures['step_ratio']:.2f} times that of GTSAM directly (target: at most 1.2), ", end=""
+    )
+    print(f"{figures['step_ratio_pose_only']:.2f} times GTSAM's with the pose only")
+    print(f"graph error: {figures['graph_error_ratio']:.4f} times GTSAM's directly (target: 0.99 to 1.01)")
     if options.figure is not None:
         draw(log, ways | {"isam2": smoothed}, trees, options.figure)
     write_json(options.json, figures)

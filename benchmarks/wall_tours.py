@@ -1,4 +1,4 @@
-"""Walls beside corners where corners say little: tours of `block` and `loop` with all estimators."""
+"""Walls and corners as landmarks where corners are rare: tours of `block` and `loop` with all estimators."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tours import InputError, Row, add_tour_options, check_tour_options, nees_of
 
 from sixthsense.slam.estimators import ESTIMATORS
 
-REACH = {
+TARGETS = {
     ("block", "default"): (0.10, 0.20),
     ("block", "worn"): (0.10, 0.20),
     ("loop", "default"): (0.15, None),
     ("loop", "worn"): (0.50, None),
 }
-"""ate_rmse_m with walls and ends: median and maximum over runs, at most"""
+"""upper bounds of ate_rmse_m with all kinds of landmarks: median and maximum over runs"""
 
 Key = tuple[str, str, str, str]
 """scene, preset, landmarks, estimator"""
 
 
 def tour_figures(found: Sequence[Row]) -> Figures:
-    """Figures of runs that differ in their seed alone."""
+    """Figures of runs that differ only in their seed."""
     ate = [row["ate_rmse_m"] for row in found]
     nees = [nees_of(row) for row in found]
     return {
@@ -39,10 +39,10 @@ def tour_figures(found: Sequence[Row]) -> Figures:
 
 
 def line(key: Key, figures: Figures) -> list[str]:
-    """A line of the table."""
+    """A row of the table."""
     scene, name, landmarks, _ = key
-    reach = REACH.get((scene, name), (None, None)) if landmarks == "both" else (None, None)
-    median, most = ("" if limit is None else f"{limit:.2f}" for limit in reach)
+    bounds = TARGETS.get((scene, name), (None, None)) if landmarks == "both" else (None, None)
+    median, most = ("" if limit is None else f"{limit:.2f}" for limit in bounds)
     forms = (("ate_median_m", ".4f"), ("ate_max_m", ".4f"), ("nees3", ".2f"), ("nees3_max", ".1f"))
     cells = [format(figures[column], form) for column, form in (*forms, ("wrong_per_1000", ".3f"))]
     ended = f"{figures['tour_ended']:.0f}/{figures['runs']:.0f}"
@@ -68,7 +68,7 @@ def main() -> None:
         parser.error(str(error))
     found = rows(seeded(configs, options), options.jobs, options.rows)
     figures: Figures = {}
-    lines = [["tour", "ended", "ATE m, median", "at most", "max", "at most", "NEES", "max", "wrong/1000"]]
+    lines = [["tour", "ended", "ATE m, median", "target", "max", "target", "NEES", "max", "wrong/1000"]]
     for k, key in enumerate(keys):
         own = tour_figures(found[k :: len(keys)])
         prefix = ".".join(key).replace("-", "_")

@@ -1,13 +1,15 @@
-"""The figures of merit of a run by their keys, with what they mean, and tables of them for people."""
+"""The metrics of a run: the meaning and unit of each key, and tables of them."""
 
 from __future__ import annotations
 
-import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config.extras import pandas
+from sixthsense.evaluation import tables
+from sixthsense.evaluation.tables import digits as digits
+from sixthsense.evaluation.tables import text_table
 from sixthsense.record.stopwatch import STAGES
 
 if TYPE_CHECKING:
@@ -16,60 +18,60 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What one of the metrics means."""
+    """The meaning of one metric."""
 
     group: str
     """heading under which it is shown"""
     unit: str
-    """of the value; empty for a word, 1 for a number without one"""
+    """of the value; empty for text, 1 for a number without a unit"""
     meaning: str
-    """in a few words"""
+    """one short phrase"""
 
 
 def _quantities() -> dict[str, Quantity]:
     rows = {
         "Outcome": [
             ("outcome", "", "why the run ended"),
-            ("collisions", "1", "times the robot touched a wall"),
-            ("goal_error_m", "m", "from the goal to where the robot truly is"),
-            ("home_error_m", "m", "from the start to where the robot truly is"),
-            ("coverage", "1", "share seen of what can be seen"),
-            ("places_left", "1", "places left unseen"),
-            ("area_left_m2", "m²", "area of those places"),
+            ("collisions", "1", "number of collisions with walls"),
+            ("goal_error_m", "m", "distance of the true position from the goal at the end"),
+            ("home_error_m", "m", "distance of the true position from the start at the end"),
+            ("coverage", "1", "seen share of the visible area"),
+            ("places_left", "1", "places that remained unseen"),
+            ("area_left_m2", "m²", "total area of these places"),
         ],
         "Accuracy": [
-            ("ate_rmse_m", "m", "error of the causal position, root mean square"),
-            ("ate_max_m", "m", "the largest such error"),
-            ("dead_reckoning_ate_rmse_m", "m", "the same of odometry alone"),
-            ("heading_rmse_rad", "rad", "error of the causal heading, root mean square"),
-            ("landmark_rmse_m", "m", "error of the matched corners and loose ends"),
-            ("relations_trans_m_mean", "m", "error against the relations, mean of the translations"),
-            ("relations_trans_m_std", "m", "their standard deviation"),
-            ("relations_rot_deg_mean", "°", "error against the relations, mean of the rotations"),
-            ("relations_rot_deg_std", "°", "their standard deviation"),
+            ("ate_rmse_m", "m", "RMSE of the causal position"),
+            ("ate_max_m", "m", "maximum error of the causal position"),
+            ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
+            ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
+            ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
+            ("relations_trans_m_mean", "m", "mean translation error against the relations"),
+            ("relations_trans_m_std", "m", "standard deviation of the translation error"),
+            ("relations_rot_deg_mean", "°", "mean rotation error against the relations"),
+            ("relations_rot_deg_std", "°", "standard deviation of the rotation error"),
         ],
         "Consistency": [
             ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
             ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
             ("nis_mean_per_dof", "1", "NIS per degree of freedom; 1 is consistent"),
         ],
-        "Map and way": [
-            ("landmarks", "1", "landmarks at the end"),
-            ("landmarks_culled", "1", "landmarks that were removed"),
-            ("walls_merged", "1", "walls that turned out to be others"),
-            ("path_length_m", "m", "way driven"),
-            ("plans", "1", "paths planned"),
-            ("plans_below_margin", "1", "of these, nearer to obstacles than wanted"),
-            ("plans_by_astar", "1", "of these, by A* because the planner found none"),
-            ("guard_stops", "1", "times the guard stopped the robot"),
+        "Map and path": [
+            ("landmarks", "1", "landmarks in the map at the end"),
+            ("landmarks_culled", "1", "landmarks removed from the map"),
+            ("walls_merged", "1", "walls merged into older duplicates"),
+            ("path_length_m", "m", "length of the driven path"),
+            ("plans", "1", "planned paths"),
+            ("plans_below_margin", "1", "planned paths with less clearance than configured"),
+            ("plans_by_astar", "1", "paths planned by A* after the configured planner failed"),
+            ("guard_stops", "1", "number of stops by the safety guard"),
         ],
         "Time": [
-            ("sim_time_s", "s", "of the source's clock"),
-            ("wall_time_s", "s", "of the loop"),
-            ("realtime_factor", "1", "the one over the other"),
-            ("scan_ms_p50", "ms", "a key scan's processing, median"),
-            ("scan_ms_p99", "ms", "99th percentile"),
-            ("scan_ms_max", "ms", "the longest"),
+            ("sim_time_s", "s", "duration by the clock of the source"),
+            ("wall_time_s", "s", "computing time of the loop"),
+            ("realtime_factor", "1", "simulated time divided by computing time"),
+            ("scan_ms_p50", "ms", "processing of a key scan, median"),
+            ("scan_ms_p99", "ms", "processing of a key scan, 99th percentile"),
+            ("scan_ms_max", "ms", "processing of a key scan, maximum"),
             *((f"stage_ms_mean.{stage}", "ms", f"{stage}, mean per key scan") for stage in STAGES),
         ],
     }
@@ -77,26 +79,20 @@ def _quantities() -> dict[str, Quantity]:
 
 
 QUANTITIES = _quantities()
-"""what every key of `Trace.metrics` means, in the order in which they are shown"""
+"""meaning of every key of `Trace.metrics`, in display order"""
 
 _OTHER = Quantity("Other", "", "")
 
-_STYLE = "text-align:left;padding:0 1em 0 0"
-
-
-def digits(value: Any) -> str:
-    """A value with as many digits as a reader wants: four, whole numbers whole."""
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
 
 class Metrics(dict[str, Any]):
-    """The metrics of a run: flat keys, numbers and one word, as `metrics.json` has them; what was not measured lacks.
+    """The metrics of a run by the keys of `metrics.json`, without keys for what was not measured.
 
-    A dictionary that shows itself as a table with units. `QUANTITIES` says what each key means.
+    Values are numbers, except for `outcome`. The dictionary prints as a table with units. `QUANTITIES` has the meaning
+    of each key.
     """
 
     def groups(self) -> Iterator[tuple[str, list[str]]]:
-        """The headings under which there is something, each with its keys."""
+        """Each heading that has metrics, with their keys."""
         ordered = sorted(self, key=_rank)
         for group in dict.fromkeys(_of(key).group for key in ordered):
             yield group, [key for key in ordered if _of(key).group == group]
@@ -111,32 +107,34 @@ class Metrics(dict[str, Any]):
         return pandas().DataFrame(columns, index=index)
 
     def __repr__(self) -> str:
-        width = max(map(len, self), default=0)
-        lines = []
+        rows: list[list[str]] = []
         for group, keys in self.groups():
-            lines.append(group)
-            lines += [f"  {key:{width}}  {digits(self[key])} {_unit(key)}".rstrip() for key in keys]
-        return "\n".join(lines)
+            rows.append([group])
+            rows += [[f"  {key}", f"{digits(self[key])} {_unit(key)}".rstrip()] for key in keys]
+        return text_table(rows)
 
     def _repr_html_(self) -> str:
-        return html_table(["metric", "value", "meaning"], [self], lambda key: _of(key).meaning)
+        return metrics_table(["metric", "value", "meaning"], [self], lambda key: _of(key).meaning)
 
 
-def html_table(head: Sequence[str], runs: Sequence[Mapping[str, Any]], last: Any = None) -> str:
-    """Metrics in groups, one column for each of the `runs`, and one more of what `last` says of a key.
+def metrics_table(
+    head: Sequence[str], runs: Sequence[Mapping[str, Any]], last: Callable[[str], str] | None = None
+) -> str:
+    """The metrics of `runs` as an HTML table with the column names `head`: grouped, a column for each run.
 
-    Everything is escaped. `head` are the columns' names.
+    `last` gives the text of one more column for each key.
     """
-    together = Metrics(dict.fromkeys(key for run in runs for key in run))
-    row = "<tr>{}</tr>".format
-    lines = [row("".join(f'<th style="{_STYLE}">{html.escape(name)}</th>' for name in head))]
-    for group, keys in together.groups():
-        lines.append(row(f'<th colspan="{len(head)}" style="{_STYLE}">{html.escape(group)}</th>'))
+    rows: list[list[str]] = []
+    for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run)).groups():
+        rows.append([group])
         for key in keys:
             values = [f"{digits(run[key])} {_unit(key)}".rstrip() if key in run else "" for run in runs]
-            cells = [key, *values, *([] if last is None else [last(key)])]
-            lines.append(row("".join(f'<td style="{_STYLE}">{html.escape(cell)}</td>' for cell in cells)))
-    return f"<table>{''.join(lines)}</table>"
+            rows.append([key, *values, *([] if last is None else [last(key)])])
+    return tables.html_table(head, rows)
+
+
+html_table = metrics_table
+"""the name under which other modules import it"""
 
 
 def _of(key: str) -> Quantity:

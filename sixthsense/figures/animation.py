@@ -1,15 +1,18 @@
-"""A run as a film: what was seen, believed and planned as time goes by, replayed from the folder of the run."""
+"""A run as a film: the map, the estimate and the plan at each moment, replayed from the run's folder."""
 
 from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
+from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from numpy.typing import NDArray
+from PIL import Image
 
 from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
@@ -36,17 +39,18 @@ from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.runfolder import read_run
 
 SUFFIXES = (".mp4", ".gif")
-"""What a film can be written as."""
+"""File formats of a film."""
 MOST_FRAMES = 150
 
-Frame = NDArray[np.uint8]
-
-_FRAME_MS = 80
-_HELD = 20  # times that the last frame is shown
+_FRAMES_PER_S = 12.5
+_HELD = 20  # repetitions of the last frame
 _WIDTH_IN = {".mp4": 9.0, ".gif": 7.0}
 _DPI = 100
 _GIF_COLORS = 64
 _MOST_CELLS = 800  # on a side; a frame has no more pixels to show them with
+
+_LINE: dict[str, Any] = {"marker": "", "linestyle": "-"}
+_DOT: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.0}
 
 
 class AnimationError(InputError):
@@ -54,10 +58,7 @@ class AnimationError(InputError):
 
 
 def check_film(file: Path | str) -> None:
-    """Raise AnimationError, saying what is allowed, for a file of another kind, and for an MP4 where ffmpeg is missing.
-
-    A film is an .mp4 or a .gif.
-    """
+    """Raise AnimationError, with what is allowed, for another suffix than .mp4 and .gif, or an MP4 without ffmpeg."""
     suffix = Path(file).suffix.lower()
     if suffix not in SUFFIXES:
         raise AnimationError(f"--animate: found {str(file)!r}, allowed: FILE.mp4 or FILE.gif")
@@ -67,84 +68,93 @@ def check_film(file: Path | str) -> None:
 
 def animate(
     folder: Path | str,
-    ended: Trace,
+    finished: Trace,
     file: Path | str,
     title: str = "",
     frames: int = MOST_FRAMES,
     on_frame: Callable[[], object] = lambda: None,
 ) -> None:
-    """Write a film of the run in `folder`, at most so many frames evenly spread over its scans.
+    """Write a film of the run in `folder` with up to `frames` frames, evenly spread over the run's scans.
 
-    `ended` is that run's trace: it says how large the plane is and when it is over. The run is replayed, so that the
-    map, the landmarks and their 95 % ellipses are those of each moment. `on_frame` is called after every frame. Raises
-    AnimationError for a suffix other than .mp4 and .gif, for an MP4 without ffmpeg or one that ffmpeg fails to write.
+    `finished` is the trace of that run: it gives the limits of the axes and the number of scans. The run is replayed,
+    so each frame shows the map, the landmarks and their 95 % ellipses of its own moment. `on_frame` is called after
+    every frame. Raises AnimationError for a suffix other than .mp4 and .gif, for an MP4 without ffmpeg and for one that
+    ffmpeg fails to write.
     """
     check_film(file)
     file = Path(file)
     config = load_config(Path(folder) / "config.toml")
     log = read_run(folder, config.laser)
     file.parent.mkdir(parents=True, exist_ok=True)
-    stage = _Stage(ended, title, _WIDTH_IN[file.suffix.lower()])
-    due = set(np.unique(np.linspace(0, len(ended.stamps_ns) - 1, max(frames, 2)).round().astype(int)).tolist())
-    writer: _Writer = _Mp4(file) if file.suffix.lower() == ".mp4" else _Gif(file)
+    drawing = _MapDrawing(finished, title, _WIDTH_IN[file.suffix.lower()])
+    due = set(np.unique(np.linspace(0, len(finished.stamps_ns) - 1, max(frames, 2)).round().astype(int)).tolist())
+    with _opened_film(drawing.figure, file) as writer:
 
-    def show(tick: Tick, trace: Trace) -> None:
-        if (tick.scan is None and tick.sightings is None) or len(trace.stamps_ns) - 1 not in due:
-            return
-        k = int(np.searchsorted(log.plan_stamps_ns, tick.stamp_ns, side="right"))
-        stage.show(tick, trace, log.plans[k - 1] if k else np.zeros((0, 2)))
-        writer.add(stage.frame())
-        on_frame()
+        def show(tick: Tick, trace: Trace) -> None:
+            if (tick.scan is None and tick.sightings is None) or len(trace.stamps_ns) - 1 not in due:
+                return
+            k = int(np.searchsorted(log.plan_stamps_ns, tick.stamp_ns, side="right"))
+            drawing.show(tick, trace, log.plans[k - 1] if k else np.zeros((0, 2)))
+            writer.grab_frame()
+            on_frame()
 
-    replay(log, config, on_tick=show)
-    writer.close()
+        replay(log, config, on_tick=show)
+        for _ in range(_HELD - 1):
+            writer.grab_frame()
 
 
-class _Stage:
-    """The figure: its frame is drawn once, and upon it the artists that move, each time."""
+@contextmanager
+def _opened_film(figure: Any, file: Path) -> Iterator[AbstractMovieWriter]:
+    """Matplotlib's writer for the file's format. The file appears once all its frames are written."""
+    partial = file.with_name(f".{file.stem}.partial{file.suffix.lower()}")
+    writer: AbstractMovieWriter
+    if partial.suffix == ".mp4":
+        # The index at the file's beginning lets a browser play it before all of it is loaded.
+        index = ["-movflags", "+faststart"]
+        writer = FFMpegWriter(fps=_FRAMES_PER_S, codec="h264", extra_args=index)  # type: ignore[arg-type]
+    else:
+        writer = _GifWriter(fps=_FRAMES_PER_S)  # type: ignore[arg-type]
+    try:
+        with writer.saving(figure, str(partial), _DPI):
+            yield writer
+        partial.replace(file)
+    except (BrokenPipeError, subprocess.CalledProcessError):
+        raise AnimationError(f"--animate: ffmpeg cannot write {file}, allowed: FILE.gif") from None
+    finally:
+        partial.unlink(missing_ok=True)
 
-    def __init__(self, ended: Trace, title: str, width_in: float) -> None:
-        from matplotlib.collections import LineCollection, PolyCollection
-        from matplotlib.colors import ListedColormap
-        from matplotlib.patches import Circle
 
-        self._config = ended.config
-        self._truth = bool(ended.truths)
-        scene = ended.scene
-        explores = ended.config.task == "explore" and scene is not None
-        self._region = (ended.config.region or scene.region) if explores and scene is not None else None
+class _GifWriter(PillowWriter):
+    """Matplotlib's writer of GIFs with fewer colours, which halves the file."""
+
+    _frames: list[Image.Image]  # of the base class
+
+    def grab_frame(self, **options: Any) -> None:
+        super().grab_frame(**options)
+        frame = self._frames[-1].convert("RGB")
+        self._frames[-1] = frame.quantize(_GIF_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+
+
+class _MapDrawing:
+    """A map figure whose artists are moved from frame to frame."""
+
+    def __init__(self, finished: Trace, title: str, width_in: float) -> None:
+        """Draw what stays the same, and empty artists for what moves."""
+        self._config = finished.config
+        self._has_truth = bool(finished.truths)
+        scene = finished.scene
+        explores = finished.config.task == "explore" and scene is not None
+        self._region = (finished.config.region or scene.region) if explores and scene is not None else None
         self.figure: Any = new_figure(width_in, width_in)
         ax = self.figure.add_subplot()
-        low, high = _limits(ended)
-        self._cells = _Cells(low, high, ended.config.grid.cell_m)
-        colors = ListedColormap(["#FFFFFF00", SEEN, SIGHTING])
-        self._image = ax.imshow(
-            self._cells.empty(), cmap=colors, vmin=0, vmax=2, origin="lower", extent=self._cells.extent,
-            interpolation="nearest", zorder=0,
-        )  # fmt: skip
+        low, high = _limits(finished)
+        self._cells = _CellImage(low, high, finished.config.grid.cell_m)
         if scene is not None:
-            draw_segments(ax, scene.walls, colors=WALL, linewidths=1.6, label="walls, true", zorder=1)
-        line: dict[str, Any] = {"marker": "", "linestyle": "-"}
-        dot: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.0}
-        self._walls = LineCollection([], colors=LANDMARK, linewidths=1.4, label="walls, estimated", zorder=4)
-        self._ellipses = PolyCollection([], facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6)
-        ax.add_collection(self._walls)
-        ax.add_collection(self._ellipses)
-        (self._points,) = ax.plot([], [], **dot, markersize=2.6, color=LANDMARK, label="landmarks, 95 %", zorder=6)
-        (self._returns,) = ax.plot([], [], **dot, markersize=2.2, color=ODOMETRY, label="scan", zorder=5)
-        if self._region is not None:
-            (self._frontiers,) = ax.plot([], [], **dot, markersize=2.2, color=TRUTH, label="frontiers", zorder=3)
-        if ended.plans:
-            (self._plan,) = ax.plot([], [], **line, linewidth=1.6, color=PLAN, label="planned", zorder=5)
-        if self._truth:
-            style: dict[str, Any] = {"color": TRUTH, "linewidth": 1.1, "linestyle": (0, (4, 4)), "zorder": 8}
-            (self._driven,) = ax.plot([], [], label="driven, true", **style)
-        (self._estimated,) = ax.plot([], [], **line, linewidth=1.4, color=ESTIMATE, label="driven, estimated", zorder=7)
-        (self._sure,) = ax.plot([], [], **line, linewidth=1.0, color=ESTIMATE, zorder=10)
-        (self._nose,) = ax.plot([], [], **line, linewidth=1.4, color=WALL, zorder=10)
-        self._robot = Circle((0.0, 0.0), ended.radius_m, facecolor="white", edgecolor=WALL, linewidth=1.4, zorder=9)
-        ax.add_patch(self._robot)
-        self._clock = ax.set_title(" ", loc="left", fontsize=10)
+            draw_segments(ax, scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=1)
+        self._add_map(ax)
+        self._add_scan(ax, has_plans=bool(finished.plans))
+        self._add_robot(ax, finished.radius_m)
+        self._caption = ax.set_title(" ", loc="left", fontsize=10)
         label_plane(ax)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         if title:
@@ -152,24 +162,45 @@ class _Stage:
         self.figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
         self.figure.set_size_inches(width_in, _even(map_height(ax, width_in) + 0.15))
         self.figure.set_dpi(_DPI)
-        self._ax = ax
-        self._moving = sorted((*ax.images, *ax.collections, *ax.lines, *ax.patches, self._clock), key=_height)
-        for artist in self._moving:
-            artist.set_animated(True)
         self.figure.canvas.draw()
-        canvas: Any = self.figure.canvas
-        self._behind = canvas.copy_from_bbox(self.figure.bbox)
+        self.figure.set_layout_engine("none")  # the layout is settled: a caption's length must not move the axes
 
-    def frame(self) -> Frame:
-        """(H, W, 3) the figure as it is now."""
-        canvas = self.figure.canvas
-        canvas.restore_region(self._behind)
-        for artist in self._moving:
-            self._ax.draw_artist(artist)
-        return np.array(np.asarray(canvas.buffer_rgba())[:, :, :3])
+    def _add_map(self, ax: Any) -> None:
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.colors import ListedColormap
+
+        colors = ListedColormap(["#FFFFFF00", SEEN, SIGHTING])
+        self._image = ax.imshow(
+            self._cells.empty(), cmap=colors, vmin=0, vmax=2, origin="lower", extent=self._cells.extent,
+            interpolation="nearest", zorder=0,
+        )  # fmt: skip
+        self._walls = LineCollection([], colors=LANDMARK, linewidths=1.4, label="estimated walls", zorder=4)
+        self._ellipses = PolyCollection([], facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6)
+        ax.add_collection(self._walls)
+        ax.add_collection(self._ellipses)
+        (self._points,) = ax.plot([], [], **_DOT, markersize=2.6, color=LANDMARK, label="landmarks, 95 %", zorder=6)
+
+    def _add_scan(self, ax: Any, has_plans: bool) -> None:
+        (self._returns,) = ax.plot([], [], **_DOT, markersize=2.2, color=ODOMETRY, label="laser returns", zorder=5)
+        if self._region is not None:
+            (self._frontiers,) = ax.plot([], [], **_DOT, markersize=2.2, color=TRUTH, label="frontiers", zorder=3)
+        if has_plans:
+            (self._plan,) = ax.plot([], [], **_LINE, linewidth=1.6, color=PLAN, label="planned path", zorder=5)
+
+    def _add_robot(self, ax: Any, radius_m: float) -> None:
+        from matplotlib.patches import Circle
+
+        if self._has_truth:
+            style: dict[str, Any] = {"color": TRUTH, "linewidth": 1.1, "linestyle": (0, (4, 4)), "zorder": 8}
+            (self._true_path,) = ax.plot([], [], label="true path", **style)
+        (self._path,) = ax.plot([], [], **_LINE, linewidth=1.4, color=ESTIMATE, label="estimated path", zorder=7)
+        (self._pose_ellipse,) = ax.plot([], [], **_LINE, linewidth=1.0, color=ESTIMATE, zorder=10)
+        (self._heading,) = ax.plot([], [], **_LINE, linewidth=1.4, color=WALL, zorder=10)
+        self._robot = Circle((0.0, 0.0), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.4, zorder=9)
+        ax.add_patch(self._robot)
 
     def show(self, tick: Tick, trace: Trace, plan: Array) -> None:
-        """Move everything to a tick, the trace's newest, and the plan (N, 2) of that time."""
+        """Move the artists to the trace's newest tick and the plan (N, 2), world frame, valid then."""
         live = trace.live
         assert live is not None and trace.grid is not None
         estimate, pose = trace.key_estimates[-1] if trace.key_estimates else None, Pose.from_array(trace.estimates[-1])
@@ -182,31 +213,31 @@ class _Stage:
             self._ellipses.set_verts([ellipse(mean, cov) for mean, cov in zip(points, covs, strict=True)])
             extents = [live.records[i].extent for i in estimate.ids[estimate.walls].tolist() if i in live.records]
             self._walls.set_segments(extents)
-            self._sure.set_data(*ellipse(pose.position, estimate.pose_cov[:2, :2]).T)
+            self._pose_ellipse.set_data(*ellipse(pose.position, estimate.pose_cov[:2, :2]).T)
         if live.scan is not None:
             returned = live.scan.ranges < live.scan.max_range
             self._returns.set_data(*(pose @ live.scan.points_robot[returned]).T)
         if self._region is not None:
             cell_m = self._config.grid.cell_m
-            edge = frontier_points(seen, trace.grid.obstacles, trace.grid.origin, cell_m, self._region)
-            self._frontiers.set_data(*edge.T)
+            frontiers = frontier_points(seen, trace.grid.obstacles, trace.grid.origin, cell_m, self._region)
+            self._frontiers.set_data(*frontiers.T)
         if len(plan):
             self._plan.set_data(*plan.T)
-        if self._truth:
-            self._driven.set_data(*np.array(trace.truths)[:, :2].T)
-        self._estimated.set_data(*np.array(trace.estimates)[:, :2].T)
+        if self._has_truth:
+            self._true_path.set_data(*np.array(trace.truths)[:, :2].T)
+        self._path.set_data(*np.array(trace.estimates)[:, :2].T)
         self._robot.center = pose.x, pose.y
-        self._nose.set_data(*np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])]).T)
-        words = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"]
+        self._heading.set_data(*np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])]).T)
+        parts = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"]
         if seen.any():
-            words.append(f"{np.count_nonzero(seen) * self._config.grid.cell_m**2:.0f} m² seen")
+            parts.append(f"{np.count_nonzero(seen) * self._config.grid.cell_m**2:.0f} m² seen")
         if estimate is not None:
-            words.append(f"{len(estimate.ids)} landmarks")
-        self._clock.set_text(" · ".join(words))
+            parts.append(f"{len(estimate.ids)} landmarks")
+        self._caption.set_text(" · ".join(parts))
 
 
-class _Cells:
-    """The cells of a part of the plane as an image, coarser where there are more than can be seen."""
+class _CellImage:
+    """The grid within a rectangle as an image, at a coarser resolution if it has more cells than the film pixels."""
 
     def __init__(self, low: Array, high: Array, cell_m: float) -> None:
         self._first = np.floor(low[::-1] / cell_m).astype(np.int64)  # row, col
@@ -229,11 +260,11 @@ class _Cells:
         )
 
     def empty(self) -> NDArray[np.uint8]:
-        """Nothing seen."""
+        """An image of unseen cells."""
         return np.zeros(self._shape, dtype=np.uint8)
 
     def shades(self, occupancy: NDArray[np.int8], origin: tuple[float, float]) -> NDArray[np.uint8]:
-        """0 unseen, 1 seen, 2 obstacle, of (H, W) cells whose lower left corner lies at `origin`."""
+        """0 unseen, 1 seen, 2 obstacle, of an (H, W) occupancy grid with its lower left corner at `origin`, metres."""
         image = self.empty()
         rows, cols = np.nonzero(occupancy >= 0)
         shades = np.where(occupancy[rows, cols] == 100, 2, 1)
@@ -244,95 +275,19 @@ class _Cells:
         return image
 
 
-def _limits(ended: Trace) -> tuple[Array, Array]:
-    """Corners (2,) of what is to be seen: where the robot was, the scene, or else the known part of the map."""
-    shown = [np.array(ended.estimates).reshape(-1, 3)[:, :2], ended.final.landmarks[~ended.final.walls]]
-    if ended.scene is not None:
-        shown.append(ended.scene.walls.reshape(-1, 2))
-    elif ended.grid is not None:
-        known = np.argwhere(ended.grid.occupancy() == 100)[:, ::-1]
-        shown.append(known * ended.config.grid.cell_m + np.array(ended.grid.origin))
+def _limits(finished: Trace) -> tuple[Array, Array]:
+    """Lower left and upper right corner (2,) of the axes: around the path, the landmarks, and the scene or the map."""
+    shown = [np.array(finished.estimates).reshape(-1, 3)[:, :2], finished.final.landmarks[~finished.final.walls]]
+    if finished.scene is not None:
+        shown.append(finished.scene.walls.reshape(-1, 2))
+    elif finished.grid is not None:
+        known = np.argwhere(finished.grid.occupancy() == 100)[:, ::-1]
+        shown.append(known * finished.config.grid.cell_m + np.array(finished.grid.origin))
     points = np.concatenate(shown)
     slack = 0.5 + 0.01 * np.ptp(points, axis=0).max()
     return points.min(axis=0) - slack, points.max(axis=0) + slack
 
 
-def _height(artist: Any) -> float:
-    """Where an artist is in the order of drawing."""
-    return float(artist.get_zorder())
-
-
 def _even(height_in: float) -> float:
-    """A height of an even number of pixels, which H.264 asks for."""
+    """A height of an even number of pixels, which H.264 requires."""
     return 2.0 * round(0.5 * height_in * _DPI) / _DPI
-
-
-class _Writer(Protocol):
-    """Takes (H, W, 3) frames, bytes, one after the other."""
-
-    def add(self, frame: Frame) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class _Mp4:
-    """Frames through ffmpeg; the file appears when all of them are there."""
-
-    def __init__(self, file: Path) -> None:
-        self._file, self._partial = file, file.with_name(f".{file.name}.partial.mp4")
-        self._ffmpeg: subprocess.Popen[bytes] | None = None
-        self._last = b""
-
-    def add(self, frame: Frame) -> None:
-        if self._ffmpeg is None:
-            height, width, _ = frame.shape
-            raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{1000 / _FRAME_MS:g}"]
-            # The pixel format and the place of the index that browsers and phones ask for.
-            out = ["-c:v", "h264", "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(self._partial)]
-            words = ["ffmpeg", "-v", "error", "-y", *raw, "-i", "-", *out]
-            nowhere = subprocess.DEVNULL
-            self._ffmpeg = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere)
-        self._last = frame.tobytes()
-        self._write()
-
-    def close(self) -> None:
-        for _ in range(_HELD):
-            self._write()
-        assert self._ffmpeg is not None
-        try:
-            self._ffmpeg.communicate()
-        except OSError:
-            self._fail()
-        if self._ffmpeg.returncode != 0:
-            self._fail()
-        self._partial.replace(self._file)
-
-    def _write(self) -> None:
-        assert self._ffmpeg is not None and self._ffmpeg.stdin is not None
-        try:
-            self._ffmpeg.stdin.write(self._last)
-        except OSError:  # ffmpeg has gone
-            self._fail()
-
-    def _fail(self) -> None:
-        self._partial.unlink(missing_ok=True)
-        raise AnimationError(f"--animate: ffmpeg cannot write {self._file}, allowed: FILE.gif") from None
-
-
-class _Gif:
-    """Frames in few colours."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._frames: list[Any] = []
-
-    def add(self, frame: Frame) -> None:
-        from PIL import Image
-
-        image = Image.fromarray(frame)
-        self._frames.append(image.quantize(_GIF_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
-
-    def close(self) -> None:
-        first, *rest = self._frames
-        durations = [_FRAME_MS] * len(rest) + [_HELD * _FRAME_MS]
-        first.save(self._file, save_all=True, append_images=rest, duration=durations, loop=0)

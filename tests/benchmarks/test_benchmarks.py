@@ -214,7 +214,7 @@ def test_without_the_data_one_line_says_what_is_missing(script, monkeypatch, cap
 
 
 @of("harness")
-def test_figures_are_written_as_flat_keys_and_printed_beside_what_they_should_reach(script, tmp_path, capsys):
+def test_figures_are_written_as_flat_keys_and_printed_beside_their_targets(script, tmp_path, capsys):
     figures = {"speed": 2.5, "other_ms": 1.0}
     script.print_figures(figures, {"speed": ">= 2"})
     script.write_json(tmp_path / "figures.json", figures)
@@ -241,3 +241,19 @@ def test_de_skewing_is_measured_against_instants_and_against_skewed_scans(script
         assert all_finite(figures)
         assert {f"{name}.{key}" for _, key in script.COLUMNS} < set(figures)
         assert 0.0 < figures[f"{name}.map_rmse_mm_median"] < 60.0
+
+
+@of("harness")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_pooled_results_are_in_the_order_of_the_items_for_any_number_of_processes(script, jobs):
+    assert list(script.pooled(math.sqrt, [9.0, 1.0, 4.0], jobs)) == [3.0, 1.0, 2.0]
+
+
+@of("harness")
+def test_an_option_below_its_bound_ends_the_program_with_one_line(script, capsys):
+    parser = script.arguments(None)
+    parser.add_argument("--max-time", type=float)
+    script.check_at_least(parser, parser.parse_args([]), max_time=1.0)
+    with pytest.raises(SystemExit):
+        script.check_at_least(parser, parser.parse_args(["--max-time", "0.5"]), max_time=1.0)
+    assert "--max-time: found 0.5, allowed: at least 1" in capsys.readouterr().err

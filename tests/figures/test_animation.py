@@ -8,7 +8,7 @@ from PIL import Image
 
 from sixthsense.cli import main
 from sixthsense.figures.animation import AnimationError, animate
-from sixthsense.figures.animation import _Cells as Cells
+from sixthsense.figures.animation import _CellImage as CellImage
 from sixthsense.record.trace import Trace
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
@@ -87,7 +87,7 @@ def test_the_folder_after_the_option_is_a_run_and_no_film(folder, tmp_path, monk
 
 
 def test_a_map_of_more_cells_than_pixels_keeps_its_thinnest_wall():
-    cells = Cells(np.zeros(2), np.array([100.0, 50.0]), 0.05)
+    cells = CellImage(np.zeros(2), np.array([100.0, 50.0]), 0.05)
     occupancy = np.full((1000, 2000), -1, dtype=np.int8)
     occupancy[:, :1000] = 0
     occupancy[:, 501] = 100
@@ -103,7 +103,7 @@ def test_a_map_of_more_cells_than_pixels_keeps_its_thinnest_wall():
 
 
 def test_cells_lie_where_the_grid_has_them():
-    cells = Cells(np.array([-1.0, -0.5]), np.array([1.0, 0.5]), 0.1)
+    cells = CellImage(np.array([-1.0, -0.5]), np.array([1.0, 0.5]), 0.1)
     occupancy = np.full((4, 4), -1, dtype=np.int8)
     occupancy[1, 2] = 100
     image = cells.shades(occupancy, (0.3, -0.2))  # the obstacle's corner is at (0.5, -0.1)
