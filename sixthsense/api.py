@@ -150,7 +150,7 @@ def replay(
     """
     from sixthsense import loop
     from sixthsense.sources.logs.relations import read_relations
-    from sixthsense.sources.recorded import base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
     given = _named(fields)
     files: Mapping[str, str] = {}

@@ -39,14 +39,14 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--samples: found {options.samples!r}, allowed: a whole number")
     from tqdm import tqdm
 
-    from sixthsense.evaluation.calibrate import calibrate, check_free, summary
+    from sixthsense.evaluation.calibrate import calibrate, check_output, summary
     from sixthsense.figures.calibration import write_calibration
     from sixthsense.loop import warm_up
 
     config = options.settings
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
-    check_free(options.out, options.overwrite)
+    check_output(options.out, options.overwrite)
     announce_compilation()
     warm_up()
     with tqdm(total=options.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:

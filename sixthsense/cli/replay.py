@@ -45,7 +45,7 @@ def command(args: list[str]) -> int:
     """Replay a log."""
     if wants_help(args):
         return show_help(Replay, "replay", "intel")
-    from sixthsense.sources.recorded import base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, "log", base_of, args)
     check_options(options.log, flags, options.topic is not None, options.robot is not None, "--")

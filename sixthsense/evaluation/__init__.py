@@ -1,1 +1,1 @@
-"""What a run is worth, by the truth: errors, consistency, coverage, calibration."""
+"""Evaluation of runs against the truth: errors, consistency, coverage, matches, and calibration of noise."""

@@ -1,6 +1,6 @@
-"""How noisy the robot is: drive it where the truth is known, and fit what the estimators assume (report section 4.1).
+"""Calibration: drive the robot where the truth is known, and fit the noise that estimators assume (report section 4.1).
 
-The truth is known in this step alone, as with a measuring tape; what comes out is a configuration like any other.
+Only this step uses the truth, as a calibration with a measuring tape would. The result is a normal configuration.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from sixthsense.sources.scene import check_placement, load_scene
 from sixthsense.sources.world import World
 
 SAMPLES = 100
-PERIOD_S = 0.5  # between two samples, as in the report
+PERIOD_S = 0.5  # duration of a sample, as in the report
 
-_MARGIN_M = 0.05  # kept to walls beside the robot's radius
+_MARGIN_M = 0.05  # clearance of the robot's disc from walls
 _STARTS = 20
-_TRIES = 20  # commands drawn before the robot turns on the spot instead
+_ATTEMPTS = 20  # random commands before the robot turns on the spot
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What the robot's noise turned out to be."""
+    """Result of a calibration."""
 
     assumed: AssumedConfig
-    """fitted"""
+    """the fitted assumptions"""
     samples: int
-    """of motion"""
+    """number of motion samples"""
     systematic: dict[str, tuple[float, float]]
-    """estimate and sigma of the wheels' systematic errors, kept or not"""
+    """estimate and sigma of each systematic error of the wheels, also of those set to zero"""
     propagation: tuple[PropagationErrors, PropagationErrors]
-    """before and after"""
+    """errors of odometry before and after"""
     landmarks: tuple[LandmarkErrors, LandmarkErrors]
-    """before and after"""
+    """errors of sightings before and after"""
 
 
 def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], object] | None = None) -> Calibration:
-    """Drive `config`'s robot around its scene and fit `assumed` to its noise; `on_sample` is called after each sample.
+    """Drive the robot of `config` in its scene and fit `assumed` to its noise; `on_sample` is called after each sample.
 
-    Raises SceneError for a scene or a start that will not do, CalibrationError for too few samples or landmarks.
+    Raises SceneError for an invalid scene or start, CalibrationError for too few samples or landmarks.
     """
     if samples < FEWEST_SAMPLES:
         raise CalibrationError(f"samples: found {samples}, allowed: at least {FEWEST_SAMPLES}")
@@ -69,17 +69,18 @@ def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], ob
     seed = int(ransac_rng.integers(2**31))
     walls, driven = drive_samples(config, samples, world_rng, drive_rng, on_sample)
     landmarks = true_landmarks(walls)
-    # The noise of the laser shows best in points whose true place is known; it is that of walls as well.
+    # Points have known true positions, so the laser's noise is fitted to them; walls have the same noise.
     config = merge(config, {"features": {"landmarks": "corners"}})
-    before = config.assumed
-    with threadpool_limits(limits=1, user_api="blas"):  # as in the loop: one seed gives one result, bit for bit
-        motion, systematic = fit_motion(driven, before)
-        after = fit_laser(driven, landmarks, motion, config, seed)
-        moved, saw = (
-            [propagation_errors(driven, assumed) for assumed in (before, after)],
-            [landmark_errors(driven, landmarks, assumed, config, seed) for assumed in (before, after)],
+    assumed = config.assumed
+    with threadpool_limits(limits=1, user_api="blas"):  # as in the loop, for reproducibility
+        motion, systematic = fit_motion(driven, assumed)
+        fitted = fit_laser(driven, landmarks, motion, config, seed)
+        propagation = propagation_errors(driven, assumed), propagation_errors(driven, fitted)
+        sightings = (
+            landmark_errors(driven, landmarks, assumed, config, seed),
+            landmark_errors(driven, landmarks, fitted, config, seed),
         )
-    return Calibration(after, samples, systematic, (moved[0], moved[1]), (saw[0], saw[1]))
+    return Calibration(fitted, samples, systematic, propagation, sightings)
 
 
 def drive_samples(
@@ -89,15 +90,14 @@ def drive_samples(
     drive_rng: np.random.Generator,
     on_sample: Callable[[], object] | None = None,
 ) -> tuple[Array, list[Sample]]:
-    """Drive at random speeds and random turn rates to the left, a new pair every sample; the walls and the samples.
+    """Drive with a random speed and a random turn rate to the left in each sample; return the walls and the samples.
 
-    Whoever measures the truth also sees to it that nothing is touched: commands that would lead too near a wall are
-    drawn again, or replaced by a turn on the spot; after a collision all the same the robot is put back to its start.
+    The truth is used to avoid collisions: a command that leads too close to a wall is drawn again, or replaced by a
+    turn on the spot. After a collision the robot restarts at its start.
     """
     scene = load_scene(config.scene)
     start = Pose(*config.start) if config.start is not None else scene.start
-    check_placement(scene, start, None, config.region, config.robot.radius)
-    assert start is not None  # check_placement has seen to it
+    start = check_placement(scene, start, None, config.region, config.robot.radius)
     radius_m = config.robot.radius or scene.radius
     out: list[Sample] = []
     for _ in range(_STARTS):
@@ -107,7 +107,7 @@ def drive_samples(
             assert tick.truth is not None
             began, began_ns, track = tick.truth, tick.stamp_ns, [tick.odometry]
             command = _command(began, scene.walls, radius_m, config, drive_rng)
-            # The first scan after half a second; a slower laser makes longer samples.
+            # A sample ends at the first scan after its duration, so a slow laser makes longer samples.
             while (tick := world.step(command)) is not None and not tick.collided:
                 track.append(tick.odometry)
                 if tick.scan is not None and tick.stamp_ns - began_ns >= round(PERIOD_S * 1e9) - 1000:
@@ -124,21 +124,21 @@ def drive_samples(
 
 
 def _command(pose: Pose, walls: Array, radius_m: float, config: Config, rng: np.random.Generator) -> Command:
-    """A command that keeps clear of walls for a sample and its noise; the last resort is a turn on the spot."""
+    """A random command that is free of collisions for one sample despite noise, else a turn on the spot."""
     robot = config.robot
     period_s = max(PERIOD_S, config.laser.period_ticks * robot.control_period_s) + robot.control_period_s
-    for _ in range(_TRIES):
+    for _ in range(_ATTEMPTS):
         speed, turn_rate = rng.random() * robot.speed, rng.random() * robot.turn_rate
-        way_m = 1.5 * speed * period_s
-        clear_m = radius_m + _MARGIN_M + 0.2 * way_m
+        distance_m = 1.5 * speed * period_s
+        clearance_m = radius_m + _MARGIN_M + 0.2 * distance_m
         track = [rk4(pose, speed, turn_rate, 1.5 * period_s * k / 8, period_s / 8).position for k in range(9)]
-        if min(float(point_segment_distance(place, walls).min()) for place in track) > clear_m:
+        if min(float(point_segment_distance(place, walls).min()) for place in track) > clearance_m:
             return Command(speed, turn_rate)
     return Command(0.0, (0.2 + 0.8 * rng.random()) * robot.turn_rate)
 
 
 def as_partial_config(found: Calibration, config: Config) -> dict[str, Any]:
-    """The fields that a calibration sets, as a nested table that `load_config` takes once it is a file."""
+    """The fields set by a calibration as a nested table, the content of a file for `load_config`."""
     laser = {"distribution": found.assumed.laser.distribution, "range_m": found.assumed.laser.range_m}
     table = {
         "wheel_scale_error": found.assumed.wheel_scale_error,
@@ -151,25 +151,25 @@ def as_partial_config(found: Calibration, config: Config) -> dict[str, Any]:
 
 
 def summary(found: Calibration) -> list[str]:
-    """What was measured, in lines: counts, systematic errors, covariances (report eq. 3), NEES before and after."""
-    (moved, refitted), (saw, sees) = found.propagation, found.landmarks
+    """Lines with the counts, systematic errors, covariances (report eq. 3) and NEES before and after."""
+    (odometry, odometry_after), (sightings, sightings_after) = found.propagation, found.landmarks
     lines = [
-        f"propagation: {found.samples} samples, mean NEES {moved.nees.mean():.2f} before, "
-        f"{refitted.nees.mean():.2f} after; 3 is consistent"
+        f"propagation: {found.samples} samples, mean NEES {odometry.nees.mean():.2f} before, "
+        f"{odometry_after.nees.mean():.2f} after; 3 is consistent"
     ]
     for name, (value, sigma) in found.systematic.items():
-        kept = "kept" if getattr(found.assumed, name) else f"not kept: within {SIGNIFICANT:.0f} sigma of none"
+        kept = "kept" if getattr(found.assumed, name) else f"set to 0: within {SIGNIFICANT:.0f} sigma"
         lines.append(f"{name}: {value:.4f} +- {sigma:.4f}, {kept}")
     lines.append(
-        f"landmarks: {len(saw.errors)} sightings, mean NEES {saw.mean_nees:.2f} before; {len(sees.errors)}, "
-        f"{sees.mean_nees:.2f} after; 2 is consistent"
+        f"landmarks: {len(sightings.errors)} sightings, mean NEES {sightings.mean_nees:.2f} before; "
+        f"{len(sightings_after.errors)}, {sightings_after.mean_nees:.2f} after; 2 is consistent"
     )
     lines.append(
-        f"left out of it: {saw.outside} sightings outside the 99.9 % gate before, {sees.outside} after; "
-        f"near no true landmark: {saw.false} before, {sees.false} after"
+        f"excluded: {sightings.outside} sightings outside the 99.9 % gate before, {sightings_after.outside} after; "
+        f"without a true landmark nearby: {sightings.false} before, {sightings_after.false} after"
     )
     for kind in (Kind.CORNER, Kind.END):
-        errors = 1e3 * sees.of(kind)
+        errors = 1e3 * sightings_after.of(kind)
         name = kind.name.lower()
         if len(errors) < 2:
             lines.append(f"{name}: {len(errors)} sightings, too few for a covariance")
@@ -186,10 +186,10 @@ def summary(found: Calibration) -> list[str]:
     return lines
 
 
-def check_free(file: Path, overwrite: bool) -> None:
-    """Raise CalibrationError for a file that a calibration may not write, or whose figure would lie upon another."""
+def check_output(file: Path, overwrite: bool) -> None:
+    """Raise CalibrationError if `file` or its figure, a PNG of the same name, exists or is not allowed as an output."""
     if file.name in ("", "..") or file.suffix == ".png" or file.is_dir():
-        raise CalibrationError(f"--out: found {str(file)!r}, allowed: a file to be, such as noise.toml")
+        raise CalibrationError(f"--out: found {str(file)!r}, allowed: the name of a file, such as noise.toml")
     for one in (file, file.with_suffix(".png")):
         if one.exists() and not overwrite:
             raise CalibrationError(f"--out: {one} exists, allowed: a new file, or --overwrite")

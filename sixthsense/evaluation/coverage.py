@@ -1,4 +1,4 @@
-"""How much of what could be seen was seen: the area in view from where the robot can go, and the share of it seen."""
+"""Coverage: the area visible from the reachable poses of the robot, and the share of it that was seen."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _MOST_VIEWPOINTS = 3_000
 
 @dataclass(frozen=True, slots=True)
 class VisibleArea:
-    """The cells of a grid that a robot could see."""
+    """The cells of a grid that are visible to the robot."""
 
     mask: Mask
     """(H, W), indexed [row = y, col = x]"""
     origin: tuple[float, float]
     """x, y of the outer corner of cell [0, 0], world frame, metres"""
     cell_m: float
-    """side of a cell"""
+    """side of a cell, metres"""
 
     @property
     def square_metres(self) -> float:
-        """The size of the area."""
+        """Size of the area, m²."""
         return float(np.count_nonzero(self.mask)) * self.cell_m**2
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _clearances(walls: Array, x0: float, y0: float, cell: float, reach: float, clearances: Array) -> None:
-    """Lower `clearances` (H, W) to the distance from cell centres to `walls` (M, 4), where that is below `reach`."""
+    """Set `clearances` (H, W) to the distance of cell centres from `walls` (M, 4), up to a distance of `reach`."""
     height, width = clearances.shape
     for j in range(walls.shape[0]):
         ax, ay = walls[j, 0] - x0, walls[j, 1] - y0
@@ -62,7 +62,7 @@ def _clearances(walls: Array, x0: float, y0: float, cell: float, reach: float, c
 
 @numba.njit(cache=True, error_model="numpy")
 def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, seen: Mask) -> None:
-    """Set the cells of `seen` that beams (N,) from (x, y) cross; all lengths in cells (Amanatides and Woo 1987)."""
+    """Set the cells of `seen` on the beams (N,) from (x, y); all lengths in cells (Amanatides and Woo 1987)."""
     height, width = seen.shape
     first_col, first_row = math.floor(x), math.floor(y)
     for i in range(lengths.shape[0]):
@@ -93,26 +93,26 @@ def visible_area(
     cell_m: float = 0.05,
     lattice_m: float = 0.3,
 ) -> VisibleArea:
-    """The free area in the region that is clear of walls by a cell and in view from where the robot can get to.
+    """The free area in the region, at least a cell away from walls, that is visible from reachable positions.
 
-    `walls` (N, 2, 2); `region` x0 y0 x1 y1; `start` x y of a disc of `radius`; all in the world frame, metres. A pose
-    counts as reachable if the disc touches no wall there and it is connected to the start; a full circle of beams of
-    `laser_range` is cast from one such pose in each square of side `lattice_m`. The poses lie within the bounds of
-    region, walls and start. In a very large scene cells and squares are widened, to bound memory and time. Raises
-    ValueError for an empty region, or a start where the disc touches a wall.
+    `walls` (N, 2, 2); `region` x0 y0 x1 y1; `start` x y of a disc of `radius`; all in the world frame, metres. A
+    position is reachable if the disc touches no wall there and it is connected to the start. A full circle of beams of
+    `laser_range` is cast from one reachable position in each square of side `lattice_m`. Positions lie within the
+    bounds of region, walls and start. In a very large scene, cells and squares are enlarged to bound memory and time.
+    Raises ValueError for an empty region, or a start where the disc touches a wall.
     """
     low, high = np.array(region[:2]), np.array(region[2:])
     if not (low < high).all():
         raise ValueError(f"region: found {region}, allowed: x0 y0 x1 y1 with x0 < x1 and y0 < y1")
-    # Farther from the region than the laser reaches there is nothing to see, but perhaps the way to such a place.
+    # Positions beyond the laser's range from the region see nothing of it, but may connect others that do.
     corners = np.concatenate([walls.reshape(-1, 2), [low, high, start]])
     bottom, top = corners.min(axis=0), corners.max(axis=0)
     while np.prod(np.ceil((top - bottom) / cell_m) + 3) > _MOST_CELLS:
         cell_m *= 2.0
-    # The region's corner falls on a corner of cells.
+    # The corner of the region coincides with a corner of cells.
     origin: Array = low - (np.ceil((low - bottom) / cell_m) + 1.0) * cell_m
     width, height = np.ceil((top - origin) / cell_m).astype(np.int64) + 1
-    # A disc smaller than a cell must not slip from one cell to the next through a wall between their centres.
+    # A disc smaller than a cell must not pass from one cell to the next through a wall between their centres.
     touching = (
         point_segment_distance(np.asarray(start, dtype=np.float64), walls).min() < radius if len(walls) else False
     )
@@ -125,7 +125,7 @@ def visible_area(
 
     reachable = _connected(clearances >= radius, (np.asarray(start) - origin) / cell_m)
     if reachable is None and not touching:
-        reachable = np.zeros((height, width), dtype=np.bool_)  # too tight a place for cells of this size to tell
+        reachable = np.zeros((height, width), dtype=np.bool_)  # the free space around the start is smaller than a cell
     if reachable is None:
         raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
@@ -149,11 +149,11 @@ def coverage(
     max_range: float,
     walls: Array,
 ) -> float:
-    """The share, 0 to 1, of the visible area's cells that a beam of a scan crossed; NaN if there is no such area.
+    """The share, 0 to 1, of the visible area's cells on a beam of any scan; NaN if the area is empty.
 
     `poses` (S, 3) true poses of the robot at its scans, `bearings` (N,) of the beams in the laser's frame, evenly
-    spaced, `mount` the laser's pose on the robot, `walls` (M, 2, 2), metres and radians. The beams are cast anew,
-    without noise. Scans taken where the one before was taken already are passed over.
+    spaced, `mount` the laser's pose on the robot, `walls` (M, 2, 2), metres and radians. The beams are cast again,
+    without noise. Scans from the pose of the previous scan are skipped.
     """
     if not area.mask.any():
         return math.nan
@@ -171,15 +171,15 @@ def coverage_over_time(
     max_range: float,
     walls: Array,
 ) -> Array:
-    """(S,) `coverage` after each scan, of the same arguments; NaN throughout if there is no such area."""
+    """(S,) `coverage` after each scan, with the same arguments; NaN if the area is empty."""
     shares = np.full(len(poses), math.nan)
     if not area.mask.any():
         return shares
     seen = np.zeros(area.mask.shape, dtype=np.bool_)
-    whole, share = np.count_nonzero(area.mask), 0.0
+    total, share = np.count_nonzero(area.mask), 0.0
     for k, is_new in enumerate(_swept(area, poses, bearings, mount, max_range, walls, seen)):
         if is_new:
-            share = np.count_nonzero(seen & area.mask) / whole
+            share = np.count_nonzero(seen & area.mask) / total
         shares[k] = share
     return shares
 
@@ -193,7 +193,7 @@ def _swept(
     walls: Array,
     seen: Mask,
 ) -> Iterator[bool]:
-    """Mark what each scan's beams cross in `seen`, one scan a step; whether it was more than a repetition."""
+    """Mark the cells on each scan's beams in `seen`, one scan per step; yield False for a repeated pose."""
     T_robot_laser = Pose(*mount)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
     origin = np.array(area.origin)
@@ -214,7 +214,7 @@ def _swept(
 def _sweep(
     T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, origin: Array, cell_m: float, seen: Mask
 ) -> None:
-    """Mark in `seen` the cells that a scan's beams cross."""
+    """Mark the cells on a scan's beams in `seen`."""
     lengths = np.minimum(cast_rays(T_world_laser, bearings, walls, max_range), max_range) / cell_m
     angles = bearings + T_world_laser.theta
     x, y = (T_world_laser.position - origin) / cell_m
@@ -222,7 +222,7 @@ def _sweep(
 
 
 def _connected(passable: Mask, start: Array) -> Mask | None:
-    """The part of `passable` that is connected to `start` (x, y in cells); None if the start is not in or beside it."""
+    """The component of `passable` at `start` (x, y in cells); None if the start is not in it or next to it."""
     rows, cols = np.nonzero(passable)
     distances = np.hypot(cols + 0.5 - start[0], rows + 0.5 - start[1])
     if len(distances) == 0 or distances.min() > 1.5:
@@ -233,7 +233,7 @@ def _connected(passable: Mask, start: Array) -> Mask | None:
 
 
 def _viewpoints(reachable: Mask, step: int) -> NDArray[np.int64]:
-    """(K, 2) row and col of one cell of `reachable` in each square of `step` cells that has any: the most central."""
+    """(K, 2) row and col of the most central cell of `reachable` in each square of `step` cells that has any."""
     rows, cols = np.nonzero(reachable)
     while True:
         square = np.stack([rows // step, cols // step], axis=1)

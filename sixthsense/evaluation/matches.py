@@ -1,7 +1,7 @@
-"""Were sightings given to the landmarks that they are of? Associations judged by the truth, for the record only.
+"""Correctness of the data association, judged by the truth; for evaluation only.
 
-What a sighting is of is found from where it truly was taken: its true identity is each line or point of the scene that
-explains it. A landmark is what its first explained sighting showed.
+The true identity of a sighting is the set of lines or points of the scene that explain it from the robot's true pose.
+The identity of a landmark is that of its first explained sighting.
 """
 
 from __future__ import annotations
@@ -17,50 +17,50 @@ from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict
 from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.slam.association.wall_extents import ends
 
-_SAME_RAD, _SAME_M = 1e-4, 1e-3  # segments this near one line are on it
+_SAME_RAD, _SAME_M = 1e-4, 1e-3  # tolerances of a segment to lie on a line
 
 Identity = tuple[str, int]
-"""A face of a true line, "left" or "right" of it, or a true "point", and its number."""
+"""A face of a true line ("left" or "right") or a true "point", with its index."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrueLandmarks:
-    """What a perfect observer could tell apart in a scene, world frame."""
+    """The distinguishable lines and points of a scene, world frame."""
 
     lines: Array
-    """(L, 2) alpha, d: each carries all segments in line with it"""
+    """(L, 2) alpha, d; collinear segments share a line"""
     segments: Array
     """(N, 2, 2) m"""
     line_of: NDArray[np.int64]
-    """(N,) the line of each segment"""
+    """(N,) index of the line of each segment"""
     points: Array
     """(P, 2) corners and ends of walls, m"""
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """How the sightings of a run were matched."""
+    """Counts of correct, wrong and unexplained matches of a run."""
 
     sightings: int
-    """all that the estimator took in"""
+    """number of sightings used by the estimator"""
     wrong: tuple[tuple[int, LandmarkId], ...]
     """key scan and landmark of each sighting whose true identity differs from its landmark's"""
     unexplained: tuple[tuple[int, LandmarkId], ...]
-    """likewise those that nothing in the scene explains: they are neither right nor wrong"""
+    """likewise for sightings that nothing in the scene explains, neither correct nor wrong"""
 
     @property
     def wrong_per_1000(self) -> float:
-        """Wrong matches among a thousand sightings; 0 without any."""
+        """Wrong matches per thousand sightings; 0 without sightings."""
         return 1e3 * len(self.wrong) / max(self.sightings, 1)
 
     @property
     def unexplained_per_1000(self) -> float:
-        """Unexplained ones among a thousand sightings; 0 without any."""
+        """Unexplained matches per thousand sightings; 0 without sightings."""
         return 1e3 * len(self.unexplained) / max(self.sightings, 1)
 
 
 def true_identities(walls: Array) -> TrueLandmarks:
-    """The lines and points of a scene's `walls` (N, 2, 2), metres; walls in line with each other are one line."""
+    """The lines and points of the `walls` (N, 2, 2) of a scene, metres; collinear walls form one line."""
     segments = walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 2.0 * _SAME_M]
     lines: list[Array] = []
     line_of = np.empty(len(segments), dtype=np.int64)
@@ -79,18 +79,18 @@ def true_identities(walls: Array) -> TrueLandmarks:
 
 
 def explained_by(sighting: Sighting, truth: Pose, scene: TrueLandmarks, sigmas: float = 5.0) -> frozenset[Identity]:
-    """What in the scene explains a sighting that was taken from the pose `truth`; nothing, one, or (rarely) several.
+    """The identities that explain a sighting from the true pose `truth`: none, one, or (rarely) several.
 
-    A wall is explained by a face of a line that lies within `sigmas` (Mahalanobis distance, by the covariance of the
-    sighting) and that has a wall where the sighting saw one; a point by a true point within `sigmas`. What stands on
-    both sides of a thin wall is two faces.
+    A point is explained by a true point within `sigmas` (Mahalanobis distance by the covariance of the sighting). A
+    wall is explained by a face of a line within `sigmas` that has a wall segment where the sighting saw one. A thin
+    wall has two faces.
     """
     if not sighting.is_wall:
         predicted, _, _ = predict_points(truth, scene.points)
         near = _squared(sighting.z - predicted, sighting.cov) < sigmas**2
         return frozenset(("point", k) for k in np.flatnonzero(near).tolist())
     found: set[Identity] = set()
-    # The normal of a sighted wall points to the side it was seen from.
+    # The normal of a sighted wall points to the side of the observer.
     for face, turn, sign in (("left", 0.0, 1.0), ("right", np.pi, -1.0)):
         lines = np.column_stack([wrap_angle(scene.lines[:, 0] + turn), sign * scene.lines[:, 1]])
         predicted, _, _ = predict_walls(truth, lines)
@@ -107,18 +107,18 @@ def _squared(off: Array, cov: Array) -> Array:
 
 
 def _overlaps(seen: Array, line: Array, segments: Array) -> bool:
-    """Whether what was seen, (2, 2) ends, lies at least in part where one of the line's segments (N, 2, 2) does."""
+    """Whether a sighted wall with ends (2, 2) overlaps one of the line's segments (N, 2, 2) along the line."""
     along = np.array([-np.sin(line[0]), np.cos(line[0])])
-    mine, theirs = np.sort(seen @ along), np.sort(segments @ along, axis=1)
-    return bool(np.any((mine[0] <= theirs[:, 1]) & (mine[1] >= theirs[:, 0])))
+    sighted, true = np.sort(seen @ along), np.sort(segments @ along, axis=1)
+    return bool(np.any((sighted[0] <= true[:, 1]) & (sighted[1] >= true[:, 0])))
 
 
 def judge_matches(
     associations: Sequence[Mapping[LandmarkId, Sighting]], truths: Array, scene: TrueLandmarks, sigmas: float = 5.0
 ) -> Matches:
-    """Judge each key scan's sightings, by landmark, that were taken from the true poses `truths` (K, 3).
+    """Judge the sightings of each key scan, by landmark, given the true poses `truths` (K, 3).
 
-    A sighting that several things explain narrows down what its landmark may be, and is wrong if nothing is left.
+    The identities of a landmark are intersected with those of each sighting; a sighting is wrong if none remains.
     """
     identity: dict[LandmarkId, frozenset[Identity]] = {}
     count = 0

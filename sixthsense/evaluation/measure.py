@@ -1,4 +1,4 @@
-"""What a run is worth: its errors, consistency, coverage and timing, from its record."""
+"""Metrics of a run from its trace: errors, consistency, coverage and timing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def measure(trace: Trace) -> Metrics:
-    """Flat keys and numbers; what cannot be measured is left out."""
+    """The metrics of a run, without keys for what cannot be measured."""
     out = Metrics(outcome=trace.outcome)
     if trace.truths:
         out["collisions"] = int(trace.outcome == "collided")
@@ -47,7 +47,7 @@ def measure(trace: Trace) -> Metrics:
 
 
 def _goal_error(trace: Trace) -> dict[str, float]:
-    """How far from the goal the robot truly is: the outcome is judged by the estimate."""
+    """Distance of the true position from the goal; the outcome is judged by the estimate."""
     goal = trace.config.goal or (trace.scene.goal if trace.scene is not None else None)
     if goal is None or trace.config.task != "goal" or trace.last_position is None:
         return {}
@@ -55,7 +55,7 @@ def _goal_error(trace: Trace) -> dict[str, float]:
 
 
 def _home_error(trace: Trace) -> dict[str, float]:
-    """How far from where it began the robot truly is after an exploration that was to end there."""
+    """Distance of the true position from the start after an exploration that returns home."""
     ended = trace.config.explore.return_home and trace.outcome.startswith("explored")
     if not ended or trace.config.task != "explore" or trace.last_position is None:
         return {}
@@ -77,7 +77,7 @@ def _relations(trace: Trace) -> dict[str, float]:
         return {}
     given = trace.relations
     stamps = np.array(trace.log_stamps_s)
-    # A replay that ends early is measured by the relations it has reached.
+    # A replay that ended early is compared with the relations of its part only.
     reached = np.isin(np.round(given.stamps, 6), np.round(stamps, 6)).all(axis=1)
     if not reached.any():
         return {}

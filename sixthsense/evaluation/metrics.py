@@ -1,4 +1,4 @@
-"""How good a run was: plain functions of arrays, with no state and no opinion on where the arrays come from.
+"""Metrics of trajectories and landmarks as functions of arrays.
 
 Poses are rows (x, y, theta), metres and radians. The error of an estimate is estimate minus truth.
 """
@@ -34,14 +34,14 @@ def nees_world(error: Array, cov: Array) -> Array:
     """Normalised estimation error squared in world coordinates, (K,): 3 on average for a consistent filter.
 
     `error` (K, 3) estimate minus truth, heading wrapped here; `cov` (K, 3, 3) of the same, full rank (LinAlgError, a
-    ValueError, if exactly singular). Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    ValueError, if singular). Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     e = np.column_stack([error[:, :2], wrap_angle(error[:, 2])])
     return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
 
 
 def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
-    """NEES of the right-invariant error, (K,): where a heading error bends positions, the bend is no surprise to it.
+    """NEES of the right-invariant error, (K,), in which a heading error also rotates the position error.
 
     `estimate`, `truth` (K, 3); `cov_world` (K, 3, 3) of the world-frame error, full rank. With X = [R p; 0 1] in SE(2)
     the right-invariant error is xi = log(X_hat X^-1) (Barrau and Bonnabel 2017). To first order
@@ -65,10 +65,10 @@ def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
 
 
 def full_rank_from(cov: Array) -> int:
-    """The first index at which `cov` (K, 3, 3) has full rank, K if it never has; NEES is reported from there.
+    """The first index from which NEES is defined: `cov` (K, 3, 3) has full rank there; K if it never has.
 
-    Judged by the correlations, since metres and radians do not compare; a floor of a micrometre, which a smoother gives
-    a certain start, is no rank.
+    The rank is that of the correlation matrix, since metres and radians are not comparable. The floor of a micrometre
+    that a smoother adds to an exact start does not count.
     """
     variances = np.einsum("kii->ki", cov)
     positive = np.all(variances > 0.0, axis=1)
@@ -79,7 +79,7 @@ def full_rank_from(cov: Array) -> int:
 
 
 def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
-    """The two-sided band in which the mean of `runs` independent NEES of `dof` degrees of freedom lies.
+    """The two-sided confidence band of the mean of `runs` independent NEES with `dof` degrees of freedom.
 
     2.02-4.16 for 20 runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
@@ -88,19 +88,19 @@ def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float,
 
 
 def share_in_band(nees: Array, band: tuple[float, float]) -> float:
-    """The share, 0 to 1, of `nees` (K,), one mean over runs per step, that lies within `band`, ends included."""
+    """The share, 0 to 1, of `nees` (K,), a mean over runs for each step, within `band`, limits included."""
     return float(np.mean((nees >= band[0]) & (nees <= band[1])))
 
 
 def relations_error(
     stamps_s: Array, poses: Array, relations_stamps: Array, relations_poses: Array
 ) -> tuple[Array, Array]:
-    """Errors of a trajectory against relative poses known to be right: translations (R,), m, and rotations (R,), rad.
+    """Errors of a trajectory against reference relative poses: translations (R,), m, and rotations (R,), rad.
 
     `stamps_s` (N,) seconds in any order and `poses` (N, 3), one per scan; `relations_stamps` (R, 2) and
-    `relations_poses` (R, 3), the robot at t2 seen from the robot at t1. Both errors are magnitudes. Raises ValueError
-    for a relation whose stamp no scan has to within a microsecond. Kümmerle et al., Autonomous Robots 27(4), 2009: the
-    error is inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
+    `relations_poses` (R, 3), the robot at t2 in its frame at t1. Both errors are magnitudes. Raises ValueError for a
+    relation whose stamp differs from that of every scan by more than a microsecond. Kümmerle et al., Autonomous Robots
+    27(4), 2009: the error is inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
     """
     first, second = poses[scan_rows(stamps_s, relations_stamps)].transpose(1, 0, 2)
     error = _between(relations_poses, _between(first, second))
@@ -115,7 +115,7 @@ def _between(a: Array, b: Array) -> Array:
 
 
 def scan_times(ms: Array) -> dict[str, float]:
-    """Median, 99th percentile and maximum of (K,) processing times, milliseconds, under their keys; {} for none."""
+    """Median, 99th percentile and maximum of (K,) processing times, milliseconds, by key; empty for none."""
     if len(ms) == 0:
         return {}
     p50, p99 = np.percentile(ms, [50, 99])
@@ -123,25 +123,25 @@ def scan_times(ms: Array) -> dict[str, float]:
 
 
 def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[float, int]:
-    """Match (N, 2) estimated to (M, 2) true points, metres, one to one: RMSE of the matched, and how many they are.
+    """RMSE and number of one-to-one matches of (N, 2) estimated and (M, 2) true points, metres.
 
-    As many as possible within `radius` of each other are matched, then as closely as possible; the RMSE of no match is
-    NaN.
+    The assignment has the most matches within `radius`, and among these the least squared distances. The RMSE is NaN
+    without a match.
     """
     squared = np.sum((estimated[:, None] - truth[None]) ** 2, axis=2)  # (N, M)
-    # One pair out of reach costs more than all within it: each match made beats any gain in closeness.
-    out_of_reach = radius**2 * (1 + min(squared.shape))
-    rows, columns = linear_sum_assignment(np.where(squared <= radius**2, squared, out_of_reach))
+    # A pair beyond the radius costs more than all pairs within it, so the number of matches comes first.
+    beyond_radius = radius**2 * (1 + min(squared.shape))
+    rows, columns = linear_sum_assignment(np.where(squared <= radius**2, squared, beyond_radius))
     matched = squared[rows, columns]
     matched = matched[matched <= radius**2]
     return (float(np.sqrt(matched.mean())) if len(matched) else math.nan), len(matched)
 
 
 def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
-    """The points (M, 2) that a perfect observer would call corners or loose ends of `walls` (N, 2, 2), metres.
+    """The corners and free ends (M, 2) of `walls` (N, 2, 2), metres.
 
-    Ends of walls, and where walls cross or meet; but not where a wall merely goes on straight, in one piece or in
-    another. Points nearer than `tolerance_m` are one.
+    These are the ends of walls and the points where walls cross or meet, except where a wall only continues in a
+    straight line. Points closer than `tolerance_m` are merged.
     """
     lengths = np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1)
     walls = walls[lengths > 2.0 * tolerance_m]
@@ -149,9 +149,9 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
         return np.empty((0, 2))
     candidates = np.concatenate([walls.reshape(-1, 2), *(_crossings(w, walls[i + 1 :]) for i, w in enumerate(walls))])
     candidates = np.unique(candidates, axis=0)
-    twins = cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")
-    points = np.delete(candidates, twins.max(axis=1), axis=0)
-    ways: list[list[float]] = [[] for _ in points]  # directions in which a wall leaves each point
+    duplicates = cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")
+    points = np.delete(candidates, duplicates.max(axis=1), axis=0)
+    directions: list[list[float]] = [[] for _ in points]  # of the walls that leave each point
     for start, end in walls:
         along = end - start
         length = float(np.linalg.norm(along))
@@ -162,14 +162,14 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
         angle = math.atan2(along[1], along[0])
         for i in np.flatnonzero(on_it & (t >= -tolerance_m) & (t <= length + tolerance_m)):
             if t[i] < length - tolerance_m:
-                ways[i].append(angle)
+                directions[i].append(angle)
             if t[i] > tolerance_m:
-                ways[i].append(angle + math.pi)
-    return points[[not _straight(np.array(angles)) for angles in ways]]
+                directions[i].append(angle + math.pi)
+    return points[[not _is_straight(np.array(angles)) for angles in directions]]
 
 
 def _crossings(wall: Array, others: Array) -> Array:
-    """(K, 2) points where a (2, 2) wall crosses the (N, 2, 2) others, parallel ones left out."""
+    """(K, 2) points where a wall (2, 2) crosses the others (N, 2, 2), without parallel ones."""
     d, e = wall[1] - wall[0], others[:, 1] - others[:, 0]
     gap = others[:, 0] - wall[0]
     cross = d[0] * e[:, 1] - d[1] * e[:, 0]
@@ -181,8 +181,8 @@ def _crossings(wall: Array, others: Array) -> Array:
     return np.asarray(wall[0] + t[hit, None] * d)
 
 
-def _straight(angles: Array) -> bool:
-    """Whether the (K,) directions are those of one straight line and nothing else."""
+def _is_straight(angles: Array) -> bool:
+    """Whether the directions (K,) are exactly the two of one straight line."""
     turns = np.abs(wrap_angle(angles - angles[0]))
     ahead, behind = turns < 1e-3, turns > math.pi - 1e-3
     return bool(np.all(ahead | behind) and behind.any())

@@ -1,4 +1,4 @@
-"""Fits of the robot's noise to samples of driving whose truth is known (report section 4.1)."""
+"""Fits of the noise of odometry and laser to samples with known truth (report section 4.1)."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from sixthsense.slam.features import extract
 FEWEST_SAMPLES = 20
 SIGNIFICANT = 3.0  # sigmas
 
-_GATE_M = 0.25  # a sighting farther than this from every true landmark is of none
-_FINEST_M = 1e-3  # no laser is believed to be better
+_GATE_M = 0.25  # largest distance of a sighting from its true landmark
+_FINEST_M = 1e-3  # lower bound of the range noise
 _HALVINGS = 10
-_UNIT_SQ = 1e-12  # (1 um)^2, (1 urad)^2: nobody measures better, and no covariance is singular
-_OUTLIER = float(chi2.ppf(0.999, 2))  # what association would not match
+_UNIT_SQ = 1e-12  # (1 um)^2, (1 urad)^2, so that no covariance is singular
+_OUTLIER = float(chi2.ppf(0.999, 2))  # gate of the squared Mahalanobis distance of a match
 
-# Sizes of the noise from which the search starts where none is assumed.
+# Initial values of the search for parameters whose assumed value is zero.
 _MOTION = {
     "speed": 0.1,
     "turn_rate": 0.1,
@@ -44,21 +44,21 @@ _SYSTEMATIC = ("wheel_scale_error", "drift_rad_per_m")
 
 
 class CalibrationError(InputError):
-    """One line for a calibration that cannot be made."""
+    """One line for a calibration that is not possible."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Half a second of driving and the scan at its end."""
+    """One motion of about half a second and the scan at its end."""
 
     odometry: tuple[Pose, ...]
-    """at every control tick, both ends included"""
+    """odometry poses at all control ticks, first and last included"""
     motion: Pose
     """the true `T_before_after`"""
     truth: Pose
     """`T_world_robot` at its end"""
     scan: Scan
-    """taken there"""
+    """scan at its end"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,31 +70,31 @@ class LandmarkErrors:
     errors: Array
     """(K, 2) sighted minus true position, robot's frame, metres"""
     covs: Array
-    """(K, 2, 2) that each sighting claims"""
+    """(K, 2, 2) covariance of each sighting"""
     false: int
-    """sightings near no true landmark, left out of the above"""
+    """number of sightings without a true landmark nearby, excluded above"""
 
     @property
     def nees(self) -> Array:
-        """(K,) normalised errors squared, 2 on average when the claims are right."""
+        """(K,) NEES, 2 on average if the covariances are correct."""
         return np.asarray(
             np.einsum("ki,ki->k", self.errors, np.linalg.solve(self.covs, self.errors[..., None])[..., 0])
         )
 
     @property
     def mean_nees(self) -> float:
-        """Mean NEES of the sightings that association would match; infinite where it would match none."""
+        """Mean NEES of the sightings within the 99.9 % gate; infinite without any."""
         nees = self.nees
         inside = nees[nees <= _OUTLIER]
         return float(inside.mean()) if len(inside) else math.inf
 
     @property
     def outside(self) -> int:
-        """Sightings that association would not match."""
+        """Number of sightings outside the 99.9 % gate."""
         return int(np.sum(self.nees > _OUTLIER))
 
     def of(self, kind: Kind) -> Array:
-        """(N, 2) errors of one kind."""
+        """(N, 2) errors of the sightings of one kind."""
         return np.asarray(self.errors[self.kinds == kind])
 
 
@@ -103,40 +103,39 @@ class PropagationErrors:
     """Errors of odometry increments against the true motion (report eq. 1)."""
 
     errors: Array
-    """(N, 3) true minus assumed motion, frame before, metres and radians"""
+    """(N, 3) true motion minus odometry, in the frame before, metres and radians"""
     covs: Array
-    """(N, 3, 3) that odometry claims"""
+    """(N, 3, 3) covariances of the odometry"""
 
     @property
     def nees(self) -> Array:
-        """(N,) normalised errors squared, 3 on average when the claims are right."""
+        """(N,) NEES, 3 on average if the covariances are correct."""
         return nees_world(self.errors, self.covs)
 
     @property
-    def normalised(self) -> Array:
-        """(N, 3) errors in units of their claimed sigmas, decorrelated."""
+    def whitened(self) -> Array:
+        """(N, 3) whitened errors: L^-1 e with the Cholesky factor L of the covariance."""
         return np.asarray(np.linalg.solve(np.linalg.cholesky(self.covs), self.errors[..., None])[..., 0])
 
 
-def _fold(track: Sequence[Pose], assumed: AssumedConfig) -> Odometry:
-    """A sample's increments as one, as a filter that predicts at every tick would have them."""
+def _compose(track: Sequence[Pose], assumed: AssumedConfig) -> Odometry:
+    """The composed increments of a sample, as in a filter that predicts at every tick."""
     total = STANDSTILL
     for before, after in itertools.pairwise(track):
         total = total.then(odometry(before, after, assumed))
     return total
 
 
-def _folded(samples: Sequence[Sample], assumed: AssumedConfig) -> tuple[Array, Array]:
-    """(N, 3) motions and (N, 3, 3) covariances."""
-    folded = [_fold(sample.odometry, assumed) for sample in samples]
-    return np.array([one.motion.array() for one in folded]), np.array([one.cov for one in folded]) + _UNIT_SQ * np.eye(
-        3
-    )
+def _composed(samples: Sequence[Sample], assumed: AssumedConfig) -> tuple[Array, Array]:
+    """(N, 3) motions and (N, 3, 3) covariances of the samples by odometry."""
+    composed = [_compose(sample.odometry, assumed) for sample in samples]
+    covs = np.array([one.cov for one in composed]) + _UNIT_SQ * np.eye(3)
+    return np.array([one.motion.array() for one in composed]), covs
 
 
 def propagation_errors(samples: Sequence[Sample], assumed: AssumedConfig) -> PropagationErrors:
-    """Compare what odometry makes of each sample with the true motion (report eq. 1)."""
-    motions, covs = _folded(samples, assumed)
+    """Errors of odometry against the true motion of each sample (report eq. 1)."""
+    motions, covs = _composed(samples, assumed)
     return PropagationErrors(_difference(np.array([s.motion.array() for s in samples]), motions), covs)
 
 
@@ -149,55 +148,56 @@ def _difference(a: Array, b: Array) -> Array:
 def fit_motion(
     samples: Sequence[Sample], assumed: AssumedConfig
 ) -> tuple[AssumedConfig, dict[str, tuple[float, float]]]:
-    """`assumed` with the motion's noise of greatest likelihood, and the systematic errors' estimates and sigmas.
+    """Fit the motion noise: the new assumptions, and estimate and sigma of each systematic error.
 
-    The covariance is linear in the squares of the noise's parameters, the motion nearly so in the systematic errors:
-    generalised least squares for the latter and a search over the former take turns. The mean NEES comes out near 3.
-    A systematic error within three of its own sigmas stays zero, and counts as noise. What the samples cannot tell
-    apart, such as slip and turn noise, stays near what was assumed: a prior holds each parameter to a factor of e.
+    The fit is maximum a posteriori. The covariance is linear in the squares of the noise parameters, and the motion is
+    nearly linear in the systematic errors, so a search over the former alternates with generalised least squares for
+    the latter. The mean NEES of the result is close to 3. A systematic error within three sigmas of zero is set to zero
+    and counts as noise. Parameters that the samples cannot separate, such as slip and turn noise, stay close to the
+    assumed values: the prior of each has a standard deviation of a factor of e.
     """
     straight = dataclasses.replace(assumed, wheel_scale_error=0.0, drift_rad_per_m=0.0)
-    silent = merge(straight, {"motion": dict.fromkeys(_MOTION, 0.0)})
-    motions, floor = _folded(samples, silent)
-    sizes = {name: getattr(assumed.motion, name) or size for name, size in _MOTION.items()}
-    parts = [_folded(samples, merge(silent, {"motion": {name: s}}))[1] - floor for name, s in sizes.items()]
+    noiseless = merge(straight, {"motion": dict.fromkeys(_MOTION, 0.0)})
+    motions, floor = _composed(samples, noiseless)
+    initial = {name: getattr(assumed.motion, name) or size for name, size in _MOTION.items()}
+    parts = [_composed(samples, merge(noiseless, {"motion": {name: s}}))[1] - floor for name, s in initial.items()]
     basis = np.array(parts)  # (6, N, 3, 3)
     step = 1e-3
-    nudged = [_folded(samples, merge(silent, {name: step}))[0] for name in _SYSTEMATIC]
-    slope = np.stack([_difference(n, motions) / step for n in nudged], axis=2)  # (N, 3, 2)
+    perturbed = [_composed(samples, merge(noiseless, {name: step}))[0] for name in _SYSTEMATIC]
+    jacobian = np.stack([_difference(n, motions) / step for n in perturbed], axis=2)  # (N, 3, 2)
     errors = _difference(np.array([s.motion.array() for s in samples]), motions)
 
     kept = [0, 1]
-    scales = np.zeros(len(sizes))  # logarithms
-    theta = np.zeros(2)
+    scales = np.zeros(len(initial))  # log of the noise parameters relative to their initial values
+    bias = np.zeros(2)
     for turn in range(4):
-        scales = _likeliest(errors - slope @ theta, floor, basis, scales)
+        scales = _fit_scales(errors - jacobian @ bias, floor, basis, scales)
         weight = np.linalg.inv(floor + np.tensordot(np.exp(2.0 * scales), basis, 1))
-        if turn == 2:  # by now both are known well enough to be judged
-            systematic, kept = _judged(errors, slope, weight)
-        theta = np.zeros(2)
-        theta[kept] = _least_squares(errors, slope[:, :, kept], weight)[0]
-    scales = _likeliest(errors - slope @ theta, floor, basis, scales)
-    fitted = {name: s * float(np.exp(scale)) for (name, s), scale in zip(sizes.items(), scales, strict=True)}
-    values = dict(zip(_SYSTEMATIC, theta.tolist(), strict=True))
+        if turn == 2:  # both estimates are now accurate enough for the test
+            systematic, kept = _significant(errors, jacobian, weight)
+        bias = np.zeros(2)
+        bias[kept] = _least_squares(errors, jacobian[:, :, kept], weight)[0]
+    scales = _fit_scales(errors - jacobian @ bias, floor, basis, scales)
+    fitted = {name: s * float(np.exp(scale)) for (name, s), scale in zip(initial.items(), scales, strict=True)}
+    values = dict(zip(_SYSTEMATIC, bias.tolist(), strict=True))
     return merge(straight, {"motion": _rounded(fitted), **_rounded(values)}), systematic
 
 
-def _least_squares(errors: Array, slope: Array, weight: Array) -> tuple[Array, Array]:
-    """The weighted least-squares solution (k,) of errors = slope @ x, and its covariance (k, k)."""
-    cov = np.linalg.inv(np.einsum("nik,nij,njl->kl", slope, weight, slope))
-    return cov @ np.einsum("nik,nij,nj->k", slope, weight, errors), cov
+def _least_squares(errors: Array, jacobian: Array, weight: Array) -> tuple[Array, Array]:
+    """Weighted least-squares solution (k,) of errors = jacobian @ x, and its covariance (k, k)."""
+    cov = np.linalg.inv(np.einsum("nik,nij,njl->kl", jacobian, weight, jacobian))
+    return cov @ np.einsum("nik,nij,nj->k", jacobian, weight, errors), cov
 
 
-def _judged(errors: Array, slope: Array, weight: Array) -> tuple[dict[str, tuple[float, float]], list[int]]:
-    values, cov = _least_squares(errors, slope, weight)
+def _significant(errors: Array, jacobian: Array, weight: Array) -> tuple[dict[str, tuple[float, float]], list[int]]:
+    values, cov = _least_squares(errors, jacobian, weight)
     sigmas = np.sqrt(np.diag(cov))
     named = {n: (float(v), float(s)) for n, v, s in zip(_SYSTEMATIC, values, sigmas, strict=True)}
     return named, np.flatnonzero(np.abs(values) > SIGNIFICANT * sigmas).tolist()
 
 
-def _likeliest(errors: Array, floor: Array, basis: Array, start: Array) -> Array:
-    """(6,) logarithms of the parameters' scales, standard normal a priori, likeliest for (N, 3) Gaussian errors."""
+def _fit_scales(errors: Array, floor: Array, basis: Array, start: Array) -> Array:
+    """(6,) log scales of the noise parameters, maximum a posteriori for Gaussian errors (N, 3) and a N(0, I) prior."""
 
     def cost(scales: Array) -> float:
         covs = floor + np.tensordot(np.exp(2.0 * scales), basis, 1)
@@ -209,11 +209,11 @@ def _likeliest(errors: Array, floor: Array, basis: Array, start: Array) -> Array
 def landmark_errors(
     samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
 ) -> LandmarkErrors:
-    """Compare the sightings of each sample's scan with the nearest of the true `landmarks` (M, 2) (report eq. 2)."""
-    rng = np.random.default_rng(seed)  # the same draws each time, so that what differs is `assumed` alone
+    """Errors of the sightings of each sample against the nearest true `landmarks` (M, 2) (report eq. 2)."""
+    rng = np.random.default_rng(seed)  # the same random numbers each time, so that only `assumed` differs
     kinds, errors, covs, false = [], [], [], 0
     for sample in samples:
-        true = predict_points(sample.truth, landmarks)[0]  # (M, 2), robot's frame
+        true = predict_points(sample.truth, landmarks)[0]  # (M, 2), robot frame
         for sighting in extract(sample.scan, assumed, config.features, rng).sightings:
             gaps = sighting.z - true
             gap = gaps[np.argmin((gaps**2).sum(axis=1))] if len(gaps) else np.full(2, math.inf)
@@ -229,39 +229,39 @@ def landmark_errors(
 def fit_laser(
     samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
 ) -> AssumedConfig:
-    """`assumed` with the range noise at which the sightings' mean NEES is 2.
+    """`assumed` with the range noise at which the mean NEES of the sightings is 2.
 
-    Line fitting takes a wall's returns to lie within RANSAC's threshold of it, so the range noise goes no further; what
-    sightings err beyond that becomes `landmark_floor_m`. Raises CalibrationError where hardly a landmark was seen.
+    The range noise is bounded by the RANSAC threshold, since line fitting rejects returns beyond it; larger errors of
+    sightings go into `landmark_floor_m`. Raises CalibrationError for too few sightings.
     """
 
-    def too_sure(changes: dict[str, Any]) -> bool:
+    def is_overconfident(changes: dict[str, Any]) -> bool:
         found = landmark_errors(samples, landmarks, merge(assumed, changes), config, seed)
         return found.mean_nees > 2.0
 
     def crossing(low: float, high: float, changes: Callable[[float], dict[str, Any]]) -> float:
-        """Where the sightings stop being too sure of themselves, by halving on a logarithmic scale."""
+        """The value at which the sightings stop being overconfident, by bisection on a logarithmic scale."""
         for _ in range(_HALVINGS):
             middle = math.sqrt(low * high)
-            low, high = (middle, high) if too_sure(changes(middle)) else (low, middle)
+            low, high = (middle, high) if is_overconfident(changes(middle)) else (low, middle)
         return float(f"{high:.3g}")
 
     def with_range(range_m: float) -> dict[str, Any]:
         return {"laser": {"range_m": range_m}, "landmark_floor_m": 0.0}
 
-    seen = len(landmark_errors(samples, landmarks, assumed, config, seed).errors)
-    if seen < FEWEST_SAMPLES:
+    count = len(landmark_errors(samples, landmarks, assumed, config, seed).errors)
+    if count < FEWEST_SAMPLES:
         raise CalibrationError(
-            f"scene: found {seen} sightings of landmarks in {len(samples)} scans, allowed: a place that shows at least "
+            f"scene: found {count} sightings of landmarks in {len(samples)} scans, allowed: a place with at least "
             f"{FEWEST_SAMPLES}"
         )
     widest = max(config.features.lines.ransac_threshold_m, 2.0 * _FINEST_M)
-    if not too_sure(with_range(widest)):
+    if not is_overconfident(with_range(widest)):
         return merge(assumed, with_range(crossing(_FINEST_M, widest, with_range)))
     floor = crossing(_FINEST_M, _GATE_M, lambda floor_m: {**with_range(widest), "landmark_floor_m": floor_m})
     return merge(assumed, {**with_range(widest), "landmark_floor_m": floor})
 
 
 def _rounded(values: dict[str, float]) -> dict[str, float]:
-    """To four digits: more would claim what no hundred samples can know."""
+    """Rounded to four digits, more than a hundred samples determine."""
     return {name: float(f"{value:.4g}") for name, value in values.items()}

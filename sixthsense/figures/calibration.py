@@ -40,10 +40,10 @@ def draw_propagation_errors(ax: Any, before: PropagationErrors, after: Propagati
     ax.fill(circle[:, 0], circle[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
     ax.plot(circle[:, 0], circle[:, 1], color=ESTIMATE, linewidth=1.4, label="95 %, mean 0")
     for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
-        units = errors.normalised
+        units = errors.whitened
         label = f"{when}: NEES {errors.nees.mean():.2f}"
         ax.scatter(units[:, 0], units[:, 2], s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
-    _frame(ax, max(4.0, float(np.abs(np.concatenate([before.normalised, after.normalised])[:, [0, 2]]).max())))
+    _frame(ax, max(4.0, float(np.abs(np.concatenate([before.whitened, after.whitened])[:, [0, 2]]).max())))
     ax.set_xlabel("error ahead [assumed sigmas]")
     ax.set_ylabel("error of the heading [assumed sigmas]")
     ax.set_title(f"propagation, {len(after.errors)} samples")

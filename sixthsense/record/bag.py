@@ -19,7 +19,8 @@ from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.cloud import CLOUD, FIELDS, POINT_BYTES, increment_covariance, spatial, to_bytes
+from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
+from sixthsense.sources.logs.sighting_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
@@ -203,7 +204,7 @@ class BagWriter:
         )
 
     def _estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
-        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), spatial(cov).ravel())
+        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), spatial_covariance(cov).ravel())
         return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), spread)
 
     def _cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:

@@ -1,1 +1,1 @@
-"""Where evidence comes from: the simulated world and its scenes, and logs of robots."""
+"""Sources of odometry and scans: the simulated world with its scenes, and recorded logs."""

@@ -1,4 +1,4 @@
-"""What a task asks of a scene: where the robot starts, its goals, and its size."""
+"""Start, goals and robot radius of a task in a scene."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
 
     An exploration has no goals.
 
-    Raises SceneError, naming the field, for a place that is missing, outside the region or too near a wall.
+    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
@@ -31,7 +31,6 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     if config.task != "goal":
         goal = None
     tour = scene.tour if config.task == "tour" else ()
-    check_placement(scene, start, goal, config.region, config.robot.radius, tour)
-    assert start is not None  # check_placement has seen to it
+    start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     return start, goals, config.robot.radius or scene.radius

@@ -1,7 +1,7 @@
-"""Scenes: the walls of a building, and where the robot starts, may go and shall look. Metres, world frame.
+"""Scenes: the walls of a building, the start, the goals and the region of interest. Metres, world frame.
 
 Three formats are read: TOML (walls and polygons, the format of the shipped scenes), a ROS map (map_server's
-`.yaml` beside an image) and the report's `.scn`.
+`.yaml` with an image) and the report's `.scn`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from sixthsense.config.section import shown
 from sixthsense.config.toml import parse_toml
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.sources.scenefields import (
+from sixthsense.sources.scene_fields import (
     Point,
     Region,
     SceneError,
@@ -41,24 +41,24 @@ _SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A building and the robot's place in it; all in metres and radians, world frame."""
+    """A building with the start and goals of a robot, in metres and radians, world frame."""
 
     name: str
-    """The shipped scene's name, or the file's without its suffix."""
+    """Name of the shipped scene, or of the file without its suffix."""
     walls: Array
-    """(N, 2, 2) segments, first end and second end; read-only."""
+    """(N, 2, 2) segments by their two ends; read-only."""
     start: Pose | None
-    """`T_world_robot` at the start; None where the file has none (a ROS map)."""
+    """`T_world_robot` at the start; None if the file has none (a ROS map)."""
     radius: float
-    """Of the robot, a disc."""
+    """Radius of the robot, a disc."""
     goal: Point | None
-    """x, y of the goal task's goal, if the file has one."""
+    """x, y of the goal of the goal task, if the file has one."""
     tour: tuple[Point, ...]
-    """Goals of the tour task, in order, to be repeated."""
+    """Goals of the tour task, visited in this order again and again."""
     region: Region
     """x0, y0, x1, y1 of the region of interest."""
     solid_left: bool = False
-    """The walls are closed outlines with the solid on their left (a ROS map), so that a place can lie inside one."""
+    """Whether walls are closed outlines with the solid on their left (a ROS map), so that a point can lie inside."""
 
     def __post_init__(self) -> None:
         walls = np.array(self.walls, dtype=np.float64)
@@ -69,9 +69,9 @@ class Scene:
 
 
 def shipped_scenes() -> dict[str, Path]:
-    """The scenes that come with the package, by name, in alphabetical order."""
+    """The files of the shipped scenes by name, in alphabetical order."""
     package = Path(__file__).resolve().parents[1]
-    # A wheel carries the scenes inside the package; an editable install finds them in the repository's root.
+    # A wheel contains the scenes inside the package; an editable install has them in the root of the repository.
     folder = next((f for f in (package / "scenes", package.parent / "scenes") if f.is_dir()), None)
     return {} if folder is None else {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
@@ -79,8 +79,8 @@ def shipped_scenes() -> dict[str, Path]:
 def load_scene(name_or_file: str | Path) -> Scene:
     """Read a shipped scene by its name, or a `.toml`, map_server `.yaml` or report `.scn` file.
 
-    Raises SceneError, one line, for an unknown name (listing the known ones) and for everything in a file that is
-    missing, misspelt, not a finite number, or puts the robot where it cannot be.
+    Raises SceneError, one line, for an unknown name (with the known ones), and for a field that is missing, misspelt,
+    not finite, or places the robot in a wall or outside the region.
     """
     shipped = shipped_scenes()
     path = shipped.get(str(name_or_file), Path(name_or_file))
@@ -95,7 +95,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
             return _from_toml(path)
         if suffix == ".scn":
             return _from_scn(path)
-        from sixthsense.sources.mapfile import read_map
+        from sixthsense.sources.ros_map import read_map
 
         walls = read_map(path)
         return Scene(path.stem, walls, None, DEFAULT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
@@ -110,30 +110,30 @@ def check_placement(
     region: Sequence[float] | None = None,
     radius: float = 0.0,
     tour: Sequence[Sequence[float]] = (),
-) -> None:
-    """Check a start, a goal or a tour, given in place of the scene's own, against its walls.
+) -> Pose:
+    """Check a start, a goal and a tour against the walls of a loaded scene, and return the start.
 
-    `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` fall back on the scene's own (None, None, 0);
-    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises SceneError, one line naming
-    the field: no start at all, a disc of `radius` that touches a wall, a goal outside the region, a region whose
-    corners are reversed, a radius that is not positive, anything not finite.
+    `start` (x, y, theta), `region` (x0, y0, x1, y1) and `radius` default to those of the scene (None, None, 0);
+    `goal` (x, y) and `tour` are checked only if given. Metres, world frame. Raises SceneError, one line naming the
+    field, for a missing start, a place where the disc of `radius` touches a wall, a goal outside the region, a region
+    with reversed corners, a radius that is not positive, and numbers that are not finite.
     """
     radius = read_positive("radius", radius) if radius else scene.radius
     bounds = scene.region if region is None else read_region("region", region)
-    if isinstance(start, Pose):
-        start = (start.x, start.y, start.theta)
-    if start is None and scene.start is not None:
-        start = (scene.start.x, scene.start.y, scene.start.theta)
+    if start is None:
+        start = scene.start
     if start is None:
         raise SceneError(f"start: missing, the scene {scene.name} has none of its own, allowed: x y theta")
-    x, y, _ = read_numbers("start", start, "x y theta")
+    values = (start.x, start.y, start.theta) if isinstance(start, Pose) else start
+    x, y, theta = read_numbers("start", values, "x y theta")
     _check_clear("start", (x, y), scene, radius)
     goals = [] if goal is None else [("goal", goal)]
     goals += [(f"tour, entry {k}", place) for k, place in enumerate(tour, 1)]
-    for where, values in goals:
-        place = read_point(where, values)
+    for where, found in goals:
+        place = read_point(where, found)
         _check_inside(where, place, bounds)
         _check_clear(where, place, scene, radius)
+    return start if isinstance(start, Pose) else Pose(x, y, theta)
 
 
 def _from_toml(path: Path) -> Scene:
@@ -181,7 +181,7 @@ def _from_scn(path: Path) -> Scene:
 def _bounds(walls: Array) -> Region:
     low, high = walls.min(axis=(0, 1)), walls.max(axis=(0, 1))
     if not (low < high).all():
-        raise SceneError("walls: all on one line, allowed: walls that bound an area, or a region of its own")
+        raise SceneError("walls: all on one line, allowed: walls that bound an area, or a region")
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 

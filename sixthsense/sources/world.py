@@ -1,4 +1,4 @@
-"""The simulated world: the robot's true motion and collisions, its noise, its laser and the clock."""
+"""The simulated world: true motion, collisions, noise of wheels and laser, and the clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sixthsense.core.source import Command, Tick
 
 @numba.njit(cache=True, error_model="numpy")
 def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: float) -> bool:
-    """Whether a disc that moves from (x0, y0) to (x1, y1) comes nearer than `radius` to any of `walls` (M, 4)."""
+    """Whether a disc moving from (x0, y0) to (x1, y1) comes closer than `radius` to any of `walls` (M, 4)."""
     mx, my = x1 - x0, y1 - y0
     for j in range(walls.shape[0]):
         ax, ay, bx, by = walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3]
@@ -26,7 +26,7 @@ def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: f
         if min(ay, by) - radius > max(y0, y1) or max(ay, by) + radius < min(y0, y1):
             continue
         ex, ey = bx - ax, by - ay
-        # Two segments are nearest at an end of one of them, unless they cross.
+        # Unless two segments cross, their distance is attained at an end of one of them.
         length_sq = max(ex * ex + ey * ey, 1e-300)
         for px, py in ((x0, y0), (x1, y1)):
             s = min(max(((px - ax) * ex + (py - ay) * ey) / length_sq, 0.0), 1.0)
@@ -46,10 +46,10 @@ def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: f
 
 
 class World:
-    """A `Source` that simulates: each step is one control tick, every few of them end with a scan."""
+    """A simulated `Source`: each step is one control tick, and every `laser.period_ticks` steps yield a scan."""
 
     def __init__(self, walls: Array, start: Pose, radius_m: float, config: Config, rng: np.random.Generator) -> None:
-        """Put the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame."""
+        """Place the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame."""
         self._walls = np.array(walls, dtype=np.float64)
         self._flat = self._walls.reshape(-1, 4)
         self._radius_m = radius_m
@@ -62,13 +62,13 @@ class World:
         self._collided = False
         self._bearings = beam_bearings(config.laser)
         self._times_s = sweep_times(config.laser.beams, time_increment(config.laser))
-        # True poses at the last control ticks, as many as a sweep may reach back to.
+        # True poses at the last control ticks, back to the beginning of a sweep.
         self._past: deque[Pose] = deque([start], maxlen=config.laser.period_ticks + 2)
 
     def step(self, command: Command) -> Tick | None:
-        """Drive for one control tick under `command`, clipped to what the drive can do; None after a collision.
+        """Drive for one control tick with `command`, clipped to the robot's limits; None after a collision.
 
-        The first step moves nothing: it delivers the first scan, from the start.
+        The first step does not move the robot: it returns the scan at the start.
         """
         if self._collided:
             return None
@@ -97,7 +97,7 @@ class World:
         w_true += world.drift_rad_per_m * v_true
         steps = max(1, math.ceil(dt / robot.integration_step_s - 1e-9))
         position, heading = slip_variances(noise, v_true * dt, w_true * dt)
-        # One draw of slip per tick, spread evenly over its steps.
+        # One slip per tick, distributed evenly over its integration steps.
         sigma = np.sqrt([position, position, heading])
         shift = Pose.from_array(sigma * slip / steps)
         for _ in range(steps):
@@ -119,7 +119,7 @@ class World:
         return Scan.from_config(np.maximum(ranges, 0.0), laser)
 
     def _sweep(self) -> Array:
-        """(N, 3) where the laser truly is at each beam's time, between the control ticks on a straight line."""
+        """(N, 3) true pose of the laser at each beam's time, interpolated linearly between control ticks."""
         stamps_s = 1e-9 * self._period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
         poses = interpolated(stamps_s, np.array([pose.array() for pose in self._past]), self._times_s)
         x, y, theta = self._config.laser.mount

@@ -11,7 +11,7 @@ from sixthsense import cli
 from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import point_segment_distance, wrap_angle
 from sixthsense.core.landmarks import Kind
-from sixthsense.evaluation.calibrate import PERIOD_S, Calibration, calibrate, check_free, drive_samples
+from sixthsense.evaluation.calibrate import PERIOD_S, Calibration, calibrate, check_output, drive_samples
 from sixthsense.evaluation.noise import CalibrationError, LandmarkErrors
 from sixthsense.figures.calibration import save_calibration, write_calibration
 from sixthsense.loop import run, warm_up
@@ -218,7 +218,7 @@ def test_what_exists_is_kept_unless_it_may_be_overwritten(there: str, capsys, tm
     args = ["rectangle", "--samples", "20", "--out", "noise.toml"]
     assert f"{there} exists" in complaint(args, capsys)
     assert Path(there).read_text() == "precious" and len(list(tmp_path.iterdir())) == 1
-    check_free(Path("noise.toml"), overwrite=True)
+    check_output(Path("noise.toml"), overwrite=True)
     assert cli.main(["calibrate", *args, "--overwrite"]) == cli.DONE
     assert "precious" not in Path("noise.toml").read_text()
 

@@ -14,7 +14,7 @@ from sixthsense.figures.plot import save_map
 from sixthsense.loop import run
 from sixthsense.record.folder import FolderError, RunFolder, write_map, write_tum
 from sixthsense.record.trace import Trace
-from sixthsense.sources.mapfile import read_map
+from sixthsense.sources.ros_map import read_map
 
 CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)

@@ -197,16 +197,16 @@ def bombs() -> dict[str, bytes]:
 
 
 def test_chunks_that_would_fill_the_memory_end_in_one_line(tmp_path, monkeypatch, capsys):
-    from sixthsense.sources.logs import inflate
+    from sixthsense.sources.logs import decompress
 
     monkeypatch.chdir(tmp_path)
     for name, content in bombs().items():
         Path(name).parent.mkdir(parents=True, exist_ok=True)
         Path(name).write_bytes(content)
-    monkeypatch.setattr(inflate, "_LARGEST_CHUNK", ZEROS - 1)
+    monkeypatch.setattr(decompress, "_LARGEST_CHUNK", ZEROS - 1)
     seen = []
-    whole = inflate.inflated
-    monkeypatch.setattr(inflate, "inflated", lambda data, name: seen.append(name) or whole(data, name))
+    whole = decompress.decompressed
+    monkeypatch.setattr(decompress, "decompressed", lambda data, name: seen.append(name) or whole(data, name))
     for name in ("lies.mcap", "lz4.mcap", "zstd.mcap", "bz2.bag"):
         assert f"found a chunk of over {ZEROS - 1} bytes" in one_line(["replay", name], capsys)
     assert sorted(set(seen)) == ["bz2", "lz4", "zstd"]
@@ -215,13 +215,13 @@ def test_chunks_that_would_fill_the_memory_end_in_one_line(tmp_path, monkeypatch
 
 
 def test_chunks_read_again_and_again_end_in_one_line(tmp_path, monkeypatch):
-    from sixthsense.sources.logs import inflate
+    from sixthsense.sources.logs import decompress
 
     parser = PARSERS["mcap"]
     seed = parser.seeds(tmp_path)[2]
     assert attempt(parser, tmp_path, seed)
-    monkeypatch.setattr(inflate, "_ALWAYS", 0)
-    monkeypatch.setattr(inflate, "_PER_BYTE", 0)
+    monkeypatch.setattr(decompress, "_BASE_BUDGET", 0)
+    monkeypatch.setattr(decompress, "_BUDGET_PER_BYTE", 0)
     with pytest.raises(ValueError, match="found chunks that hold far more than the file"):
         parser.read(tmp_path, parser.form(seed))
 

@@ -282,7 +282,7 @@ def test_options_that_do_not_go_with_the_folder_are_one_line_and_exit_code_2(tmp
 def test_the_robot_is_an_option_of_mrclam_alone(tmp_path):
     (tmp_path / "g.txt").write_text("ODOMETRY 0 1 1 0 0 1e-4 0 0 1e-4 0 1e-4\n")
     done = command("replay", tmp_path / "g.txt", "--robot", 1)
-    assert done.returncode == 2 and "--robot: found on a log that is no folder of MRCLAM" in done.stderr
+    assert done.returncode == 2 and "--robot: found on a log that is not a MRCLAM folder" in done.stderr
 
 
 def test_the_benchmark_measures_each_estimator_and_the_wheels(tmp_path, monkeypatch):

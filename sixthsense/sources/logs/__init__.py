@@ -1,4 +1,4 @@
-"""Recorded logs: each reader makes a `Source` of a file, so that a log drives the same loop as the world."""
+"""Recorded logs: each reader returns a `Source`, so that logs and the simulated world drive the same loop."""
 
 from __future__ import annotations
 
@@ -29,12 +29,11 @@ def open_log(
     robot: int | None = None,
     assumed: AssumedConfig | None = None,
 ) -> Log:
-    """Open a log with the reader of its kind, which the name tells: a file, or a folder of a bag, a run or MRCLAM.
+    """Open a log, a file or a folder, with the reader of its kind, which is recognised by the name.
 
-    `laser` describes the scanner that recorded it, as far as the log does not; `topics` chooses among a bag's, `robot`
-    among a MRCLAM folder's, whose ranges and bearings have the noise of `assumed.laser`, or else of the preset mrclam.
-    Raises LogError for a kind that is not known, listing those that are, and for a file that the reader cannot make
-    sense of.
+    `laser` describes the laser as far as the log does not. `topics` selects topics of a bag, `robot` a robot of a
+    MRCLAM folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. Raises
+    LogError for an unknown kind, with the known ones, and for a file that the reader cannot read.
     """
     path = Path(file)
     suffix = _suffix(path)
@@ -70,7 +69,7 @@ def open_log(
 
 
 def _suffix(path: Path) -> str:
-    """The last suffix but that of compression, in small letters."""
+    """The last suffix, in lower case, without that of a compression."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
     if suffixes and suffixes[-1] in _COMPRESSED:
         suffixes.pop()
@@ -78,17 +77,17 @@ def _suffix(path: Path) -> str:
 
 
 def is_run_folder(path: Path) -> bool:
-    """Whether a path is the folder of a run, finished or not."""
+    """Whether a path is a run folder, finished or not."""
     return (path / "config.toml").is_file()
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is, by its name, a bag of ROS."""
+    """Whether a path is a ROS bag, by its name."""
     return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in _BAGS
 
 
 def is_graph(path: Path) -> bool:
-    """Whether a path is a graph of poses and landmarks: by its name, or a .txt by the tag it begins with."""
+    """Whether a path is a graph of poses and landmarks, by its name, or by the first tag of a .txt file."""
     if path.is_dir():
         return False
     if _suffix(path) == ".txt":
@@ -99,6 +98,6 @@ def is_graph(path: Path) -> bool:
 
 
 def is_mrclam(path: Path) -> bool:
-    """Whether a path is a folder with files of MRCLAM, if not all of them."""
+    """Whether a path is a folder with at least one file of MRCLAM."""
     names = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
     return path.is_dir() and any(next(path.glob(name), None) is not None for name in names)

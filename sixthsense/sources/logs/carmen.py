@@ -1,4 +1,4 @@
-"""CARMEN logs: odometry and laser scans, a text line each."""
+"""CARMEN logs: one text line per odometry record or laser scan."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text import FAR_OFF, Record, lines, shown
+from sixthsense.sources.logs.text_lines import LARGEST, Record, lines, shown
 
 _ODOM_FIELDS = 10
 """ODOM x y theta tv rv accel ipc_time host logger_time"""
@@ -24,13 +24,13 @@ _MESSAGE_NAME = re.compile(rb"[A-Z][A-Z0-9_-]{0,39}")
 
 
 def read_carmen(file: str | Path, laser: LaserConfig) -> Log:
-    """Read a CARMEN log: plain, gzip or bzip2, which the first bytes tell, whatever the name.
+    """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
 
-    Every FLASER line must have `laser.beams` ranges in metres; those at or beyond `laser.max_range` mean no return.
-    The laser's place on the robot is `laser.mount`, the odometry of a FLASER line the robot's (its `odom_*`). The order
-    of the file is the log's clock: a record's stamp is its own, or 1 ns after the one before if that is later.
-    Messages other than ODOM and FLASER are passed over. Raises LogError for a file that cannot be read, is damaged or
-    cut short, is not a CARMEN log, or has no FLASER line.
+    Every FLASER line must have `laser.beams` ranges in metres; those at or beyond `laser.max_range` are no returns. The
+    laser is mounted at `laser.mount`, and the odometry of a FLASER line is that of the robot (`odom_*`). Ticks keep the
+    order of the file: each has the stamp of its record, or 1 ns after the previous tick if that is later. Messages
+    other than ODOM and FLASER are skipped. Raises LogError for a file that cannot be read, is damaged or truncated, is
+    not a CARMEN log, or has no FLASER line.
     """
     path = Path(file)
     ticks: list[Tick] = []
@@ -73,7 +73,7 @@ def _expect(record: Record, count: int, what: str = "") -> None:
 
 
 def _ranges(record: Record, beams: int, first: bool) -> Array:
-    """(beams,) metres, each at least 0, or inf; `first` if no scan was read before."""
+    """(beams,) metres, at least 0, or inf; `first` for the first scan of the log."""
     if len(record.fields) < 2:
         record.fail("found FLASER without ranges, a CARMEN line cut short")
     if not record.fields[1].isdigit() or len(record.fields[1]) > 12:
@@ -87,5 +87,5 @@ def _ranges(record: Record, beams: int, first: bool) -> Array:
     bad = np.flatnonzero(~(values >= 0.0))
     if len(bad):
         record.fail(f"found range {shown(record.fields[2 + bad[0]])}, allowed: metres, at least 0")
-    values[values > FAR_OFF] = np.inf  # which a float32 need not hold
+    values[values > LARGEST] = np.inf  # these may overflow a float32
     return values

@@ -1,4 +1,4 @@
-"""Graphs of poses and landmarks as text: what GTSAM, TORO and g2o write, replayed pose by pose."""
+"""Graphs of poses and landmarks in the text formats of GTSAM, TORO and g2o, replayed pose by pose."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, polar_sighting
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text import Record, lines, shown
+from sixthsense.sources.logs.text_lines import Record, lines, shown
 
 _STEP_NS = 1_000_000_000
 _FARTHEST = 1e6
 _LARGEST_ID = (1 << 31) - 1
 _LARGEST_ENTRY = 1e12
-"""of a covariance or an information"""
+"""largest entry of a covariance or information matrix"""
 _SLACK = 1e-12
-"""what an eigenvalue must differ from 0 by, in terms of the largest entry, for rounding not to be the reason"""
+"""tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
-# Where the upper triangle's numbers stand in a matrix, in the order of the file.
+# Places of the numbers of the upper triangle in the matrix, in the order of the file.
 _BY_ROWS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _TORO = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
 _PLANE = ((0, 0), (0, 1), (1, 1))
@@ -31,12 +31,12 @@ _PLANE = ((0, 0), (0, 1), (1, 1))
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How the covariance of an edge is written."""
+    """Format of the covariance of an edge."""
 
     order: tuple[tuple[int, int], ...]
     """places of the numbers in the matrix"""
     is_information: bool
-    """or else a covariance"""
+    """whether the numbers are an information matrix, else a covariance"""
 
 
 _MOTIONS = {b"ODOMETRY": _Form(_BY_ROWS, False), b"EDGE2": _Form(_TORO, True), b"EDGE_SE2": _Form(_BY_ROWS, True)}
@@ -46,7 +46,7 @@ _TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
 
 
 def begins_as_graph(file: Path) -> bool:
-    """Whether the first line with anything in it begins with a tag of a graph."""
+    """Whether the first line that is not blank or a comment begins with a tag of a graph."""
     try:
         words = (line.split() for _, line in lines(file))
         first = next((fields[0] for fields in words if fields and not fields[0].startswith(b"#")), b"")
@@ -70,18 +70,18 @@ def read_graph(file: str | Path) -> Log:
         EDGE_SE2_XY i l x y  xx xy yy                 g2o: the same with INFORMATION
         BR          i l bearing range  s_b s_r        GTSAM: with two sigmas, rad and m
 
-    Guesses of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are passed over. Poses and landmarks share one space
-    of ids. A pose is a tick, one second after the one before; it carries the motion's covariance and the sightings, and
-    odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge between poses that does
-    not lead from the newest one, or to a pose that there is; a landmark that is seen before its pose, or twice from
-    one, or has a pose's id; numbers that are none; a covariance that is none.
+    Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
+    space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
+    sightings; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge that does not
+    lead from the newest pose, or leads to a known pose; a landmark that is seen before its pose, or twice from one
+    pose, or has the id of a pose; an invalid number; an invalid covariance.
 
-    In GTSAM's `victoria_park.txt` the six and three numbers are covariances: GTSAM's load2D takes them so (sigmas of
-    0.01 m, 0.002 m, 0.002 rad, and of 0.63 m). As information 0.0001 would mean an error of 100 m on a step of some
-    centimetres; the reduced copy of the same graph that comes with GTSAM has 100, 500, 500 and 1.581, which are the
-    roots of the information that belongs to these covariances. (load2D makes bearing and range of a LANDMARK, with
-    the bearing's sigma as if it were 10 m away; here x and y keep the covariance that the file gives them.) Ids there
-    count poses and landmarks as they first appear.
+    In GTSAM's `victoria_park.txt` the six and three numbers are covariances, as GTSAM's load2D reads them (sigmas of
+    0.01 m, 0.002 m, 0.002 rad, and of 0.63 m). As information, 0.0001 would be an error of 100 m on a step of some
+    centimetres. The reduced copy of this graph in GTSAM has 100, 500, 500 and 1.581, the square roots of the
+    information of these covariances. load2D converts a LANDMARK to bearing and range, with the sigma of the bearing as
+    if it were 10 m away; here x and y keep the covariance of the file. Ids there number poses and landmarks in the
+    order of their first appearance.
     """
     path = Path(file)
     graph = _Graph()
@@ -101,7 +101,7 @@ def read_graph(file: str | Path) -> Log:
 
 @dataclass(slots=True)
 class _Node:
-    """A pose of the graph."""
+    """A pose of the graph with its sightings."""
 
     odometry: Pose
     increment_cov: Array | None
@@ -113,27 +113,28 @@ class _Node:
 
 @dataclass(slots=True)
 class _Graph:
-    """What has been read."""
+    """The part of the graph read so far."""
 
     poses: dict[int, _Node] = field(default_factory=dict)
-    """by id, in their order"""
+    """by id, in order"""
     newest: int = -1
     landmarks: set[int] = field(default_factory=set)
     guessed: set[int] = field(default_factory=set)
-    """poses that a VERTEX has announced"""
+    """ids of poses with an initial value"""
     guessed_landmarks: set[int] = field(default_factory=set)
+    """ids of landmarks with an initial value"""
 
     def begin(self, pose: int) -> None:
         self.poses[pose] = _Node(Pose(), None)
         self.newest = pose
 
     def check_pose(self, record: Record, pose: int) -> None:
-        """Fail for a pose with a landmark's id."""
+        """Fail for a pose with the id of a landmark."""
         if pose in self.landmarks or pose in self.guessed_landmarks:
             record.fail(f"found pose {pose}, allowed: an id that no landmark has")
 
     def check_landmark(self, record: Record, landmark: int) -> None:
-        """Fail for a landmark with a pose's id."""
+        """Fail for a landmark with the id of a pose."""
         if landmark in self.poses or landmark in self.guessed:
             record.fail(f"found landmark {landmark}, allowed: an id that no pose has")
 
@@ -152,8 +153,8 @@ def _read_motion(graph: _Graph, record: Record) -> None:
     if before != graph.newest:
         record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {graph.newest}")
     step = Pose.from_array(motion)
-    turn = Pose(theta=step.theta).adjoint()  # axes of the pose after, to axes of the pose before
-    graph.poses[after] = _Node(graph.poses[before].odometry @ step, _symmetric(turn @ cov @ turn.T))
+    R_i_j = Pose(theta=step.theta).adjoint()  # rotates from the axes of pose j to those of pose i
+    graph.poses[after] = _Node(graph.poses[before].odometry @ step, _symmetric(R_i_j @ cov @ R_i_j.T))
     graph.newest = after
 
 
@@ -175,7 +176,7 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
     if not graph.poses and (not graph.guessed or pose in graph.guessed):
         graph.begin(pose)
     if pose not in graph.poses:
-        record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose that an edge led to before")
+        record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
     seen = graph.poses[pose].sightings
     if landmark in seen:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
@@ -203,7 +204,7 @@ _READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
 
 
 def _expect(record: Record, count: int) -> None:
-    """Fail unless a tag and `count` numbers are there."""
+    """Fail unless the line has a tag and `count` numbers."""
     if len(record.fields) != count + 1:
         tag = record.fields[0].decode()
         record.fail(f"found {tag} with {len(record.fields) - 1} numbers, allowed: {count}")
@@ -228,7 +229,7 @@ def _bounded(record: Record, values: Array) -> Array:
 
 
 def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
-    """(n, n) covariance; all its eigenvalues are above 0 if it must be `definite`, as an information's must."""
+    """(n, n) covariance; all its eigenvalues are positive if `definite`, as those of an information matrix must be."""
     values = record.numbers(fields)
     size = 1 + max(row for row, _ in form.order)
     matrix = np.zeros((size, size))

@@ -1,4 +1,4 @@
-"""A recorded log, whatever its format: ticks that drive the loop as the simulated world does."""
+"""A recorded log of any format: a `Source` of its ticks."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from sixthsense.core.source import Command, Tick
 
 
 class Log:
-    """A recorded log as a `Source`: its ticks, one after the other, in the order of the file."""
+    """A recorded log as a `Source`: its ticks in the order of the file."""
 
     ticks: tuple[Tick, ...]
-    """The whole log."""
+    """All ticks."""
     scans: tuple[Scan, ...]
-    """The scans of those ticks that have one."""
+    """All scans, in the order of the ticks."""
     backward_stamps: int
-    """How many scans have a stamp of their own that is earlier than that of the scan before."""
+    """Number of scans whose stamp in the log is earlier than that of the previous scan."""
 
     def __init__(self, ticks: Sequence[Tick]) -> None:
         """Make a log of at least one tick, with ascending `stamp_ns`."""
@@ -35,15 +35,15 @@ class Log:
 
     @property
     def duration_s(self) -> float:
-        """From the first tick to the last, record time, seconds."""
+        """Record time from the first tick to the last, seconds."""
         return (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) * 1e-9
 
     def rewind(self) -> None:
-        """Begin again at the first tick."""
+        """Restart at the first tick."""
         self._next = 0
 
     def step(self, command: Command) -> Tick | None:
-        """Hand out the next tick, None at the end; a recorded robot takes no command."""
+        """The next tick, None at the end; the command is ignored."""
         if self._next == len(self.ticks):
             return None
         self._next += 1

@@ -1,4 +1,4 @@
-"""The UTIAS multi-robot data (MRCLAM): odometry and barcodes seen by one robot (Leung et al., IJRR 30(8), 2011)."""
+"""The UTIAS multi-robot data set (MRCLAM): odometry and barcode sightings of one robot (Leung et al., IJRR 2011)."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text import Record, lines, shown
+from sixthsense.sources.logs.text_lines import Record, lines, shown
 
 _ROBOTS = range(1, 6)
-"""subjects that are robots"""
+"""ids of robots among the subjects"""
 _FARTHEST_M = 1000.0
 _WIDEST_RAD = 1.5
-"""no camera sees across its own plane"""
+"""largest bearing: a camera sees only ahead of its image plane"""
 _FASTEST = 1000.0  # m/s, rad/s
 _OUTERMOST_M = 1e6
 _MISREAD = 0.01
-"""the largest share of barcodes that no list has in a log that is read all the same"""
+"""largest accepted share of measurements with an unknown barcode"""
 _NAME = re.compile(r"Robot([1-9][0-9]{0,8})_Odometry\.dat(\.gz)?")
 
 
 class MrclamLog(Log):
-    """A `Source` that replays what one robot of a MRCLAM folder did."""
+    """A `Source` that replays one robot of a MRCLAM folder."""
 
     landmarks: Mapping[LandmarkId, Array]
-    """True positions (2,), world frame, metres; empty where the folder has none. For the record only."""
+    """True positions (2,), world frame, metres; empty if the folder has none. For evaluation only."""
     misread: int
-    """Measurements passed over, because their barcode is no subject's."""
+    """Number of measurements skipped because their barcode is unknown."""
 
     def __init__(self, ticks: Sequence[Tick], landmarks: Mapping[LandmarkId, Array], misread: int) -> None:
         super().__init__(ticks)
@@ -46,23 +46,23 @@ class MrclamLog(Log):
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """The lines of one file."""
+    """The rows of one file."""
 
     records: list[Record]
     numbers: Array
     """(N, columns)"""
 
     def stamps_ns(self) -> list[int]:
-        """(N,), each at least the one before."""
+        """(N,) stamps that do not decrease."""
         stamps: list[int] = []
         for record in self.records:
             stamps.append(record.stamp_ns(record.fields[0]))
             if len(stamps) > 1 and stamps[-1] < stamps[-2]:
-                record.fail(f"found stamp {shown(record.fields[0])}, allowed: not before the line before")
+                record.fail(f"found stamp {shown(record.fields[0])}, allowed: not before that of the previous line")
         return stamps
 
     def check(self, column: int, name: str, low: float, high: float) -> None:
-        """Fail at the first line whose number in a column lies outside [low, high]."""
+        """Fail at the first line with a number outside [low, high] in a column."""
         values = self.numbers[:, column]
         bad = np.flatnonzero((values < low) | (values > high))
         if len(bad):
@@ -71,7 +71,7 @@ class _Table:
 
 
 def robots(folder: Path) -> list[int]:
-    """The robots whose odometry a folder has."""
+    """The numbers of the robots with odometry in a folder."""
     return sorted({int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))})
 
 
@@ -80,20 +80,20 @@ def read_mrclam(
 ) -> MrclamLog:
     """Read `Barcodes.dat` and one robot's `RobotN_Odometry.dat`, `_Measurement.dat` and `_Groundtruth.dat`.
 
-    Each is plain or gzip, `_Groundtruth.dat` and `Landmark_Groundtruth.dat` may be missing; `robot` may be left out
-    where there is but one. Each stamp of odometry or of a measurement is a tick. Forward speed and turn rate hold until
-    the next record, and are integrated by RK4 from the first true pose, or from zero without truth: that is the
-    odometry's frame. Truth is interpolated between Vicon's poses; the log goes from the first odometry to the last, and
-    with truth no further than that.
+    Each file is plain or gzip; `_Groundtruth.dat` and `Landmark_Groundtruth.dat` are optional. `robot` is optional if
+    there is only one. Each stamp of odometry or of a measurement is a tick. Forward speed and turn rate hold until the
+    next record and are integrated by RK4 from the first true pose, or from zero without truth. Truth is interpolated
+    between Vicon's poses. The log spans the odometry, and with truth only its part with truth.
 
-    A landmark's id is its subject's number; robots (subjects 1 to 5) are left out. `assumed.laser` has the sigmas of
-    range (m) and bearing (rad), which both must be above 0, `assumed.landmark_floor_m` is added to both axes. What is
-    measured at one stamp is one time step, in which a landmark stands once. Cameras misread a barcode at times: up to
-    one measurement in a hundred may be of a barcode that `Barcodes.dat` does not list, and is passed over.
+    The id of a landmark is the number of its subject; robots (subjects 1 to 5) are skipped. `assumed.laser` has the
+    sigmas of range (m) and bearing (rad), both above 0; `assumed.landmark_floor_m` is added on both axes. All
+    measurements with one stamp form one time step, with at most one sighting of each landmark. Cameras sometimes
+    misread a barcode: up to 1 % of the measurements may have a barcode that is not in `Barcodes.dat`; these are
+    skipped.
 
-    The column called range is a depth, the distance along the camera's axis, so that it is divided by the bearing's
-    cosine: against Vicon it falls short by 12 % at 0.55 rad and by none ahead, as (cos bearing)^0.94 (set 6, robot 3).
-    Without `as_depth` it is taken as it stands. Raises LogError, naming file and line, for anything else.
+    The column called range is a depth, the distance along the camera's axis, and is divided by the cosine of the
+    bearing: compared with Vicon it is 12 % short at 0.55 rad and correct ahead, as (cos bearing)^0.94 (set 6, robot 3).
+    Without `as_depth` it is used as a range. Raises LogError, naming file and line, for anything else.
     """
     path = Path(folder)
     robot = _chosen(path, robot)
@@ -115,7 +115,7 @@ def read_mrclam(
 
 
 class _Truth:
-    """Vicon's poses."""
+    """The poses measured by Vicon."""
 
     def __init__(self, file: Path) -> None:
         table = _table(file, ("stamp", "x", "y", "orientation"))
@@ -123,19 +123,21 @@ class _Truth:
             table.check(column, name, -_OUTERMOST_M, _OUTERMOST_M)
         stamps = table.stamps_ns()
         self.first_ns, self.last_ns = stamps[0], stamps[-1]
-        self._times = 1e-9 * (np.array(stamps) - self.first_ns)  # differences first: a double has no room for both
+        self._times = 1e-9 * (
+            np.array(stamps) - self.first_ns
+        )  # differences first: a float64 cannot hold the stamp in nanoseconds
         x, y, theta = table.numbers[:, 1:].T.copy()
         self._columns = x, y, np.unwrap(theta)
 
     def at(self, stamps_ns: Sequence[int]) -> list[Pose]:
-        """Poses interpolated between those before and after."""
+        """True poses, interpolated linearly at stamps."""
         times = 1e-9 * (np.array(stamps_ns) - self.first_ns)
         columns = [np.interp(times, self._times, column) for column in self._columns]
         return [Pose(x, y, theta) for x, y, theta in zip(*columns, strict=True)]
 
 
 def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Sighting]], truth: _Truth | None) -> list[Tick]:
-    rates = dict(zip(drive.stamps_ns(), drive.numbers[:, 1:].tolist(), strict=True))  # the last of those at one stamp
+    rates = dict(zip(drive.stamps_ns(), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
     first, last = min(rates), max(rates)
     if truth is not None:
         first, last = max(first, truth.first_ns), min(last, truth.last_ns)
@@ -158,7 +160,7 @@ def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Sighting]], truth:
 def _sightings(
     file: Path, subjects: Mapping[int, int], assumed: AssumedConfig, as_depth: bool
 ) -> tuple[dict[int, dict[LandmarkId, Sighting]], int]:
-    """Sightings of landmarks per stamp (ns), and how many measurements were of no subject."""
+    """Sightings of landmarks by stamp (ns), and the number of measurements with an unknown barcode."""
     table = _table(file, ("stamp", "barcode", "range", "bearing"))
     table.check(2, "range", 1e-3, _FARTHEST_M)
     table.check(3, "bearing", -_WIDEST_RAD, _WIDEST_RAD)
@@ -176,7 +178,9 @@ def _sightings(
             continue
         step = seen.setdefault(stamp, {})
         if subject in step:
-            record.fail(f"found landmark {subject} (barcode {barcode}) again at its stamp, allowed: once a time step")
+            record.fail(
+                f"found landmark {subject} (barcode {barcode}) again at the same stamp, allowed: once per time step"
+            )
         distance = row[2] / math.cos(row[3]) if as_depth else row[2]
         step[subject] = polar_sighting(distance, row[3], variances, assumed.landmark_floor_m)
     if len(unknown) > _MISREAD * len(table.records):
@@ -186,7 +190,7 @@ def _sightings(
 
 
 def _subjects(file: Path) -> dict[int, int]:
-    """Subject of each barcode."""
+    """Subject of each barcode, by barcode."""
     subjects: dict[int, int] = {}
     for record in _table(file, ("subject", "barcode")).records:
         subject, barcode = _whole(record, 0, "subject"), _whole(record, 1, "barcode")
@@ -232,7 +236,7 @@ def _file(folder: Path, name: str) -> Path:
 
 
 def _table(file: Path, columns: Sequence[str]) -> _Table:
-    """Lines with a number for each of the columns; blank lines and lines that begin with # are skipped."""
+    """Lines with a number for each column; blank lines and lines that begin with # are skipped."""
     records, rows = [], []
     for number, line in lines(file):
         fields = line.split()

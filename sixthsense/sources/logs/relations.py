@@ -1,4 +1,4 @@
-"""Hand-checked relations between the poses of a log, which judge a run on it (Kümmerle et al. 2009)."""
+"""Hand-checked relative poses of a log, the reference for a trajectory (Kümmerle et al. 2009)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.sources.logs import LogError
-from sixthsense.sources.logs.text import Record, lines
+from sixthsense.sources.logs.text_lines import Record, lines
 
 _STAMP_SLACK_S = 1e-6
 
@@ -20,15 +20,15 @@ class Relations:
     """Relative poses of a robot at pairs of stamps, checked by hand (Kümmerle et al., Autonomous Robots 2009)."""
 
     stamps: Array
-    """(R, 2) seconds: the scans' own stamps, t1 and t2"""
+    """(R, 2) seconds: stamps t1 and t2 of scans in the log"""
     poses: Array
-    """(R, 3) metres, radians: the robot at t2 seen from the robot at t1"""
+    """(R, 3) metres, radians: pose of the robot at t2 in its frame at t1"""
 
 
 def read_relations(file: str | Path) -> Relations:
     """Read relations, lines of `t1 t2 dx dy dz roll pitch yaw`; blank lines and lines that begin with # are skipped.
 
-    Seconds, metres, radians; the motion is planar, so dz, roll and pitch are not used. Raises LogError for a file that
+    Seconds, metres, radians; dz, roll and pitch are ignored. Raises LogError for a file that
     cannot be read, a line that is not eight finite numbers, or a file without a relation.
     """
     path = Path(file)
@@ -49,9 +49,9 @@ def read_relations(file: str | Path) -> Relations:
 
 
 def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
-    """(R, 2) rows of the scans that relations name; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
+    """(R, 2) indices of the scans of relations; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
 
-    Raises ValueError for a relation whose stamp no scan has to within a microsecond.
+    Raises ValueError for a relation whose stamp differs from that of every scan by more than a microsecond.
     """
     order = np.argsort(stamps_s, kind="stable")
     ordered = stamps_s[order]

@@ -1,4 +1,4 @@
-"""Bags of ROS 1 and ROS 2, with a laser's scans and a robot's odometry."""
+"""ROS 1 and ROS 2 bags with laser scans and odometry."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
-from sixthsense.sources.logs.inflate import bounded, check_regular
+from sixthsense.sources.logs.decompress import bounded, check_regular
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
-"""Whole nanoseconds fit into 64 bits."""
+"""Upper bound of a stamp: nanoseconds must fit into 64 bits."""
 
 
 class BagLog(Log):
     """A `Source` that replays a bag."""
 
     laser: LaserConfig
-    """The scanner, as the bag describes it."""
+    """The laser as the bag describes it."""
     plans: tuple[Array, ...] = ()
-    """Paths that were planned, (N, 2) each; of a run of ours."""
+    """Planned paths, (N, 2) each; only in the bag of a run."""
     plan_stamps_ns: tuple[int, ...] = ()
-    """When they were, record time."""
+    """Record time of each plan."""
     cut_short: bool = False
-    """The bag ends where its writer was stopped."""
+    """Whether the bag is incomplete because its writer was stopped."""
 
     def __init__(self, ticks: Sequence[Tick], laser: LaserConfig) -> None:
         super().__init__(ticks)
@@ -49,16 +49,16 @@ class BagLog(Log):
 
 @dataclass(slots=True)
 class _Recording:
-    """What a bag holds, in the order of its records."""
+    """The messages of a bag in the order of its records."""
 
     odometry: list[tuple[int, Pose]] = field(default_factory=list)
-    """own stamp, ns; T_odom_robot"""
+    """stamp of the header, ns; T_odom_robot"""
     scans: list[tuple[int, Any]] = field(default_factory=list)
-    """own stamp, ns; message"""
+    """stamp of the header, ns; message"""
     order: list[tuple[bool, int]] = field(default_factory=list)
-    """whether a scan, and which"""
+    """whether the record is a scan, and its index"""
     transforms: dict[str, tuple[str, Array]] = field(default_factory=dict)
-    """per frame: its parent, and its place there, (4, 4)"""
+    """by frame: its parent, and (4, 4) T_parent_frame"""
     robot_frame: str = ""
     laser_frame: str = ""
 
@@ -66,16 +66,16 @@ class _Recording:
 def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -> BagLog:
     """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
-    Scans and odometry are the topics of type LaserScan and Odometry, chosen by `topics` where there are several. Beams
-    and ranges are the messages'. The mount is `laser.mount` if that is not zero, else what /tf_static says. Messages
-    are put into the order of their own stamps where each topic's ascend, else kept in that of the file; the clock is
-    the stamp, or 1 ns after the tick before if that is later. A scan's odometry is interpolated at its stamp; the stamp
-    of a scan that took time, which is that of its first beam, is moved to its last.
-    Raises LogError for a bag that cannot be read, is damaged or cut short, or lacks one topic of either type.
+    Scans and odometry are the topics of type LaserScan and Odometry; `topics` selects among several. Beams and ranges
+    come from the messages. The mount is `laser.mount` if it is not zero, else that of /tf_static. Messages are sorted
+    by the stamps of their headers if the stamps of each topic ascend, else they keep the order of the file. The stamp
+    of a tick is at least 1 ns after the previous one. The odometry of a scan is interpolated at its stamp. The stamp of
+    a sweep is that of its first beam in the message and of its last beam in the tick.
+    Raises LogError for a bag that cannot be read, is damaged or truncated, or lacks a topic of either type.
     """
     path = Path(file)
-    # All of it: a bag may define a type of a known name without the fields that are looked for.
-    with _damage_in_one_line(path):
+    # All of it: a bag may define a type with a known name but without the expected fields.
+    with _as_log_error(path):
         check_regular(path)
         _check_first_line(path)
         return _read_log(path, laser, topics)
@@ -98,8 +98,8 @@ def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str]) -> BagLog:
 
 
 @contextmanager
-def _damage_in_one_line(path: Path) -> Iterator[None]:
-    """Whatever a reader trips over in a damaged file, anywhere inside, becomes a LogError."""
+def _as_log_error(path: Path) -> Iterator[None]:
+    """A context in which any exception of a reader on a damaged file becomes a LogError."""
     try:
         yield
     except InputError:
@@ -114,7 +114,7 @@ def _damage_in_one_line(path: Path) -> Iterator[None]:
 
 
 def _check_first_line(path: Path) -> None:
-    """Raise ValueError for a ROS 1 bag whose first line, which the reader takes as a whole, does not end."""
+    """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
     if path.suffix.lower() == ".bag" and path.is_file():
         with path.open("rb") as stream:
             if not stream.readline(32).endswith(b"\n"):
@@ -127,22 +127,22 @@ def _read(path: Path, topics: Sequence[str]) -> _Recording:
 
     recording = _Recording()
     with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        wanted = _choose(path, reader, topics)
-        known = [c for c in reader.connections if c.topic in wanted.values() or c.topic.endswith("tf_static")]
+        chosen = _choose(path, reader, topics)
+        known = [c for c in reader.connections if c.topic in chosen.values() or c.topic.endswith("tf_static")]
         for connection, record_ns, raw in reader.messages(connections=known):
             if connection.msgtype in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 for link in message.transforms:
                     parent, child = _frame(link.header.frame_id), _frame(link.child_frame_id)
                     recording.transforms[child] = (parent, transform(link.transform))
-            elif connection.topic == wanted.get(connection.msgtype):
+            elif connection.topic == chosen.get(connection.msgtype):
                 message = reader.deserialize(raw, connection.msgtype)
-                _take(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
+                _add_message(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
     return recording
 
 
 def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, str]:
-    """The topic of each type; LogError, listing them, unless there is one or one is named."""
+    """The topic of each type; LogError with the candidates unless there is one, or one is selected."""
     types = {c.topic: c.msgtype for c in reader.connections}
     fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
     for topic in topics:
@@ -154,7 +154,7 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, s
             raise LogError(
                 f"--topic: found {found}, allowed: {', '.join(map(shown_name, offered)) or 'none in this bag'}"
             )
-    wanted = {}
+    chosen = {}
     for kind, names in fitting.items():
         short = kind.rpartition("/")[2]
         if not names:
@@ -167,12 +167,12 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, s
         if len(left) > 1:
             either = " or ".join(map(shown_name, left))
             raise LogError(f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {either}")
-        wanted[kind] = left[0]
-    return wanted
+        chosen[kind] = left[0]
+    return chosen
 
 
-def _take(path: Path, recording: _Recording, message: Any, record_ns: int, is_scan: bool) -> None:
-    own = stamp_ns(message) or record_ns  # drivers that set no stamp leave zero
+def _add_message(path: Path, recording: _Recording, message: Any, record_ns: int, is_scan: bool) -> None:
+    own = stamp_ns(message) or record_ns  # some drivers leave the stamp at zero
     number = len(recording.scans if is_scan else recording.odometry)
     if not 0 <= own <= LARGEST_STAMP_NS:
         raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
@@ -194,7 +194,7 @@ def _frame(name: str) -> str:
 
 
 def _mount(path: Path, recording: _Recording, laser: LaserConfig) -> tuple[Pose, bool]:
-    """The laser's place on the robot, and whether it hangs upside down."""
+    """The mount of the laser on the robot, and whether the laser is upside down."""
     robot, T_root_robot = _root(path, recording, recording.robot_frame)
     root, T_root_laser = _root(path, recording, recording.laser_frame)
     upside_down, place = False, Pose()
@@ -207,7 +207,7 @@ def _mount(path: Path, recording: _Recording, laser: LaserConfig) -> tuple[Pose,
 
 
 def _root(path: Path, recording: _Recording, frame: str) -> tuple[str, Array]:
-    """The frame that all of a frame's static transforms end at, and (4, 4) the frame seen from there."""
+    """The root of a frame's chain of static transforms, and (4, 4) T_root_frame."""
     T_root_frame = np.eye(4)
     for _ in range(len(recording.transforms) + 1):
         if frame not in recording.transforms:
@@ -218,7 +218,7 @@ def _root(path: Path, recording: _Recording, frame: str) -> tuple[str, Array]:
 
 
 def _describe(first: Scan, laser: LaserConfig) -> LaserConfig:
-    """The scanner as a configuration: what a scan of it says."""
+    """The configuration of the laser that took a scan."""
     step, count = float(first.angle_increment), len(first.ranges)
     fov = 2.0 * math.pi if first.closed else min(step * (count - 1), 2.0 * math.pi)
     place = first.T_robot_laser
@@ -226,7 +226,7 @@ def _describe(first: Scan, laser: LaserConfig) -> LaserConfig:
 
 
 def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tick]:
-    """One tick per message, or one for odometry and scan of one stamp, from the first odometry on."""
+    """One tick per message, and one for odometry and scan with the same stamp, from the first odometry on."""
     odometry = recording.odometry
 
     ends = [own - sweep_ns(len(s.ranges), s.time_increment) for (own, _), s in zip(recording.scans, scans, strict=True)]
@@ -248,7 +248,7 @@ def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tic
         if not is_scan:
             last = number
         if last < 0:
-            continue  # nobody knows where the robot was
+            continue  # the pose of the robot is not known yet
         if is_scan:
             log_stamp_s = recording.scans[number][0] / 1e9
             if ticks and ticks[-1].scan is None and own == odometry[last][0]:
@@ -270,10 +270,10 @@ def _ascends(stamped: Sequence[tuple[int, Any]]) -> bool:
 
 
 def _interpolate(odometry: Sequence[tuple[int, Pose]], last: int, at_ns: int) -> Pose:
-    """The odometry at a stamp between message `last` and the next; that of `last` if it does not lie between them."""
+    """Odometry interpolated at a stamp between message `last` and the next; that of `last` for any other stamp."""
     before_ns, before = odometry[last]
     after_ns, after = odometry[min(last + 1, len(odometry) - 1)]
     if not before_ns < at_ns < after_ns:
         return before
-    way, share = before.inverse() @ after, (at_ns - before_ns) / (after_ns - before_ns)
-    return before @ Pose(share * way.x, share * way.y, share * way.theta)
+    motion, share = before.inverse() @ after, (at_ns - before_ns) / (after_ns - before_ns)
+    return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)

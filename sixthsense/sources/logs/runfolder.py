@@ -1,4 +1,4 @@
-"""The folder of a run as a log: the evidence its bag recorded, to the bit, as far as the bag goes."""
+"""A run folder as a log: odometry, scans, sightings, truth and plans of its bag, without loss."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs import LogError
-from sixthsense.sources.logs.cloud import CLOUD, from_cloud, stated_covariance
-from sixthsense.sources.logs.inflate import check_regular, inflated
-from sixthsense.sources.logs.messages import LASER_SCAN, ODOMETRY, planar, scan, stamp_ns
+from sixthsense.sources.logs.decompress import check_regular, decompressed
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
 from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, BagLog
+from sixthsense.sources.logs.sighting_cloud import CLOUD, from_cloud
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 _TYPES = {"/odom": ODOMETRY, "/truth": TRUTH, "/scan": LASER_SCAN, "/plan": PLAN, "/sightings": CLOUD}
-_LARGEST_CHUNK = 1 << 26  # bytes; ours have one million
+_LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
-    """Read what a run's folder, or its `.partial`, has recorded: odometry, scans, sightings, truth and plans.
+    """Read the bag of a run folder, or of its `.partial`: odometry, scans, sightings, truth and plans.
 
-    `laser` is that of the folder's configuration; beams and ranges are the bag's. A bag without its end is read up to
-    its last whole chunk. Raises LogError for a folder without a bag, or one without a scan or a sighting.
+    `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
+    its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or a sighting.
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
@@ -43,7 +43,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
                 last_ns = ticks[-1].stamp_ns if ticks else -1
                 if not last_ns < record_ns <= LARGEST_STAMP_NS:
                     raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
-                ticks.append(Tick(record_ns, pose, increment_cov=stated_covariance(message)))
+                ticks.append(Tick(record_ns, pose, increment_cov=read_increment_covariance(message)))
             elif topic == "/plan":
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 plans.append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
@@ -52,14 +52,14 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
             elif ticks and topic == "/sightings":
                 ticks[-1] = replace(ticks[-1], sightings=from_cloud(message))
             elif ticks:
-                # The message has the range's digits of a float32 only.
+                # The message has the maximum range as a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
                 ticks[-1] = replace(ticks[-1], scan=scan(message, place, max_range=known))
                 own = stamp_ns(message) / 1e9
                 ticks[-1] = replace(ticks[-1], log_stamp_s=own)
     except InputError:
         raise
-    except Exception as error:  # the checksums were right, and yet it is no message
+    except Exception as error:  # a message with valid checksums may still be invalid
         raise LogError(f"{file}: found a message that cannot be read ({error}), allowed: a bag of a run") from None
     if not any(tick.scan is not None or tick.sightings is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
@@ -71,14 +71,14 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
 
 
 class _Chunks:
-    """The messages of an MCAP file, chunk by chunk, up to where it ends or is damaged."""
+    """The messages of an MCAP file, chunk by chunk, up to its end or its first damage."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
         self.cut_short = True
 
     def messages(self) -> Iterator[tuple[str, int, Any]]:
-        """Topic, record time in ns, and message; only topics that a log is made of."""
+        """Topic, record time in ns, and message, for the topics of a log."""
         from mcap.exceptions import McapError
         from mcap.records import Channel, Message
         from rosbags.typesys import Stores, get_typestore
@@ -94,16 +94,14 @@ class _Chunks:
                     elif isinstance(record, Message) and (topic := topics.get(record.channel_id, "")) in _TYPES:
                         yield topic, record.log_time, store.deserialize_cdr(record.data, _TYPES[topic])
         except FileNotFoundError:
-            raise LogError(
-                f"{self._file}: no such file, allowed: the folder of a run that has recorded a bag"
-            ) from None
+            raise LogError(f"{self._file}: no such file, allowed: a run folder with a bag") from None
         except OSError as error:
             raise LogError(f"{self._file}: cannot be read ({error.strerror})") from None
         except (McapError, struct.error):
-            raise LogError(f"{self._file}: is no MCAP file, allowed: a bag of a run") from None
+            raise LogError(f"{self._file}: is not an MCAP file, allowed: a bag of a run") from None
 
     def _records(self, stream: IO[bytes]) -> Iterator[Any]:
-        """The records within whole chunks."""
+        """The records of whole chunks."""
         from mcap.data_stream import ReadDataStream
         from mcap.records import Chunk, DataEnd
         from mcap.stream_reader import StreamReader, breakup_chunk, read_magic
@@ -120,10 +118,10 @@ class _Chunks:
                     return
                 if not isinstance(record, Chunk):
                     continue
-                plain = replace(record, data=inflated(record.data, record.compression), compression="")
+                plain = replace(record, data=decompressed(record.data, record.compression), compression="")
                 content = breakup_chunk(plain, validate_crc=True)
             except Exception:
-                # The writer was stopped here; half a record fails in as many ways as there are fields. A checksum
-                # guards each chunk, so that what was read before is right.
+                # The writer was stopped here; an incomplete record can raise any exception. Each chunk has a checksum,
+                # so the records read before are valid.
                 return
             yield from content

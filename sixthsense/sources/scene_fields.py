@@ -1,4 +1,4 @@
-"""Scene files read field by field; what will not do ends in one line that names the place."""
+"""Checks of the fields of scene files, with one-line errors that name the field."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Point = tuple[float, float]
 Region = tuple[float, float, float, float]
 
 _LIMIT_M = 1e6
-_LONGEST = 1 << 23  # characters; what never ends must not fill the memory
+_LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
 _POLYGON_KEYS = ("points", "closed")
 
@@ -26,9 +26,9 @@ class SceneError(InputError):
 
 
 def read_text(path: Path) -> str:
-    """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is none."""
+    """The text of a UTF-8 file; SceneError, without the file's name, if it cannot be read or is not text."""
     try:
-        if path.is_fifo():  # which may never say anything
+        if path.is_fifo():  # reading from it may block forever
             raise SceneError("is a pipe, allowed: a text file")
         with path.open(encoding="utf-8-sig") as stream:
             text = stream.read(_LONGEST + 1)
@@ -42,14 +42,14 @@ def read_text(path: Path) -> str:
 
 
 def read_name(where: str, value: Any) -> str:
-    """The name of a file, which can be printed."""
+    """A printable file name."""
     if not isinstance(value, str) or not value or not is_one_line(value):
         raise SceneError(f"{where}: found {shown(value)}, not a readable image, allowed: the name of a file")
     return value
 
 
 def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
-    """Raise SceneError for the first key of `table` that is not known, or of `required` that is missing."""
+    """Raise SceneError for the first key of `table` that is unknown, or of `required` that is missing."""
     for key in table:
         if key not in known:
             raise SceneError(f"{where}{shown_name(key)}: no such field, allowed: {', '.join(known)}")
@@ -59,7 +59,7 @@ def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required
 
 
 def read_floats(words: list[str]) -> list[float | str]:
-    """Words as numbers where they are; the rest stays for the error message to show."""
+    """Words as numbers; a word that is not a number is kept for the error message."""
     values: list[float | str] = []
     for word in words:
         try:
@@ -70,14 +70,14 @@ def read_floats(words: list[str]) -> list[float | str]:
 
 
 def read_list(where: str, value: Any) -> list[Any]:
-    """The value, if it is a list."""
+    """A list."""
     if not isinstance(value, list):
         raise SceneError(f"{where}: found {shown(value)}, allowed: a list")
     return value
 
 
 def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
-    """As many finite floats as there are `names`."""
+    """One finite float for each of the space-separated `names`."""
     count = len(names.split())
     found = list(values) if isinstance(values, (list, tuple, np.ndarray)) else []
     usable = (
@@ -115,7 +115,7 @@ def read_region(where: str, values: Any) -> Region:
 
 
 def read_wall(where: str, values: Any) -> list[Point]:
-    """The two ends of a wall that has a length."""
+    """The two ends of a wall of positive length."""
     x1, y1, x2, y2 = read_numbers(where, values, "x1 y1 x2 y2")
     if math.hypot(x2 - x1, y2 - y1) < _SHORTEST_WALL_M:
         raise SceneError(f"{where}: found a wall of no length at ({x1:g}, {y1:g}), allowed: two different ends")
@@ -123,7 +123,7 @@ def read_wall(where: str, values: Any) -> list[Point]:
 
 
 def read_polygon(where: str, table: Any) -> list[list[Point]]:
-    """The sides of a closed outline, or of an open polyline."""
+    """The sides of a closed polygon or of an open polyline."""
     if not isinstance(table, dict):
         raise SceneError(f"{where}: found {shown(table)}, allowed: a table with {', '.join(_POLYGON_KEYS)}")
     check_keys(f"{where}, ", table, _POLYGON_KEYS, ("points",))

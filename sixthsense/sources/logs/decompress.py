@@ -1,4 +1,4 @@
-"""Files of others before they are trusted: only regular ones are opened, and what they decompress to is bounded."""
+"""Untrusted files: only regular files are opened, and the size of decompressed data is bounded."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import IO, Any
 
 from sixthsense.sources.logs import LogError
 
-_LARGEST_CHUNK = 1 << 28  # bytes; writers close theirs after some millions
-_ALWAYS = 1 << 30  # bytes that all chunks of a bag may have together, however small it is
-_PER_BYTE = 20  # and for each byte of it; scans seldom shrink to a tenth
+_LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
+_BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together
+_BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely compress to a tenth
 
 
 def check_regular(path: Path) -> None:
-    """Raise LogError if a path, or a file in the folder that it names, is a pipe or a device, which may never end."""
+    """Raise LogError if a path, or a file in that folder, is a pipe or a device, which may never end."""
     for file in (path, *path.iterdir()) if path.is_dir() else (path,):
         if file.exists() and not (file.is_file() or file.is_dir()):
             raise LogError(f"{file}: is a pipe or a device, allowed: a file")
@@ -25,18 +25,19 @@ def check_regular(path: Path) -> None:
 
 @contextmanager
 def bounded(path: Path) -> Iterator[None]:
-    """Within it rosbags raises ValueError where a chunk of a bag, or all that it decompresses, would fill the memory.
+    """A context in which rosbags raises ValueError if one chunk of a bag, or all of them together, get too large.
 
-    It reads a chunk as often as messages of two chunks alternate, so that a bound on the sum is one on the time too.
+    rosbags decompresses a chunk again whenever messages of two chunks alternate, so the bound on the sum also bounds
+    the time.
     """
     from rosbags.rosbag1 import reader as reader1
     from rosbags.rosbag2 import reader as reader2
     from rosbags.rosbag2 import storage_mcap
 
     files = [file for file in path.iterdir() if file.is_file()] if path.is_dir() else [path]
-    left = _ALWAYS + _PER_BYTE * sum(file.stat().st_size for file in files)
+    left = _BASE_BUDGET + _BUDGET_PER_BYTE * sum(file.stat().st_size for file in files)
 
-    def spent(data: bytes, _: int = 0) -> bytes:
+    def charge(data: bytes, _: int = 0) -> bytes:
         nonlocal left
         left -= len(data)
         if len(data) > _LARGEST_CHUNK:
@@ -45,34 +46,40 @@ def bounded(path: Path) -> Iterator[None]:
             raise ValueError("found chunks that hold far more than the file")
         return data
 
-    def by(name: str) -> Callable[..., bytes]:
-        return lambda data, _=0: spent(inflated(data, name))
+    def decompressor(name: str) -> Callable[..., bytes]:
+        return lambda data, _=0: charge(decompressed(data, name))
 
     @contextmanager
     def opened(stream: IO[bytes], mode: str) -> Iterator[Any]:
         with reading(stream, mode) as inner:
-            yield SimpleNamespace(read=lambda size: spent(inner.read(size)))
+            yield SimpleNamespace(read=lambda size: charge(inner.read(size)))
 
     reading = vars(reader2)["zstd"].open
     tables: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
-        (storage_mcap.DECOMPRESSORS, {"": spent, "lz4": by("lz4"), "zstd": by("zstd")}),
-        (reader1.decompressors, {"none": spent, "lz4": by("lz4"), "bz2": by("bz2")}),
-        (vars(reader2), {"zstd": SimpleNamespace(decompress=by("zstd"), open=opened)}),
+        (
+            storage_mcap.DECOMPRESSORS,
+            {"": charge, "lz4": decompressor("lz4"), "zstd": decompressor("zstd")},
+        ),
+        (
+            reader1.decompressors,
+            {"none": charge, "lz4": decompressor("lz4"), "bz2": decompressor("bz2")},
+        ),
+        (vars(reader2), {"zstd": SimpleNamespace(decompress=decompressor("zstd"), open=opened)}),
     )
-    before = [{name: table[name] for name in ours} for table, ours in tables]
-    for table, ours in tables:
-        table.update(ours)
+    before = [{name: table[name] for name in replacements} for table, replacements in tables]
+    for table, replacements in tables:
+        table.update(replacements)
     try:
         yield
     finally:
-        for (table, _), theirs in zip(tables, before, strict=True):
-            table.update(theirs)
+        for (table, _), originals in zip(tables, before, strict=True):
+            table.update(originals)
 
 
-def inflated(data: bytes, compression: str) -> bytes:
-    """What streams compressed by bz2, lz4 or zstd, one after the other, hold; data as it is if by nothing.
+def decompressed(data: bytes, compression: str) -> bytes:
+    """Decompress concatenated bz2, lz4 or zstd streams; an empty `compression` returns the data unchanged.
 
-    Raises ValueError for more than a chunk may hold, and for data that is cut short or compressed in another way.
+    Raises ValueError for more data than a chunk may hold, for truncated data and for an unknown compression.
     """
     from backports import zstd
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]

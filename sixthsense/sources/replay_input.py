@@ -1,4 +1,4 @@
-"""A recorded log, opened for a replay: the configuration that goes with its kind, and what may not be said of it."""
+"""Input of a replay: an opened log with its configuration and relations, and checks of the options for its kind."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ _OF_THE_ROBOT = ("scene", "task", "goal", "start", "region", "planner", "rrtstar
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """A log with all that its replay needs."""
+    """An opened log with everything its replay needs."""
 
     name: str
-    """of the file or folder"""
+    """name of the file or folder"""
     log: Log
-    """at its first tick"""
+    """the log, before its first tick"""
     config: Config
-    """with the laser that the log describes, if it does"""
+    """configuration, with the laser described by the log if it has one"""
     relations: Relations | None
-    """to measure the trajectory against"""
+    """reference for the trajectory"""
     files: Mapping[str, str]
-    """what is replayed, by its role: `log`, and `relations` if there are any"""
+    """inputs by role: `log`, and if given `relations`, `topic` and `robot`"""
     notes: tuple[str, ...]
-    """a line each on what the user had better know of the log"""
+    """one-line remarks on the log for the user"""
 
 
 def base_of(log: str | Path | None) -> str | Config:
-    """What fields go over: a run's own configuration, the default robot for a bag, or the preset of the log's kind."""
+    """The base configuration for a log: of the run folder, the default robot for a bag, else the preset of its kind."""
     if log is None:
         return "intel"
     path = Path(log)
@@ -55,23 +55,23 @@ def base_of(log: str | Path | None) -> str | Config:
 def check_options(
     log: str | Path | None, fields: Mapping[str, Any], has_topics: bool, has_robot: bool, prefix: str = ""
 ) -> None:
-    """Raise ConfigError for fields (nested, those that were given) and options that go with another kind of log.
+    """Raise ConfigError for given fields (nested) and options that do not apply to this kind of log.
 
-    `prefix` stands before a field's name, as -- does on the command line.
+    `prefix` precedes field names in messages, such as -- on the command line.
     """
     robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
     for name in (*_OF_THE_ROBOT, *sorted(robot)):
         if name in fields or name in robot:
-            allowed = "options of what a log leaves open, not of the robot"
+            allowed = "options of the estimate, not of the recorded robot"
             raise ConfigError(f"{prefix}{name}: found on replay, allowed: {allowed}")
     if log is None:
         return
     path = Path(log)
     is_run = is_run_folder(path)
     if has_topics and (is_run or not is_bag(path)):
-        raise ConfigError(f"{prefix}topic: found on a log that is no bag of ROS, allowed: on a bag")
+        raise ConfigError(f"{prefix}topic: found on a log that is not a ROS bag, allowed: on a bag")
     if is_run and "preset" in fields:
-        raise ConfigError(f"{prefix}preset: found on the folder of a run, allowed: single fields over its config.toml")
+        raise ConfigError(f"{prefix}preset: found on a run folder, allowed: single fields over its config.toml")
     if is_run or is_bag(path):
         for name in fields.get("laser", {}):
             if name != "mount":
@@ -81,21 +81,21 @@ def check_options(
 
 
 def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bool, prefix: str) -> None:
-    """Raise ConfigError for options of what a log of landmarks known by name does not have."""
+    """Raise ConfigError for options that do not apply to a log of landmarks with known ids."""
     graph = is_graph(path)
     mrclam = not graph and not is_run_folder(path) and not is_bag(path) and is_mrclam(path)
     if has_robot and not mrclam:
-        raise ConfigError(f"{prefix}robot: found on a log that is no folder of MRCLAM, allowed: on one")
+        raise ConfigError(f"{prefix}robot: found on a log that is not a MRCLAM folder, allowed: on a MRCLAM folder")
     if not graph and not mrclam:
         return
     for name in ("laser", "keyscans", "features", "grid", *(["assumed"] if graph else [])):
         for field_name in fields.get(name, {}):
-            has = "states its own noise" if name == "assumed" else "has landmarks and no scans"
+            has = "contains its own noise" if name == "assumed" else "has landmarks and no scans"
             raise ConfigError(f"{prefix}{name}.{field_name}: found on a log that {has}, allowed: on a log of scans")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:
-    """Raise ConfigError for a folder to write that would cost the log itself."""
+    """Raise ConfigError for an output folder that would overwrite the log."""
     if out is not None:
         partial = out.with_name((out.name or "run") + ".partial").resolve()
         path = Path(log).resolve()
@@ -110,9 +110,9 @@ def open_recorded(
     topics: Sequence[str] = (),
     robot: int | None = None,
 ) -> Recorded:
-    """Open a log, and the relations to measure its replay against.
+    """Open a log, and the relations to evaluate its replay.
 
-    Raises LogError for a file that cannot be made sense of, and for a relation that names no scan of the log.
+    Raises LogError for an invalid file, and for a relation whose stamp is not that of a scan of the log.
     """
     from sixthsense.sources.logs import open_log
     from sixthsense.sources.logs.mrclam import MrclamLog
@@ -137,16 +137,16 @@ def open_recorded(
     if isinstance(opened, BagLog):
         config = dataclasses.replace(config, laser=opened.laser)
         if opened.cut_short:
-            notes.append(f"its run was stopped; the {opened.duration_s:.1f} s of it are used")
+            notes.append(f"the recording is incomplete; its first {opened.duration_s:.1f} s are used")
     if isinstance(opened, MrclamLog) and opened.misread:
-        notes.append(f"{opened.misread} measurements of no subject's barcode are passed over")
+        notes.append(f"{opened.misread} measurements with an unknown barcode are skipped")
     if opened.backward_stamps:
-        notes.append(f"stamps run backwards at {opened.backward_stamps} scans; replayed in file order")
+        notes.append(f"stamps decrease at {opened.backward_stamps} scans; replayed in the order of the file")
     return Recorded(Path(log).resolve().name, opened, config, given, files, tuple(notes))
 
 
 def _check_relations(relations: Relations, opened: Log, name: str, log: str | Path) -> None:
-    """Raise LogError for a relation that names no scan of the log."""
+    """Raise LogError for a relation whose stamp is not that of a scan of the log."""
     import numpy as np
 
     from sixthsense.sources.logs.relations import scan_rows

@@ -1,4 +1,4 @@
-"""ROS messages as values of ours: stamps, planar poses, scans; each raises ValueError for numbers that will not do."""
+"""ROS messages as stamps, planar poses, covariances and scans; ValueError for numbers that are not allowed."""
 
 from __future__ import annotations
 
@@ -7,33 +7,38 @@ from typing import Any
 
 import numpy as np
 
+from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+NOT_MEASURED = 1e6
+"""Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
+
+_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
 _FARTHEST_M = 1000.0
-_FAR_OFF_M = 1e10  # of a frame's origin; squares and products of what is farther are no numbers in the end
+_LARGEST_M = 1e10  # distance from a frame's origin; squares and products of larger numbers may overflow
 _MOST_BEAMS = 100_000
 _LONGEST_SWEEP_S = 1.0
-_LEAST_UPRIGHT = 0.9  # cosine of the tilt at which a scan is no longer one of the plane
+_LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
 
 
 def stamp_ns(message: Any) -> int:
-    """The header's stamp, whole nanoseconds."""
+    """The stamp of the header, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
 
 
 def planar(position: Any, orientation: Any) -> Pose:
-    """Position and quaternion, seen from above; exact where the turn is about z alone."""
+    """Position and quaternion projected onto the plane; exact for a rotation about z."""
     x, y, z, w = (float(v) for v in (orientation.x, orientation.y, orientation.z, orientation.w))
     values = (float(position.x), float(position.y), x, y, z, w)
     norm = math.hypot(x, y, z, w)
     if not (all(map(math.isfinite, (*values, norm))) and norm > 0.0):
         raise ValueError(f"found a pose of {values}, allowed: finite numbers and a quaternion that is not zero")
-    if max(abs(values[0]), abs(values[1])) > _FAR_OFF_M:
-        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {_FAR_OFF_M:.0e} m")
+    if max(abs(values[0]), abs(values[1])) > _LARGEST_M:
+        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {_LARGEST_M:.0e} m")
     if x == 0.0 and y == 0.0:
         return Pose(values[0], values[1], 2.0 * math.atan2(z, w))
     x, y, z, w = x / norm, y / norm, z / norm, w / norm
@@ -45,10 +50,10 @@ def transform(message: Any) -> Array:
     r, t = message.rotation, message.translation
     q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
-    norm = math.hypot(*q)  # which does not overflow on the way
-    if not (np.abs(t_xyz).max() <= _FAR_OFF_M and math.isfinite(norm) and norm > 0.0):  # false for NaN
+    norm = math.hypot(*q)  # without intermediate overflow
+    if not (np.abs(t_xyz).max() <= _LARGEST_M and math.isfinite(norm) and norm > 0.0):  # false for NaN
         raise ValueError(
-            f"found a transform that is not finite, allowed: up to {_FAR_OFF_M:.0e} m and a quaternion that is not zero"
+            f"found a transform that is not finite, allowed: up to {_LARGEST_M:.0e} m and a quaternion that is not zero"
         )
     x, y, z, w = q / norm
     out = np.eye(4)
@@ -62,19 +67,19 @@ def transform(message: Any) -> Array:
 
 
 def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
-    """The laser's place in the plane, from a (4, 4) matrix, and whether the laser hangs upside down."""
+    """The planar mount of the laser from a (4, 4) matrix, and whether the laser is upside down."""
     if abs(T_robot_laser[2, 2]) < _LEAST_UPRIGHT:
-        raise ValueError("found a laser that is tilted out of the plane, allowed: one that is level")
+        raise ValueError("found a laser tilted out of the plane, allowed: a level one")
     yaw = math.atan2(T_robot_laser[1, 0], T_robot_laser[0, 0])
     return Pose(T_robot_laser[0, 3], T_robot_laser[1, 3], yaw), bool(T_robot_laser[2, 2] < 0.0)
 
 
 def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range: float | None = None) -> Scan:
-    """A scan as its message says; ranges outside [range_min, range_max] met nothing.
+    """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
 
-    `max_range` is `range_max` with all its digits, where they are known. A scan that runs clockwise is turned round, a
-    beam that repeats the first of a full circle left out. A `time_increment` that makes no sweep of at most a second is
-    none: many drivers leave it unset.
+    `max_range` replaces `range_max`, which a message has in float32 only. The beams of a clockwise scan are reversed.
+    A last beam that repeats the first of a full circle is removed. A negative `time_increment`, or one that gives a
+    sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
     first, step = float(message.angle_min), float(message.angle_increment)
     ranges = np.asarray(message.ranges, dtype=np.float32)
@@ -102,3 +107,25 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
     ranges.flags.writeable = False
     reach = min(float(high), _FARTHEST_M) if max_range is None else max_range
     return Scan(ranges, np.float32(first), np.float32(step), reach, T_robot_laser, np.float32(lag))
+
+
+def spatial_covariance(cov: Array) -> Array:
+    """(6, 6) covariance of x y z roll pitch yaw from (3, 3) of x, y, theta; zero elsewhere."""
+    cov6 = np.zeros((6, 6))
+    cov6[_PLANE] = cov
+    return cov6
+
+
+def increment_covariance(cov: Array | None) -> Array:
+    """(36,) pose.covariance of an odometry: that of the motion since the previous one, or zero if it is unknown."""
+    if cov is None:
+        return np.zeros(36)
+    cov6 = spatial_covariance(cov)
+    cov6[2, 2] = cov6[3, 3] = cov6[4, 4] = NOT_MEASURED
+    return cov6.ravel()
+
+
+def read_increment_covariance(message: Any) -> Array | None:
+    """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
+    cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
+    return check_covariance("increment", cov6[_PLANE]) if cov6[2, 2] > 0.0 else None

@@ -1,4 +1,4 @@
-"""Logs that are text: lines of a file, compressed or not, and numbers that know where they stand."""
+"""Text logs: lines of a plain or compressed file, and numbers with errors that name file and line."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs import LogError
-from sixthsense.sources.logs.inflate import check_regular
+from sixthsense.sources.logs.decompress import check_regular
 
-LONGEST_LINE = 1 << 22  # bytes; the widest scan the configuration allows fits, binary noise fills no memory
-FAR_OFF = 1e10  # metres, radians, seconds; squares and products of more are no numbers in the end
-LAST_STAMP_S = 9_000_000_000  # whole nanoseconds must fit into 64 bits
+LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
+LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
+LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One line of a file, which knows where it stands."""
+    """One line of a file with its position."""
 
     path: Path
     """the file"""
     line: int
-    """counted from 1"""
+    """line number, from 1"""
     fields: list[bytes]
-    """its words"""
+    """words of the line"""
 
     def fail(self, what: str) -> NoReturn:
         """Raise LogError with file and line."""
         raise LogError(f"{self.path} line {self.line}: {what}")
 
     def numbers(self, fields: list[bytes]) -> Array:
-        """(len(fields),) finite numbers that can be reckoned with."""
+        """(len(fields),) finite numbers, up to `LARGEST` in magnitude."""
         values = self.parsed(fields)
-        bad = np.flatnonzero(~(np.abs(values) <= FAR_OFF))
+        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
         if len(bad):
-            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {FAR_OFF:.0e}")
+            self.fail(f"found {shown(fields[bad[0]])}, allowed: a finite number, none beyond {LARGEST:.0e}")
         return values
 
     def stamp_ns(self, field: bytes) -> int:
-        """Whole nanoseconds of a stamp in seconds, taken from its digits: a float is good to 0.1 us only."""
+        """Nanoseconds of a stamp in seconds, from its decimal digits; a float would round to 0.1 us."""
         try:
-            # Decimal takes underscores and separators that float does not.
+            # Decimal accepts underscores, unlike the other fields.
             stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode())
         except InvalidOperation:
             stamp = Decimal("nan")
@@ -58,7 +58,7 @@ class Record:
         return round(stamp * 1_000_000_000)
 
     def parsed(self, fields: list[bytes]) -> Array:
-        """(len(fields),) numbers, NaN and infinity among them."""
+        """(len(fields),) numbers, NaN and infinity included."""
         try:
             return np.array(fields, dtype=np.float64)
         except ValueError:
@@ -76,13 +76,13 @@ def _number(field: bytes) -> float:
 
 
 def shown(field: bytes) -> str:
-    """A field as it may stand in a message."""
+    """A field for an error message."""
     text = field.decode("ascii", "backslashreplace")
     return repr(text if len(text) <= 24 else text[:24] + "...")
 
 
 def lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Number (from 1) and bytes of each line of a plain, gzip or bzip2 file."""
+    """Number (from 1) and bytes of each line of a plain, gzip or bzip2 file, by its first bytes."""
     number = 0
     try:
         check_regular(path)

@@ -1,4 +1,4 @@
-"""ROS maps (map_server's `.yaml` beside an image): occupied cells become wall segments along their outlines."""
+"""ROS maps (map_server's `.yaml` with an image): wall segments along the outlines of the occupied cells."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.sources.scenefields import SceneError, check_keys, read_name, read_text
+from sixthsense.sources.scene_fields import SceneError, check_keys, read_name, read_text
 
 MAX_PIXELS = 100_000_000
 TOLERANCE_CELLS = 0.5
-"""No corner of the cells' outline ends up farther than this from the simplified one."""
+"""Largest distance of a corner of the cells' outline from the simplified outline."""
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 _LONGEST = 1 << 16  # characters
 _LONGEST_NAME = 1000
 _LONGEST_REASON = 300
-_DEEPEST = 20  # lists in one another, over which a parser of YAML takes its time
-# A segment costs 1 and this much for each squared cell by which an outline corner lies off it. Above 2, so that
-# cutting off the end of a wall one cell thick (two corners off by half a cell for one segment less) does not pay;
-# below 4, so that one line does for a staircase (two corners off by half a cell for each two segments).
+_DEEPEST = 20  # nested lists; a YAML parser is slow on deeper ones
+# The cost of a segment is 1 plus this times the squared distances, in cells, of the outline's corners from it. Above 2,
+# so that removing the end of a wall one cell thick (two corners half a cell off, one segment less) raises the cost.
+# Below 4, so that one line replaces a staircase (two corners half a cell off for every two segments).
 _DEVIATION_COST = 3.0
-# Bounds the time on huge maps; a segment seldom spans more than some hundred corners.
+# Bounds the time on huge maps; few segments span more than some hundred corners.
 _LOOK_AHEAD = 2000
 
 
@@ -38,11 +38,11 @@ def read_map(file: Path) -> Array:
 
     Cells whose occupancy is above `occupied_thresh` are solid; the pixel's value is the mean over the image's
     channels, alpha included in mode trinary, as in map_server. Raises SceneError, without the map file's name, for
-    a field that is missing, unknown or not allowed, and an image that is missing, broken, huge or free everywhere.
+    a field that is missing, unknown or not allowed, and for an image that is missing, damaged, huge or entirely free.
 
-    Unknown cells are no walls. A map whose walls are too faint to be occupied (Willow Garage's, shrunk to 0.1 m, is
-    one) gets walls from an `occupied_thresh` of 0.196, which makes its unknown grey (205) solid; it stays open only
-    where free space runs off the image.
+    Unknown cells are not solid. A map whose walls are too faint to count as occupied (such as Willow Garage's at
+    0.1 m) can be read with an `occupied_thresh` of 0.196, which makes its unknown grey (205) solid; its outline is then
+    open only where free space reaches the border of the image.
     """
     table = _read_yaml(file)
     check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
@@ -68,7 +68,7 @@ def read_map(file: Path) -> Array:
     image = file.parent / name
     values = _read_image(image, with_alpha=mode == "trinary")  # (H, W, channels)
     total = values.sum(axis=2, dtype=np.uint16)
-    shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # every sum's mean, 0 black to 1 white
+    shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # mean of each sum, 0 black to 1 white
     occupancy = shade if negate in ("1", "true") else 1.0 - shade
     occupied = (occupancy > occupied_threshold)[total]
     if not occupied.any():
@@ -84,29 +84,29 @@ def outlines(occupied: NDArray[np.bool_]) -> list[Array]:
 
     `occupied` (H, W), row 0 at the bottom. Returns for each outline its corners (K, 2), x and y in cells from the
     lower left corner of the grid, occupied cells on the left: counter-clockwise around a solid, clockwise around
-    a hole. Cells that touch diagonally belong together, so that no ray passes between them.
+    a hole. Cells that touch diagonally are connected, so that no ray passes between them.
     """
     corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
     return [loop.astype(np.float64) for loop in np.split(corners, ends[:-1])] if len(ends) else []
 
 
 def simplify(loop: Array) -> Array:
-    """A closed outline (K, 2) of cells, in cells, drawn with fewer corners (M, 2), M <= K.
+    """Simplify a closed outline (K, 2) of cells, in cells, to fewer corners (M, 2), M <= K.
 
-    Of all polygons through corners and middles of the outline's sides that stay within half a cell of every
-    corner, the one with the least cost: its segments, plus the squares of the distances at which it passes the
-    corners. The middles matter: a slanted wall is a staircase, and the line through it passes its steps' middles.
-    The shortest path over candidate points and the wedges that test a segment follow Imai and Iri, "Polygonal
+    The result has the least cost among all polygons through corners and midpoints of the outline's sides that stay
+    within half a cell of every corner. The cost is the number of segments plus the weighted squared distances of the
+    corners. Midpoints are candidates because a slanted wall is a staircase whose line passes through the midpoints of
+    its steps. The shortest path over candidate points and the wedge test of a segment follow Imai and Iri, "Polygonal
     approximations of a curve" (1988).
     """
-    middles = (loop + np.roll(loop, -1, axis=0)) / 2
-    points = np.stack([loop, middles], axis=1).reshape(-1, 2)
+    midpoints = (loop + np.roll(loop, -1, axis=0)) / 2
+    points = np.stack([loop, midpoints], axis=1).reshape(-1, 2)
     return points[_cheapest(np.concatenate([points, points[:1]]), TOLERANCE_CELLS, _DEVIATION_COST)]
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Corners (K, 2) of all outlines one after the other, and where each ends; `cells` has a free border."""
+    """Corners (K, 2) of all outlines in sequence, and the end index of each; `cells` has a free border."""
     rows, columns = cells.shape
     count = 0
     for y in range(1, rows):
@@ -123,8 +123,8 @@ def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int6
     filled, loops = 0, 0
     for y0 in range(1, rows - 1):
         for x0 in range(1, columns - 1):
-            # Every outline has a side that runs right, below an occupied cell, and the scan meets it first at
-            # that side's left end, which is a corner.
+            # Every outline has a side that runs right, below an occupied cell. Row by row, the first cell of an
+            # outline is at the left end of such a side, which is a corner.
             if cells[y0, x0] == 0 or cells[y0 - 1, x0] != 0 or seen[y0, x0] != 0:
                 continue
             y, x, dy, dx = y0, x0, 0, 1
@@ -153,13 +153,13 @@ def _trace(cells: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int6
 
 @numba.njit(cache=True, error_model="numpy")
 def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray[np.int64]:
-    """Indices of the points to keep of a closed outline (N + 1, 2), corners at the even ones, the last the first."""
+    """Indices of the kept points of a closed outline (N + 1, 2): even ones are corners, the last point is the first."""
     n = points.shape[0] - 1
     cost = np.full(n + 1, np.inf)
     cost[0] = 0.0
     previous = np.zeros(n + 1, np.int64)
     for i in range(n):
-        # The wedge of directions, from a first one, that pass all corners so far within the tolerance.
+        # The wedge of directions, relative to the first one, that pass all corners so far within the tolerance.
         wedge, first, low, high = False, 0.0, -math.pi, math.pi
         far_sq, xx, xy, yy = 0.0, 0.0, 0.0, 0.0
         for j in range(i + 1, min(n, i + _LOOK_AHEAD) + 1):
@@ -167,7 +167,7 @@ def _cheapest(points: Array, tolerance: float, deviation_cost: float) -> NDArray
             distance_sq = dx * dx + dy * dy
             angle = math.atan2(dy, dx)
             turn = (angle - first + math.pi) % (2 * math.pi) - math.pi
-            # No corner on the way may lie beyond the segment's end: the wedge alone speaks of the whole line.
+            # The wedge constrains the infinite line, so no corner may lie beyond the end of the segment.
             if distance_sq >= far_sq and (not wedge or (turn >= low - 1e-9 and turn <= high + 1e-9)):
                 deviation_sq = (xx * dy * dy - 2 * xy * dx * dy + yy * dx * dx) / distance_sq
                 total = cost[i] + 1.0 + deviation_cost * deviation_sq
@@ -207,11 +207,11 @@ def _read_yaml(file: Path) -> dict[Any, Any]:
     if max(depth, default=0) > _DEEPEST:
         raise SceneError(f"found lists over {_DEEPEST} deep, allowed: a table with {', '.join(_REQUIRED)}")
     try:
-        # The base loader leaves every value a text, so that 5e-2 is as good a number here as in map_server.
+        # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
         table = yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
-        said = " ".join(str(error).split())
-        shortened = said if len(said) <= _LONGEST_REASON else f"{said[:_LONGEST_REASON]}..."
+        reason = " ".join(str(error).split())
+        shortened = reason if len(reason) <= _LONGEST_REASON else f"{reason[:_LONGEST_REASON]}..."
         raise SceneError(f"is not YAML ({shortened})") from None
     if not isinstance(table, dict):
         raise SceneError(f"found {shown(table)}, allowed: a table with {', '.join(_REQUIRED)}")
@@ -262,7 +262,7 @@ def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
         raise SceneError(f"{path}: found a huge image, allowed: {MAX_PIXELS:,} pixels in all") from None
     except FileNotFoundError:
         raise SceneError(f"{path}: no such image file") from None
-    except Exception as error:  # a broken image makes its decoder fail in ways nobody lists
-        said = (isinstance(error, OSError) and error.strerror) or str(error)  # without the name, which comes before it
-        reason = " ".join(said.split()) or type(error).__name__
+    except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
+        message = (isinstance(error, OSError) and error.strerror) or str(error)  # strerror omits the file's name
+        reason = " ".join(message.split()) or type(error).__name__
         raise SceneError(f"{path}: not a readable image ({reason}), allowed: {', '.join(_FORMATS)}") from None

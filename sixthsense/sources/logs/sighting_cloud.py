@@ -1,4 +1,4 @@
-"""What logs of landmarks know beyond poses, as ROS has it, to the bit: sightings by name, how good a motion is."""
+"""Sightings of identified landmarks as a ROS PointCloud2, without loss."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
 
 CLOUD = "sensor_msgs/msg/PointCloud2"
-NOT_MEASURED = 1e6
-"""Variance of z, roll and pitch where a motion's covariance is stated, as is the custom for robots on a floor."""
-
-_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 
 _INT32, _UINT8, _FLOAT64 = 5, 2, 8  # of sensor_msgs/PointField
 _POINT = np.dtype(
@@ -23,12 +17,12 @@ _POINT = np.dtype(
 )
 _TYPES = {"<f8": _FLOAT64, "<i4": _INT32, "|u1": _UINT8}
 FIELDS = tuple((name, offset, _TYPES[kind.str]) for name, (kind, offset) in _POINT.fields.items())  # type: ignore[union-attr, misc]
-"""Name, offset in bytes and ROS's number of the type, of each field of a point; z is 0, for those who draw it."""
+"""Name, offset in bytes and ROS's type number of each field of a point; z is 0, for viewers."""
 POINT_BYTES = _POINT.itemsize
 
 
 def to_bytes(sightings: Mapping[LandmarkId, Sighting]) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """(len(sightings) * POINT_BYTES,): positions in the robot's frame, m, their covariances, ids and kinds."""
+    """(len(sightings) * POINT_BYTES,) data of a cloud: positions in the robot frame, m, covariances, ids and kinds."""
     points = np.zeros(len(sightings), dtype=_POINT)
     for point, (i, s) in zip(points, sightings.items(), strict=True):
         point["x"], point["y"] = s.z
@@ -38,7 +32,7 @@ def to_bytes(sightings: Mapping[LandmarkId, Sighting]) -> np.ndarray[Any, np.dty
 
 
 def from_cloud(message: Any) -> dict[LandmarkId, Sighting]:
-    """The sightings of a PointCloud2 that `to_bytes` has filled; ValueError for any other and for bad numbers."""
+    """The sightings of a PointCloud2 written by `to_bytes`; ValueError for other clouds and for invalid numbers."""
     found = tuple((f.name, f.offset, f.datatype) for f in message.fields)
     if found != FIELDS or message.point_step != POINT_BYTES or message.is_bigendian:
         raise ValueError(f"found a cloud of {[name for name, *_ in found][:9]}, allowed: {[f[0] for f in FIELDS]}")
@@ -53,25 +47,3 @@ def from_cloud(message: Any) -> dict[LandmarkId, Sighting]:
             raise ValueError(f"found landmark {point['id']} twice in one cloud, allowed: once")
         out[int(point["id"])] = Sighting(Kind(int(point["kind"])), np.array([x, y]), np.array([[xx, xy], [xy, yy]]))
     return out
-
-
-def spatial(cov: Array) -> Array:
-    """(6, 6) of x y z roll pitch yaw from (3, 3) of x, y, theta; zero elsewhere."""
-    whole = np.zeros((6, 6))
-    whole[_PLANE] = cov
-    return whole
-
-
-def increment_covariance(cov: Array | None) -> Array:
-    """(36,) for an odometry's pose.covariance: of the motion since the last one, or zero where no log states it."""
-    if cov is None:
-        return np.zeros(36)
-    whole = spatial(cov)
-    whole[2, 2] = whole[3, 3] = whole[4, 4] = NOT_MEASURED
-    return whole.ravel()
-
-
-def stated_covariance(message: Any) -> Array | None:
-    """(3, 3) from what `increment_covariance` has written; ValueError for numbers that are no covariance."""
-    whole = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
-    return check_covariance("increment", whole[_PLANE]) if whole[2, 2] > 0.0 else None
