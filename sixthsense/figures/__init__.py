@@ -1,6 +1,6 @@
-"""Figures of a run beside its map: over time, of one scan, of a filter's step, of the way planned.
+"""Figures of a run besides its map: quantities over time, one scan, one filter step, planning and exploration.
 
-Each draws on the axes that it is given; `new_axes` makes a figure, `record` keeps what a moment's figure needs.
+Each function draws on given axes. `new_axes` makes a figure. `record` runs a configuration and keeps its key scans.
 """
 
 from __future__ import annotations

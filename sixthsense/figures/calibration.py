@@ -1,4 +1,4 @@
-"""What a calibration found: measurement noise of each kind of landmark, and propagation noise (report figure 1)."""
+"""Figure and file of a calibration: errors of sightings of each kind, and errors of odometry (report figure 1)."""
 
 from __future__ import annotations
 
@@ -19,38 +19,40 @@ _WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
 
 
 def draw_sighting_errors(ax: Any, errors: Array, name: str) -> None:
-    """Draw (N, 2) errors of sightings, metres, robot's frame, and the 95 % ellipse of their zero-mean Gaussian."""
+    """Draw errors (N, 2) of sightings, metres, robot frame, with the 95 % ellipse of their zero-mean Gaussian."""
     shown = 1e3 * errors
     ax.scatter(shown[:, 0], shown[:, 1], s=9, color=LANDMARK, linewidths=0.0, zorder=3, label="samples")
     if len(shown):
         outline = ellipse(np.zeros(2), shown.T @ shown / len(shown))
         ax.fill(outline[:, 0], outline[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
-        ax.plot(outline[:, 0], outline[:, 1], color=ESTIMATE, linewidth=1.4, label="95 %, mean 0")
+        ax.plot(outline[:, 0], outline[:, 1], color=ESTIMATE, linewidth=1.4, label="95 % ellipse, mean 0")
         mean = shown.mean(axis=0)
         ax.plot(*mean, marker="+", color=TRUTH, markersize=9, linestyle="none", zorder=4, label="sample mean")
         _frame(ax, max(float(np.abs(outline).max()), float(np.percentile(np.abs(shown), 99.5))))
-    ax.set_xlabel("error ahead [mm]")
-    ax.set_ylabel("error to the left [mm]")
+    ax.set_xlabel("forward error [mm]")
+    ax.set_ylabel("lateral error [mm]")
     ax.set_title(f"{name}, {len(errors)} sightings")
 
 
 def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
-    """Draw the way's and the heading's errors in units of their assumed sigmas, before and after calibration."""
+    """Draw the whitened errors of forward motion and heading before and after calibration."""
     circle = ellipse(np.zeros(2), np.eye(2))
     ax.fill(circle[:, 0], circle[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
-    ax.plot(circle[:, 0], circle[:, 1], color=ESTIMATE, linewidth=1.4, label="95 %, mean 0")
+    ax.plot(circle[:, 0], circle[:, 1], color=ESTIMATE, linewidth=1.4, label="95 % ellipse, mean 0")
     for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
-        units = errors.whitened
+        whitened = errors.whitened
         label = f"{when}: NEES {errors.nees.mean():.2f}"
-        ax.scatter(units[:, 0], units[:, 2], s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
+        ax.scatter(
+            whitened[:, 0], whitened[:, 2], s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label
+        )
     _frame(ax, max(4.0, float(np.abs(np.concatenate([before.whitened, after.whitened])[:, [0, 2]]).max())))
-    ax.set_xlabel("error ahead [assumed sigmas]")
-    ax.set_ylabel("error of the heading [assumed sigmas]")
-    ax.set_title(f"propagation, {len(after.errors)} samples")
+    ax.set_xlabel("forward error [assumed sigmas]")
+    ax.set_ylabel("heading error [assumed sigmas]")
+    ax.set_title(f"odometry, {len(after.errors)} samples")
 
 
 def _frame(ax: Any, reach: float) -> None:
-    """A square about zero."""
+    """Show a square around zero."""
     ax.set_xlim(-1.05 * reach, 1.05 * reach)
     ax.set_ylim(-1.05 * reach, 1.05 * reach)
     ax.set_aspect("equal")
@@ -58,11 +60,11 @@ def _frame(ax: Any, reach: float) -> None:
 
 
 def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
-    """Write the figure of a calibration as a PNG: measurement noise per kind, propagation noise (report figure 1)."""
+    """Write the figure of a calibration as a PNG (report figure 1)."""
     figure = new_figure(_WIDTH_IN, _HEIGHT_IN)
     corners, ends, propagation = figure.subplots(1, 3)
     draw_sighting_errors(corners, found.landmarks[1].of(Kind.CORNER), "corners")
-    draw_sighting_errors(ends, found.landmarks[1].of(Kind.END), "loose ends")
+    draw_sighting_errors(ends, found.landmarks[1].of(Kind.END), "wall ends")
     draw_propagation_errors(propagation, *found.propagation)
     for ax in (corners, ends, propagation):
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize="small")
@@ -71,9 +73,9 @@ def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
 
 
 def write_calibration(found: Calibration, config: Config, file: Path, title: str) -> None:
-    """Write the partial configuration and, beside it, the figure; each file is the old one or the new one, whole.
+    """Write the partial configuration, and the figure as a PNG of the same name; each file is replaced atomically.
 
-    Raises CalibrationError when nothing can be written there.
+    Raises CalibrationError if they cannot be written.
     """
     import tomli_w
 
@@ -81,8 +83,8 @@ def write_calibration(found: Calibration, config: Config, file: Path, title: str
     text = "".join(f"# {line}\n" for line in head) + "\n" + tomli_w.dumps(as_partial_config(found, config))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{file.name}.", dir=file.parent) as aside:
-            drawn, written = Path(aside) / "figure.png", Path(aside) / "config.toml"
+        with tempfile.TemporaryDirectory(prefix=f".{file.name}.", dir=file.parent) as scratch:
+            drawn, written = Path(scratch) / "figure.png", Path(scratch) / "config.toml"
             save_calibration(found, drawn, title)
             written.write_text(text, encoding="utf-8")
             drawn.replace(file.with_suffix(".png"))

@@ -1,4 +1,4 @@
-"""What figures share: axes side by side, one legend, the true walls behind, and a window to look through."""
+"""Layout of figures: several axes, one legend, true walls in the background, and a window of the plane."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sixthsense.sources.scene import Scene
 def new_axes(
     rows: int, columns: int, width_in: float, height_in: float, sharex: bool = False, sharey: bool = False
 ) -> tuple[Any, list[Any]]:
-    """A figure and its axes, row by row."""
+    """A new figure and its axes, row by row."""
     figure = new_figure(width_in, height_in)
     return figure, list(figure.subplots(rows, columns, sharex=sharex, sharey=sharey, squeeze=False).ravel())
 
 
 def legend(figure: Any, columns: int = 6) -> Any:
-    """Give a figure one legend for all its axes, below them; the figure."""
+    """Add one legend for all axes below them, and return the figure."""
     entries = {
         label: handle for ax in figure.axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
     }
@@ -29,8 +29,8 @@ def legend(figure: Any, columns: int = 6) -> Any:
 
 
 def draw_truth(ax: Any, scene: Scene, color: str = "#C8C8C8", near: Array | None = None, reach_m: float = 0.0) -> None:
-    """Draw the true walls, all of them or what lies within `reach_m` of the (2,) point `near`."""
-    draw_segments(ax, scene.walls, colors=color, linewidths=1.4, zorder=0.5, label="walls, true")
+    """Draw the true walls and show all of them, or a window of `reach_m` around the point `near` (2,)."""
+    draw_segments(ax, scene.walls, colors=color, linewidths=1.4, zorder=0.5, label="true walls")
     label_plane(ax)
     low, high = scene.walls.reshape(-1, 2).min(axis=0) - 0.4, scene.walls.reshape(-1, 2).max(axis=0) + 0.4
     if near is not None:
@@ -39,7 +39,7 @@ def draw_truth(ax: Any, scene: Scene, color: str = "#C8C8C8", near: Array | None
 
 
 def window(ax: Any, points: Array) -> None:
-    """Look at (N, 2) points and a metre around them, in a window of 4 to 3."""
+    """Show (N, 2) points with a margin of a metre in a window of aspect 4 to 3."""
     low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     centre, half = 0.5 * (low + high), 0.5 * max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)
     ax.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - 0.75 * half, centre[1] + 0.75 * half))

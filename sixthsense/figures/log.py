@@ -1,4 +1,4 @@
-"""Replays of recorded logs: the way driven, and the walls of all key scans where a trajectory puts them."""
+"""Figures of replayed logs: the path, and the walls of all key scans placed by a trajectory."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from sixthsense.record.trace import Trace
 
 
 def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = None, width: float = 0.9) -> None:
-    """Draw the way along (N, 2) positions or (N, 3) poses, world frame, metres."""
+    """Draw the path along positions (N, 2) or poses (N, 3), world frame, metres."""
     ax.plot(poses[:, 0], poses[:, 1], color=color, linewidth=width, label=label)
     label_plane(ax)
 
 
 def draw_walls_at(ax: Any, trace: Trace, poses: Array, color: str = WALL) -> None:
-    """Draw the walls that the key scans showed as if these had been taken at `poses` (S, 3), one for each scan."""
-    # A scan's last key scan is itself where it is one.
+    """Draw the detected walls of the key scans, placed by `poses` (S, 3), one for each scan."""
+    # The first scan with a given last key scan is that key scan.
     first = np.unique(trace.last_key, return_index=True)[1]
     placed = [Pose.from_array(poses[s]) @ walls for s, walls in zip(first, trace.walls_found, strict=True)]
     style: dict[str, Any] = {"colors": color, "linewidths": 0.5, "alpha": 0.5, "zorder": 1}

@@ -1,4 +1,4 @@
-"""How a run went: errors and their promised size, consistency, coverage over time; and where the time went."""
+"""Figures over time: errors with their 3-sigma bounds, consistency and coverage; and the time of each stage."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """One of the pose's three numbers, as a figure shows it."""
+    """Label and unit of one component of the pose."""
 
     name: str
-    """of the axis"""
+    """name on the axis"""
     unit: str
-    """of the axis"""
+    """unit on the axis"""
     scale: float
-    """metres or radians to that unit"""
+    """factor from metres or radians to the unit"""
 
 
 COMPONENTS = (Component("x", "m", 1.0), Component("y", "m", 1.0), Component("heading", "°", float(np.degrees(1.0))))
@@ -41,9 +41,9 @@ def key_times(trace: Trace) -> Array:
 
 
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE) -> None:
-    """Draw the error of x, y or heading (0, 1, 2) at key scans, and the ±3σ within which the estimator puts it.
+    """Draw the error of x, y or heading (component 0, 1, 2) at key scans with the estimator's ±3σ bounds.
 
-    The trace has truth.
+    The trace must have truth.
     """
     shown = COMPONENTS[component]
     t = key_times(trace)
@@ -71,7 +71,8 @@ def draw_nees(
 ) -> None:
     """Draw the pose's NEES at key scans, in world or right-invariant coordinates, with the 95 % band of one run.
 
-    The trace has truth. It begins where the covariance has full rank; `band` off for all but the first run on the axes.
+    The trace must have truth. The curve begins where the covariance has full rank. Use `band` for the first run on the
+    axes only.
     """
     covs = np.array([estimate.pose_cov for estimate in trace.key_estimates]).reshape(-1, 3, 3)
     first = metrics.full_rank_from(covs)
@@ -87,11 +88,11 @@ def draw_nees(
         ax.axhspan(*limits, label="95 % band", **_BAND)
         ax.axhline(3.0, color=TRUTH, linewidth=0.5)
     if len(values):
-        said = f"mean {values.mean():.2f}, {100 * metrics.share_in_band(values, limits):.0f} % in band"
-        label = said if label is None else f"{label}: {said}"
+        summary = f"mean {values.mean():.2f}, {100 * metrics.share_in_band(values, limits):.0f} % in band"
+        label = summary if label is None else f"{label}: {summary}"
         ax.plot(key_times(trace)[first:], values, color=color, linewidth=1.0, label=label)
     ax.set_yscale("log")
-    # A NEES near nought is a lucky moment; it need not set the scale.
+    # A NEES close to 0 must not determine the scale.
     _rise(ax, 0.03, max(30.0, 1.5 * values.max(initial=0.0)))
     ax.set_xlabel("time [s]")
     ax.set_ylabel(f"pose NEES, {frame} [1]")
@@ -101,13 +102,13 @@ def draw_nees(
 def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None, band: bool = True) -> None:
     """Draw each key scan's normalised innovation squared per degree of freedom, with its 95 % band.
 
-    The band depends on how many landmarks were matched; it is this run's.
+    The band depends on the number of matched landmarks in this run.
     """
     dof = np.array([association.dof for association in trace.associations], dtype=np.int64)
     nis = np.array([association.nis for association in trace.associations])
     t = key_times(trace)
     with np.errstate(divide="ignore", invalid="ignore"):
-        per_dof = np.where(dof > 0, nis / dof, np.nan)  # a gap where nothing was matched
+        per_dof = np.where(dof > 0, nis / dof, np.nan)  # a gap in the curve without a match
         low, high = (np.where(dof > 0, chi2.ppf(share, dof) / dof, np.nan) for share in (0.025, 0.975))
     tops = [per_dof]
     if band:
@@ -115,8 +116,8 @@ def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = N
         ax.fill_between(t, low, high, label="95 % band", **_BAND)
         ax.axhline(1.0, color=TRUTH, linewidth=0.5)
     if dof.any():
-        said = f"mean {nis.sum() / dof.sum():.2f}"
-        label = said if label is None else f"{label}: {said}"
+        summary = f"mean {nis.sum() / dof.sum():.2f}"
+        label = summary if label is None else f"{label}: {summary}"
         ax.plot(t, per_dof, color=color, linewidth=1.0, marker=".", markersize=2.5, label=label)
     ax.set_xlabel("time [s]")
     ax.set_ylabel("NIS per dof [1]")
@@ -125,14 +126,14 @@ def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = N
 
 
 def _rise(ax: Any, low: float, high: float) -> None:
-    """Set the lower limit, and the upper one unless what was drawn before, here or on a shared axis, needs more."""
+    """Set the limits of y, but keep a higher upper limit set before on these or shared axes."""
     ax.set_ylim(low, high if ax.get_autoscaley_on() else max(high, ax.get_ylim()[1]))
 
 
 def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None) -> None:
-    """Draw the share of the area visible from where the robot can go that beams have crossed, over time.
+    """Draw the seen share of the visible area over time.
 
-    The trace has truth and a scene.
+    The trace must have truth and a scene.
     """
     assert trace.scene is not None
     laser, walls = trace.config.laser, trace.scene.walls
@@ -141,18 +142,18 @@ def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | Non
     start = (float(poses[0, 0]), float(poses[0, 1]))
     area = visible_area(walls, region, start, trace.radius_m, laser.max_range)
     share = coverage_over_time(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
-    said = f"{area.square_metres:.0f} m² can be seen"
-    label = said if label is None else f"{label}: {said}"
+    summary = f"{area.square_metres:.0f} m² visible"
+    label = summary if label is None else f"{label}: {summary}"
     t = 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
     ax.plot(t, 100.0 * share, color=color, linewidth=1.4, label=label)
     ax.set_ylim(0.0, 102.0)
     ax.set_xlabel("time [s]")
-    ax.set_ylabel("area seen [% of the visible]")
+    ax.set_ylabel("seen share of the visible area [%]")
     ax.margins(x=0.0)
 
 
 def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str] | None = None) -> None:
-    """Draw what each stage took per key scan on average, milliseconds, one bar a stage for each run's metrics."""
+    """Draw the mean time of each stage per key scan, milliseconds, with a bar for each run's metrics."""
     stages = [stage for stage in STAGES if any(f"stage_ms_mean.{stage}" in run for run in runs)]
     height = 0.8 / max(len(runs), 1)
     for k, run in enumerate(runs):
@@ -160,7 +161,7 @@ def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str
         places = np.arange(len(stages)) + (k - 0.5 * (len(runs) - 1)) * height
         words = [] if labels is None else [labels[k]]
         if "scan_ms_p50" in run:
-            words.append(f"a key scan: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
+            words.append(f"key scan: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
         bars = ax.barh(places, values, height, color=CYCLE[k % len(CYCLE)], label=": ".join(words) or None)
         ax.bar_label(bars, fmt=_ms, padding=3, fontsize=min(8.0, 30.0 * height))
     ax.set_yticks(np.arange(len(stages)), stages)
@@ -170,5 +171,5 @@ def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str
 
 
 def _ms(value: float) -> str:
-    """Two digits, and never an exponent."""
+    """Two significant digits without an exponent."""
     return "" if np.isnan(value) else f"{value:.0f}" if value >= 9.95 else f"{value:.2g}"

@@ -1,4 +1,4 @@
-"""Figures of a run; each function draws on the axes it is given."""
+"""Colours, the map and basic drawing functions; each draws on given axes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sixthsense.record.trace import Trace
 if TYPE_CHECKING:
     from sixthsense.figures.picture import Picture
 
-# Okabe and Ito's palette: told apart by the colour-blind too.
+# Okabe and Ito's palette, which colour-blind people can distinguish.
 TRUTH = "#000000"
 ESTIMATE = "#0072B2"
 ODOMETRY = "#E69F00"
@@ -25,16 +25,16 @@ WALL_FOUND = "#CC79A7"
 SIGHTING = "#56B4E9"
 SEEN = "#D3E9F7"
 CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, SIGHTING, TRUTH)
-"""For what differs in number alone: runs, partitions."""
+"""Colours of numbered items such as runs and partitions."""
 
 CHI2_95 = 5.991  # 2 degrees of freedom
 
-_WIDTH_IN, _LOW_IN, _HIGH_IN = 11.0, 1.5, 11.0
-_FRAME_IN = 1.0  # title, axis label and legend
+_WIDTH_IN, _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 11.0, 1.5, 11.0
+_FRAME_IN = 1.0  # height of title, axis label and legend
 
 
 def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
-    """(points, 2) on the 95 % ellipse of a (2,) mean and a (2, 2) covariance."""
+    """(points, 2) on the 95 % ellipse of a mean (2,) and a covariance (2, 2)."""
     values, vectors = np.linalg.eigh(cov)
     angle = np.linspace(0.0, 2.0 * math.pi, points)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -42,7 +42,7 @@ def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
 
 
 def draw_grid(ax: Any, trace: Trace) -> None:
-    """Draw what the grid holds: seen area light, obstacles dark."""
+    """Draw the grid: seen cells light, obstacles dark."""
     assert trace.grid is not None
     occupancy = trace.grid.occupancy()
     known = occupancy >= 0
@@ -69,13 +69,13 @@ def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
 
 
 def walls_found(trace: Trace) -> Array:
-    """(N, 2, 2) fitted walls of all key scans, placed by the final trajectory, world frame."""
+    """(N, 2, 2) detected walls of all key scans, placed by the final trajectory, world frame."""
     placed = [Pose.from_array(pose) @ walls for pose, walls in zip(trace.trajectory, trace.walls_found, strict=True)]
     return np.concatenate([np.zeros((0, 2, 2)), *placed])
 
 
 def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
-    """Draw the final landmarks with their 95 % ellipses, these so many times as large as they are."""
+    """Draw the final landmarks with their 95 % ellipses, `enlarged` by a factor."""
     from matplotlib.collections import PolyCollection
 
     points = np.flatnonzero(~trace.final.walls)
@@ -86,33 +86,33 @@ def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
     ]
     extents = [trace.records[i].extent for i in trace.final.ids[trace.final.walls].tolist()]
     if extents:
-        draw_segments(ax, np.array(extents), colors=LANDMARK, linewidths=1.2, label="walls, estimated", zorder=4)
+        draw_segments(ax, np.array(extents), colors=LANDMARK, linewidths=1.2, label="estimated walls", zorder=4)
     if len(points) == 0:
         return
     ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
-    label = "landmarks, 95 %" + (f", {enlarged:g} times enlarged" if enlarged != 1.0 else "")
+    label = "landmarks, 95 %" + (f", enlarged {enlarged:g} times" if enlarged != 1.0 else "")
     ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
 
 
 def label_plane(ax: Any) -> None:
-    """Make axes a plane: metres on both, of one length."""
+    """Label axes in metres and give them equal aspect."""
     ax.set_aspect("equal")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
 
 
 def draw_map(ax: Any, trace: Trace) -> None:
-    """Draw truth, estimate, landmarks with 95 % ellipses, walls found, and the path planned and driven."""
+    """Draw truth, estimate, landmarks with 95 % ellipses, detected walls, and planned and driven paths."""
     draw_grid(ax, trace)
     if trace.scene is not None:
-        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="walls, true", zorder=1)
-    # Thousands of scans of one wall would hide all else: the more there are, the fainter each.
+        draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="true walls", zorder=1)
+    # The more scans, the fainter their walls, so that thousands of them do not hide everything else.
     style = {"colors": WALL_FOUND, "linewidths": 0.7, "alpha": min(1.0, 15.0 / (1.0 + len(trace.trajectory)) ** 0.5)}
-    draw_segments(ax, walls_found(trace), label="walls found", zorder=2, **style)
+    draw_segments(ax, walls_found(trace), label="detected walls", zorder=2, **style)
     for k, plan in enumerate(reversed(trace.plans)):
-        # Each plan was dropped for the next one: all but the last are there, but stay in the background.
+        # Earlier plans, each replaced by the next one, stay in the background.
         style = (
-            {"linewidth": 1.0, "linestyle": "--", "label": "planned last"}
+            {"linewidth": 1.0, "linestyle": "--", "label": "last planned path"}
             if k == 0
             else {"linewidth": 0.4, "alpha": 0.25}
         )
@@ -123,9 +123,9 @@ def draw_map(ax: Any, trace: Trace) -> None:
     if trace.truths:
         truth = np.array(trace.truths)
         ax.plot(
-            truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="driven, true", zorder=6
+            truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="true path", zorder=6
         )
-    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="driven, estimated", zorder=5)
+    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=5)
     landmarks = trace.final.landmarks[~trace.final.walls]
     if len(trace.final.ids):
         draw_landmarks(ax, trace)
@@ -138,7 +138,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
 
 
 def _frame(ax: Any, points: list[Array]) -> None:
-    """Show what was mapped, whole, and of a dead reckoning that strays far from it no more than fits in."""
+    """Show the whole map, and of the dead reckoning only the part close to it."""
     low, high = np.array(ax.dataLim.min), np.array(ax.dataLim.max)
     inner = np.concatenate([np.zeros((0, 2)), *points])
     if len(inner):
@@ -150,32 +150,32 @@ def _frame(ax: Any, points: list[Array]) -> None:
 
 
 def new_figure(width_in: float, height_in: float) -> Picture:
-    """An empty figure that asks for no window system and touches no global state, as pyplot's would."""
+    """An empty figure without window system and global state, unlike pyplot's."""
     from sixthsense.figures.picture import Picture
 
     return Picture(width_in, height_in)
 
 
 def save(figure: Any, file: Path | str) -> None:
-    """Write a figure as a PNG; the folder is made if it is missing."""
+    """Write a figure as a PNG; a missing folder is made."""
     Path(file).parent.mkdir(parents=True, exist_ok=True)
-    # Equal axes leave room that the layout has not foreseen; cut it off, and cut no title.
+    # Axes of equal aspect leave margins that the layout cannot remove.
     figure.savefig(file, dpi=130, bbox_inches="tight", pad_inches=0.12)
 
 
 def map_height(ax: Any, width_in: float) -> float:
-    """Inches that a map of a given width asks for, within reason, its frame and legend included."""
+    """Height, inches, of a map of a given width, with frame and legend, within fixed bounds."""
     (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
-    return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LOW_IN), _HIGH_IN) + _FRAME_IN)
+    return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LEAST_HEIGHT_IN), _MOST_HEIGHT_IN) + _FRAME_IN)
 
 
 def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
-    """Write the map figure as a PNG, as high as the map's shape asks for; the folder is made if it is missing."""
+    """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made."""
     save(map_figure(trace, title if title is not None else trace.outcome), file)
 
 
 def map_figure(trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True) -> Picture:
-    """The map as a figure, as high as the map's shape asks for."""
+    """The map as a figure whose height follows from the shape of the map."""
     figure = new_figure(width_in, width_in)
     ax = figure.add_subplot()
     draw_map(ax, trace)

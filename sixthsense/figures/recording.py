@@ -1,4 +1,4 @@
-"""A run with everything kept that a figure of one of its moments needs."""
+"""A run with its key scans, for figures of single moments."""
 
 from __future__ import annotations
 
@@ -20,44 +20,44 @@ from sixthsense.sources.scene import Scene
 
 @dataclass
 class Recording:
-    """A run's key scans, one by one."""
+    """The trace of a run with its key scans."""
 
     trace: Trace = field(init=False)
-    """of the whole run"""
+    """trace of the whole run"""
     scans: list[Scan] = field(default_factory=list)
-    """per key scan"""
+    """the key scans"""
     plans: list[int] = field(default_factory=list)
-    """per key scan: how many plans there are after it"""
+    """for each key scan, the number of plans after it"""
 
     def on_tick(self, tick: Tick, trace: Trace) -> None:
-        """Keep the scan, if it was a key scan."""
+        """Keep the scan if it is a key scan."""
         if tick.scan is not None and len(trace.key_stamps_ns) > len(self.scans):
             self.scans.append(tick.scan)
             self.plans.append(len(trace.plans))
 
     @property
     def scene(self) -> Scene:
-        """Where the run was."""
+        """The scene of the run."""
         assert self.trace.scene is not None
         return self.trace.scene
 
     def pose(self, k: int) -> Pose:
-        """Where the robot believed to be at key scan k, after its update."""
+        """The estimated pose at key scan k, after its update."""
         return self.trace.key_estimates[k].pose
 
     def time_s(self, k: int) -> float:
-        """Of key scan k, since the start."""
+        """Time of key scan k since the first one, seconds."""
         return 1e-9 * (self.trace.key_stamps_ns[k] - self.trace.key_stamps_ns[0])
 
     def grid(self, k: int) -> Grid:
-        """The map after key scan k, built anew from the scans up to it."""
+        """The grid after key scan k, rebuilt from the key scans up to it."""
         grid = Grid(self.trace.config.grid, self.trace.radius_m)
         for i in range(k + 1):
             grid.add(self.pose(i), self.scans[i], self.trace.walls_found[i])
         return grid
 
     def features(self, k: int) -> Features:
-        """What the scan of key scan k shows."""
+        """The features of key scan k."""
         return features_of(self.scans[k], self.trace.config)
 
     def way(self, k: int) -> Array:
@@ -67,22 +67,22 @@ class Recording:
 
 @dataclass(frozen=True, slots=True)
 class Culled:
-    """A landmark that was in the state for a while."""
+    """A landmark that was removed from the state."""
 
     born: int
-    """key scan of its birth"""
+    """key scan at which it was initialised"""
     gone: int
     """first key scan without it"""
     off_m: float
-    """from where it was last to the nearest true corner or end of a wall"""
+    """distance of its last position from the nearest true corner or wall end"""
     position: Array
-    """(2,) where it was last, world frame"""
+    """(2,) last position, world frame"""
 
 
 def worst_culled(run: Recording) -> Culled:
     """Of the landmarks that a run of points has forgotten, the one farthest from any true one.
 
-    Raises ValueError for a run that forgot none.
+    Raises ValueError for a run without removed landmarks.
     """
     true = true_landmarks(run.scene.walls)
     seen: dict[int, tuple[int, Array]] = {}
@@ -95,17 +95,17 @@ def worst_culled(run: Recording) -> Culled:
         for i, where in now.items():
             seen[i] = seen.get(i, (k, where))[0], where
     if not found:
-        raise ValueError("run: found no landmark that was culled, allowed: a run with one")
+        raise ValueError("run: found no removed landmark, allowed: a run with one")
     return max(found, key=lambda one: one.off_m)
 
 
 def features_of(scan: Scan, config: Config) -> Features:
-    """A scan's features, with random numbers of their own."""
+    """The features of a scan, extracted with a fixed seed."""
     return extract(scan, config.assumed, config.features, np.random.default_rng(0))
 
 
 def record(config: Config) -> Recording:
-    """Run `config` and keep its key scans."""
+    """Run a configuration and keep its key scans."""
     recording = Recording()
     recording.trace = run(config, recording.on_tick)
     return recording

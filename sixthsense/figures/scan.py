@@ -1,4 +1,4 @@
-"""What one scan shows, stage by stage (report figures 2, 3, 4 and 11)."""
+"""Figures of one scan and the stages of its processing (report figures 2, 3, 4 and 11)."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _NORMAL_95 = 1.96  # sigmas
 
 
 def _points(pose: Pose, scan: Scan) -> Array:
-    """(N, 2) where the beams end, world frame; a beam that met nothing ends at NaN."""
+    """(N, 2) end points of the beams, world frame; NaN for a beam without a return."""
     points = np.where(np.isfinite(scan.ranges)[:, None], scan.points_robot, np.nan)
     return pose @ points
 
 
 def draw_beams(ax: Any, pose: Pose, scan: Scan, color: str = LANDMARK) -> None:
-    """Draw the beams of a scan taken at `pose`; those that met nothing reach to the maximum range."""
+    """Draw the beams of a scan taken at `pose`; those without a return up to the maximum range."""
     lengths = np.where(np.isfinite(scan.ranges), scan.ranges, scan.max_range).astype(np.float64)
     T_world_laser = pose @ scan.T_robot_laser
     bearings = scan.bearings
@@ -38,14 +38,17 @@ def draw_beams(ax: Any, pose: Pose, scan: Scan, color: str = LANDMARK) -> None:
 
 
 def draw_returns(ax: Any, pose: Pose, scan: Scan, color: str = _RETURN, size: float = 4.0) -> None:
-    """Draw where the beams of a scan taken at `pose` ended."""
+    """Draw the returns of a scan taken at `pose`."""
     points = _points(pose, scan)
     ax.scatter(points[:, 0], points[:, 1], s=size, color=color, linewidths=0.0, zorder=3, label="laser returns")
     label_plane(ax)
 
 
 def draw_partitions(ax: Any, pose: Pose, scan: Scan, parts: Sequence[Indices], least: int = 1) -> None:
-    """Draw each partition's returns in a colour of its own, and grey those in none; fewer than `least` are none."""
+    """Draw the returns of each partition in its own colour, and all others in grey.
+
+    Partitions with fewer than `least` returns are ignored.
+    """
     points = _points(pose, scan)
     draw_returns(ax, pose, scan, color="#BBBBBB", size=3.0)
     for k, part in enumerate(part for part in parts if len(part) >= least):
@@ -53,30 +56,30 @@ def draw_partitions(ax: Any, pose: Pose, scan: Scan, parts: Sequence[Indices], l
 
 
 def draw_detections(ax: Any, pose: Pose, features: Features, enlarged: float = 0.0) -> None:
-    """Draw the walls (pink) and landmarks (cyan circles) that one scan from `pose` shows.
+    """Draw the walls (pink) and landmarks (cyan circles) detected in one scan from `pose`.
 
-    `enlarged` draws the sightings' 95 % ellipses too, so many times as large as they are.
+    With `enlarged` above 0, draw the 95 % ellipses of the sightings, enlarged by this factor.
     """
-    draw_segments(ax, pose @ features.walls, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="walls detected")
+    draw_segments(ax, pose @ features.walls, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="detected walls")
     sightings = [sighting for sighting in features.sightings if not sighting.is_wall]
     if sightings:
         points = pose @ np.array([sighting.z for sighting in sightings])
         style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.6, "zorder": 5}
-        ax.scatter(points[:, 0], points[:, 1], s=50.0, label="landmarks detected", **style)
+        ax.scatter(points[:, 0], points[:, 1], s=50.0, label="detected landmarks", **style)
         for k, sighting in enumerate(sightings if enlarged else ()):
             outline = pose @ ellipse(sighting.z, enlarged**2 * sighting.cov)
-            label = f"95 %, {enlarged:g} times enlarged" if k == 0 else None
+            label = f"95 %, enlarged {enlarged:g} times" if k == 0 else None
             ax.plot(outline[:, 0], outline[:, 1], color=LANDMARK, linewidth=0.8, zorder=6, label=label)
     label_plane(ax)
 
 
 def draw_wall_bands(ax: Any, pose: Pose, sightings: Sequence[Sighting], enlarged: float = 1.0) -> None:
-    """Draw where walls may lie, those among the sightings from `pose`: 95 % bands, so many times as wide as they are.
+    """Draw the 95 % bands of the walls among the sightings from `pose`, `enlarged` in width by a factor.
 
-    A line known to (alpha, d) is known at s along it, counted from the foot of the robot's perpendicular, to a variance
-    of dd - 2 s ad + s^2 aa across: a band with a waist.
+    A line with covariance [aa, ad; ad, dd] of (alpha, d) has the variance dd - 2 s ad + s^2 aa across at the distance s
+    along it from the foot of the robot's perpendicular, so the band is narrowest near that point.
     """
-    label: str | None = f"walls, 95 %, {enlarged:g} times enlarged" if enlarged != 1.0 else "walls, 95 %"
+    label: str | None = f"walls, 95 %, enlarged {enlarged:g} times" if enlarged != 1.0 else "walls, 95 %"
     for wall in (sighting for sighting in sightings if sighting.is_wall):
         normal = np.array([math.cos(wall.z[0]), math.sin(wall.z[0])])
         along = np.array([-normal[1], normal[0]])

@@ -1,4 +1,4 @@
-"""What a setting of the extraction costs and gains: a scan's features against those under the usual settings."""
+"""The effect of an extraction setting: the features of a scan compared with those of the default settings."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from sixthsense.slam.features import Features
 from sixthsense.sources.scene import Scene
 
 SAME_POINT_M = 0.15
-"""Two sightings this near each other are of one landmark."""
+"""Largest distance of two sightings of the same landmark."""
 SAME_WALL_M = 0.1
-"""A wall whose middle and quarters lie this near walls of the other set is found by both."""
+"""Largest distance of a wall's middle and quarter points from walls of the other set, for a wall in both."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What two extractions of one scan have in common, and what only one of them found; robot's frame, metres."""
+    """Features in both or only one of two extractions of a scan; robot frame, metres."""
 
     kept: Array
-    """(K, 2) landmarks that both found, where the new one has them"""
+    """(K, 2) landmarks in both, at the positions of the new settings"""
     lost: Array
-    """(L, 2) landmarks of the usual settings alone"""
+    """(L, 2) landmarks of the default settings only"""
     gained: Array
-    """(G, 2) landmarks of the new settings alone"""
+    """(G, 2) landmarks of the new settings only"""
     walls_kept: Array
-    """(W, 2, 2) walls of the new settings that the usual ones have, too"""
+    """(W, 2, 2) walls of the new settings that are in both"""
     walls_lost: Array
-    """(W, 2, 2) walls of the usual settings alone"""
+    """(W, 2, 2) walls of the default settings only"""
     walls_gained: Array
-    """(W, 2, 2) walls of the new settings alone"""
+    """(W, 2, 2) walls of the new settings only"""
 
     def __str__(self) -> str:
         return (
@@ -43,7 +43,7 @@ class Change:
 
 
 def compare_features(features: Features, usual: Features) -> Change:
-    """Compare what a scan shows with what it `usual`ly shows: points within 0.15 m, walls within 0.1 m are the same."""
+    """Compare features with the `usual` ones: points within 0.15 m and walls within 0.1 m are the same."""
     new, old = (
         np.array([s.z for s in one.sightings if not s.is_wall], dtype=np.float64).reshape(-1, 2)
         for one in (features, usual)
@@ -58,7 +58,7 @@ def compare_features(features: Features, usual: Features) -> Change:
 
 
 def _covered(walls: Array, others: Array) -> Any:
-    """(W,) which walls (W, 2, 2) lie upon `others` (V, 2, 2)."""
+    """(W,) whether each of `walls` (W, 2, 2) lies on `others` (V, 2, 2)."""
     if len(others) == 0:
         return np.zeros(len(walls), dtype=np.bool_)
     shares = np.array([0.25, 0.5, 0.75])
@@ -68,21 +68,21 @@ def _covered(walls: Array, others: Array) -> Any:
 
 
 def strays_m(pose: Pose, features: Features, scene: Scene) -> float:
-    """How far a wall detected from the true `pose` strays from all true walls of the scene at most, metres."""
+    """Largest distance, metres, of a detected wall from the true walls, for a scan from the true `pose`."""
     along = np.linspace(0.0, 1.0, 21)[:, None]
     points = [a + along * (b - a) for a, b in pose @ features.walls]
     return max((float(point_segment_distance(p, scene.walls).min()) for part in points for p in part), default=0.0)
 
 
 def draw_change(ax: Any, pose: Pose, change: Change) -> None:
-    """Draw what a scan taken at `pose` shows, marking what is lost (crosses, dotted) and gained (green)."""
-    draw_segments(ax, pose @ change.walls_kept, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="walls detected")
+    """Draw the features of a scan at `pose`, with lost ones (crosses, dotted) and gained ones (green)."""
+    draw_segments(ax, pose @ change.walls_kept, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="detected walls")
     style: dict[str, Any] = {"colors": LANDMARK, "linewidths": 1.4, "linestyles": ":", "zorder": 4.5}
-    draw_segments(ax, pose @ change.walls_lost, label="walls lost", **style)
-    draw_segments(ax, pose @ change.walls_gained, colors=PLAN, linewidths=2.4, zorder=4, label="walls gained")
+    draw_segments(ax, pose @ change.walls_lost, label="lost walls", **style)
+    draw_segments(ax, pose @ change.walls_gained, colors=PLAN, linewidths=2.4, zorder=4, label="gained walls")
     hollow: dict[str, Any] = {"s": 50.0, "facecolors": "none", "linewidths": 1.6}
     kept, lost, gained = (pose @ points for points in (change.kept, change.lost, change.gained))
-    ax.scatter(*kept.T, edgecolors=SIGHTING, zorder=5, label="landmarks detected", **hollow)
-    ax.scatter(*lost.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, zorder=6, label="landmarks lost")
-    ax.scatter(*gained.T, edgecolors=PLAN, zorder=6, label="landmarks gained", **hollow)
+    ax.scatter(*kept.T, edgecolors=SIGHTING, zorder=5, label="detected landmarks", **hollow)
+    ax.scatter(*lost.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, zorder=6, label="lost landmarks")
+    ax.scatter(*gained.T, edgecolors=PLAN, zorder=6, label="gained landmarks", **hollow)
     label_plane(ax)

@@ -1,4 +1,4 @@
-"""What a filter believes before and after a step: its ellipses, innovations against their gates, correlations."""
+"""Figures of a filter's state: covariance ellipses, innovations with their gates, and correlations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sixthsense.slam.estimators import Estimator
 def draw_state(
     ax: Any, estimator: Estimator, color: str = ESTIMATE, label: str | None = None, enlarged: float = 1.0
 ) -> None:
-    """Draw the 95 % ellipses of the pose's position (filled) and of all point landmarks, so many times enlarged."""
+    """Draw the 95 % ellipses of the position (filled) and of all point landmarks, `enlarged` by a factor."""
     from matplotlib.collections import PolyCollection
 
     estimate = estimator.estimate()
@@ -32,17 +32,17 @@ def draw_state(
 
 
 def draw_innovations(ax: Any, pose: Pose, z: Array, predicted: Array, covs: Array, gate: float = CHI2_95) -> None:
-    """Draw predicted sightings with the ellipses of their innovations' covariance, and what was sighted.
+    """Draw predicted sightings with the gates of their innovations, and the actual sightings.
 
-    `z` (m, 2) and `predicted` (k, 2) in the robot's frame at `pose`; `covs` (k, 2, 2); the ellipses are drawn at the
+    `z` (m, 2) and `predicted` (k, 2) in the robot's frame at `pose`; `covs` (k, 2, 2); a gate is the ellipse at the
     squared Mahalanobis distance `gate`.
     """
     for k, (mean, cov) in enumerate(zip(predicted, covs, strict=True)):
         outline = pose @ ellipse(mean, gate / CHI2_95 * cov)
-        ax.plot(*outline.T, color=ESTIMATE, linewidth=1.1, zorder=5, label="gate about it" if k == 0 else None)
+        ax.plot(*outline.T, color=ESTIMATE, linewidth=1.1, zorder=5, label="gate" if k == 0 else None)
     ax.scatter(*(pose @ predicted).T, s=12.0, color=ESTIMATE, zorder=5, label="predicted sighting")
     style: dict[str, Any] = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.8}
-    ax.scatter(*(pose @ z).T, s=60.0, zorder=6, label="sighted", **style)
+    ax.scatter(*(pose @ z).T, s=60.0, zorder=6, label="sighting", **style)
     label_plane(ax)
 
 

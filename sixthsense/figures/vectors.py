@@ -1,4 +1,4 @@
-"""Figures as vectors for print, with layers of thousands of marks as pictures in them, so that files stay small."""
+"""Figures as vector graphics for print, with large layers rasterised to keep files small."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-_MOST_MARKS = 500  # of one layer that stay vectors
-_MOST_CORNERS = 20_000
-_DPI = 200  # of what becomes a picture
+_MOST_MARKS = 500  # in a vector layer
+_MOST_CORNERS = 20_000  # in a vector line
+_DPI = 200  # of rasterised layers
 
 
 def save_vectors(figure: Any, file: Path | str) -> None:
-    """Write a figure as .svg or .pdf, the same bytes each time; the folder is made if it is missing."""
+    """Write a figure as .svg or .pdf with reproducible bytes; a missing folder is made."""
     from matplotlib import rc_context
 
     file = Path(file)
@@ -21,13 +21,13 @@ def save_vectors(figure: Any, file: Path | str) -> None:
     for artist in figure.findobj(_is_large):
         artist.set_rasterized(True)
     dateless = {"Date": None} if file.suffix == ".svg" else {"CreationDate": None}
-    # Type 42 fonts: journals refuse the other kind.
+    # Journals require Type 42 fonts.
     with rc_context({"pdf.fonttype": 42, "svg.hashsalt": "sixthsense"}):
         figure.savefig(file, dpi=_DPI, bbox_inches="tight", pad_inches=0.12, metadata=dateless)
 
 
 def _is_large(artist: Any) -> bool:
-    """Whether a layer has more marks, or a line more corners, than are worth keeping as vectors."""
+    """Whether a layer has too many marks, or a line too many corners, for vector graphics."""
     from matplotlib.collections import Collection
     from matplotlib.lines import Line2D
 

@@ -1,4 +1,4 @@
-"""What tests an estimator: the contract's laws, for those that ship and for one's own; and experiments on consistency.
+"""Tests of estimators: the laws of their contract, for built-in and registered ones, and consistency experiments.
 
 from sixthsense.testing import check_estimator
 check_estimator(MyEstimator)

@@ -1,9 +1,9 @@
-"""The landmark circle: a drive with known association, on the same evidence for every estimator.
+"""The landmark circle: a drive with known association and the same measurements for every estimator.
 
-The set-up is the 2-D SLAM benchmark of the UKF-M package (Brossard, Barrau and Bonnabel, ICRA 2020), after Huang,
+The setup is the 2-D SLAM benchmark of the UKF-M package (Brossard, Barrau and Bonnabel, ICRA 2020), after Huang,
 Mourikis and Roumeliotis (IJRR 29(5), 2010): 10.4 rounds within a ring of 20 landmarks, odometry with constant noise of
-speed and turn rate, landmarks seen in the robot's frame, an exactly known start. The way driven is the circle without
-noise; the noise is that of the measurements.
+speed and turn rate, landmarks measured in the robot frame, an exact start. The true path is the circle without noise;
+only measurements have noise.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STEPS, STEP_S = 2500, 1.0
 SPEED, TURN_RATE = 0.25, math.radians(1.5)  # m/s, rad/s
 SIGMA_SPEED, SIGMA_TURN_RATE = 0.05 * SPEED / math.sqrt(2.0), 0.05 * SPEED * 2.0 * math.sqrt(2.0)  # m/s, rad/s
 RADIUS = SPEED / TURN_RATE
-LANDMARKS, LANDMARKS_OUTSIDE = 20, 3.0  # m from the circle that is driven
+LANDMARKS, LANDMARKS_OUTSIDE = 20, 3.0  # m from the driven circle
 SIGMA_POINT, NEAREST, FARTHEST = 0.1, 1.0, 5.0  # m
 
 ODOMETRY_COV = np.diag([(SIGMA_SPEED * STEP_S) ** 2, (SIGMA_TURN_RATE * STEP_S) ** 2])
@@ -34,7 +34,7 @@ POINT_COV = SIGMA_POINT**2 * np.eye(2)
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What one run measured, and the truth."""
+    """The measurements and the truth of one run."""
 
     truth: Array
     """(K, 3) poses at the end of each step"""
@@ -43,61 +43,61 @@ class Evidence:
     sightings: tuple[dict[LandmarkId, Sighting], ...]
     """K, each at the end of its step"""
     full_rank_from: int
-    """the first step at which the covariance has full rank: speed and turn rate err in two directions at a time"""
+    """first step at which the covariance has full rank; the noise of one step has rank 2"""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """How one estimator fared in one run, per step; NEES is nan before the covariance has full rank."""
+    """Errors and NEES of one estimator in one run, per step; NEES is NaN before the covariance has full rank."""
 
     position_m: Array
-    """(K,) distance from the truth"""
+    """(K,) position error, m"""
     heading: Array
-    """(K,) error, rad"""
+    """(K,) heading error, rad"""
     nees3: Array
-    """(K,) world coordinates"""
+    """(K,) pose NEES, world coordinates"""
     nees3_invariant: Array
-    """(K,)"""
+    """(K,) pose NEES, right-invariant coordinates"""
     nees_heading: Array
-    """(K,)"""
+    """(K,) heading NEES"""
     step_ms: float
-    """mean of predict and update"""
+    """mean time of predict and update, ms"""
 
 
 def landmarks() -> Array:
-    """(20, 2) on a circle about the centre of the robot's, world frame."""
+    """(20, 2) landmarks on a circle concentric with the robot's, world frame."""
     angle = 2.0 * math.pi * np.arange(LANDMARKS) / LANDMARKS
     ring = (RADIUS + LANDMARKS_OUTSIDE) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return np.asarray(ring + np.array([0.0, RADIUS]))
 
 
 def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
-    """Draw the evidence of the run of that number; the same seed and number give the same evidence."""
+    """Simulate the measurements of run number `run`, which depend only on seed and number."""
     rng = np.random.default_rng([seed, run])
     turn = TURN_RATE * STEP_S * np.arange(1, steps + 1)
     truth = np.stack([RADIUS * np.sin(turn), RADIUS * (1.0 - np.cos(turn)), turn], axis=1)
     truth[:, 2] = wrap_angle(truth[:, 2])
     points = landmarks()
-    odometry, sightings, way, ways = [], [], STANDSTILL, []
+    odometry, sightings, motion, covs = [], [], STANDSTILL, []
     for row in truth:
         speed = SPEED + SIGMA_SPEED * rng.standard_normal()
         turn_rate = TURN_RATE + SIGMA_TURN_RATE * rng.standard_normal()
         g = arc_jacobian(speed * STEP_S, turn_rate * STEP_S)
         odometry.append(Odometry(rk4(Pose(), speed, turn_rate, STEP_S), g @ ODOMETRY_COV @ g.T))
-        way = way.then(odometry[-1])
-        ways.append(way.cov)
+        motion = motion.then(odometry[-1])
+        covs.append(motion.cov)
         z, _, _ = predict_points(Pose.from_array(row), points)
         z_range = np.hypot(z[:, 0], z[:, 1])
         z += SIGMA_POINT * rng.standard_normal(z.shape)
         seen = np.flatnonzero((z_range > NEAREST) & (z_range < FARTHEST)).tolist()
         sightings.append({i: Sighting(Kind.CORNER, z[i], POINT_COV) for i in seen})
-    return Evidence(truth, tuple(odometry), tuple(sightings), full_rank_from(np.array(ways)))
+    return Evidence(truth, tuple(odometry), tuple(sightings), full_rank_from(np.array(covs)))
 
 
 def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
-    """Feed the evidence to the estimator of that name, which may be a registered one."""
-    known = isam2 or ISAM2Config(undo_probability=1.0)  # no match is a guess
-    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), known)
+    """Run the estimator `name`, built-in or registered, on the measurements."""
+    settings = isam2 or ISAM2Config(undo_probability=1.0)  # all matches are correct
+    estimator = make_estimator(name, Pose(), np.zeros((3, 3)), settings)
     poses, covs, spent_s = [], [], 0.0
     for odometry, sightings in zip(evidence.odometry, evidence.sightings, strict=True):
         began = perf_counter()

@@ -1,4 +1,4 @@
-"""The edges of the contract: bad input, exact knowledge, no noise, no sightings for long."""
+"""Edge cases of the contract: invalid input, exact knowledge, zero noise, long drives without sightings."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from sixthsense.testing.estimation import (
     START,
     assert_same,
     driven,
-    everything,
     fed,
+    joint_state,
     make,
     noisy,
     random_log,
@@ -23,7 +23,7 @@ from sixthsense.testing.estimation import (
     sight_exactly,
     step,
 )
-from sixthsense.testing.laws import Laws, refused
+from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
 
@@ -48,47 +48,47 @@ BAD_SIGHTINGS = {
 
 
 @LAWS.law_for(BAD_POSE_COVS)
-def a_start_whose_covariance_is_none_is_named(name: str, fault: str) -> None:
-    with refused(ValueError, f"start_cov: .*{fault}"):
+def an_invalid_start_covariance_is_named(name: str, fault: str) -> None:
+    with raises(ValueError, f"start_cov: .*{fault}"):
         make(name, START, BAD_POSE_COVS[fault])
 
 
 @LAWS.law_for(BAD_POSE_COVS)
-def an_odometry_whose_covariance_is_none_is_named_and_changes_nothing(name: str, fault: str) -> None:
+def an_invalid_odometry_covariance_is_named_and_changes_nothing(name: str, fault: str) -> None:
     estimator = driven(name)
-    before = everything(estimator)
+    before = joint_state(estimator)
     for motion in (Pose(0.1, 0.0, 0.0), Pose()):
-        with refused(ValueError, f"odometry: .*{fault}"):
+        with raises(ValueError, f"odometry: .*{fault}"):
             estimator.predict(Odometry(motion, BAD_POSE_COVS[fault]))
-        assert_same(before, everything(estimator))
+        assert_same(before, joint_state(estimator))
 
 
 @LAWS.law_for(BAD_SIGHTINGS)
-def a_sighting_that_is_none_is_named_and_changes_nothing(name: str, fault: str) -> None:
-    """Not even the good sightings of the same scan are taken in."""
+def an_invalid_sighting_is_named_and_changes_nothing(name: str, fault: str) -> None:
+    """The valid sightings of the same scan are rejected as well."""
     estimator = driven(name)
-    before, rows = everything(estimator), estimator.trajectory()
+    before, rows = joint_state(estimator), estimator.trajectory()
     z, cov = BAD_SIGHTINGS[fault]
     good = sight(Pose(1.0, 1.0, 1.0), [0, 1, 2], np.random.default_rng(0))
     for i in (7, 1):
         bad = {i: Sighting(Kind.CORNER, np.array(z), np.array(cov))}
-        with refused(ValueError, fault.replace("landmark 7", f"landmark {i}")):
+        with raises(ValueError, fault.replace("landmark 7", f"landmark {i}")):
             estimator.update(good | bad if i == 7 else bad)
-        assert_same(before, everything(estimator))
+        assert_same(before, joint_state(estimator))
         assert np.array_equal(rows, estimator.trajectory())
     estimator.update(good)
     assert len(estimator.trajectory()) == 9
 
 
 @LAWS.law
-def the_fault_of_a_sighting_names_its_landmark(name: str) -> None:
+def the_error_of_a_sighting_names_its_landmark(name: str) -> None:
     good = sight(START, [0, 1, 2], np.random.default_rng(0))
-    with refused(ValueError, "landmark 41: found an asymmetric matrix, allowed: a covariance, symmetric"):
+    with raises(ValueError, "landmark 41: found an asymmetric matrix, allowed: a covariance, symmetric"):
         make(name).update(good | {41: Sighting(Kind.END, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]]))})
 
 
 @LAWS.law
-def a_motion_known_exactly_moves_the_pose_and_its_uncertainty_with_it(name: str) -> None:
+def an_exact_motion_moves_the_pose_and_transports_its_covariance(name: str) -> None:
     estimator = driven(name)
     before = estimator.estimate()
     estimator.predict(Odometry(Pose(0.5, 0.1, 0.2), np.zeros((3, 3))))
@@ -97,12 +97,12 @@ def a_motion_known_exactly_moves_the_pose_and_its_uncertainty_with_it(name: str)
     assert np.isclose(after.pose_cov[2, 2], before.pose_cov[2, 2], rtol=1e-6)
     assert np.isclose(np.linalg.det(after.pose_cov), np.linalg.det(before.pose_cov), rtol=1e-6)
     estimator.update(sight(after.pose, [0, 1, 2], np.random.default_rng(0)))
-    assert np.linalg.eigvalsh(everything(estimator)[1]).min() > 0.0
+    assert np.linalg.eigvalsh(joint_state(estimator)[1]).min() > 0.0
 
 
 @LAWS.law
-def a_pose_is_kept_for_each_of_many_updates_without_a_sighting(name: str) -> None:
-    """Odometry alone: what it says is what is known, and the next sighting is taken in as ever."""
+def every_update_without_sightings_adds_a_pose_to_the_trajectory(name: str) -> None:
+    """The estimate is that of odometry alone, and later sightings are used as usual."""
     estimator, folded, rows = make(name), STANDSTILL, []
     for k in range(300):
         if k % 3:
@@ -113,18 +113,18 @@ def a_pose_is_kept_for_each_of_many_updates_without_a_sighting(name: str) -> Non
     assert np.allclose(estimator.trajectory(), rows, atol=1e-9)
     alone = make(name)
     alone.predict(folded)
-    assert_same(everything(estimator), everything(alone), 1e-9)
+    assert_same(joint_state(estimator), joint_state(alone), 1e-9)
     expected = START @ folded.motion
     for k in range(3):
         estimator.update(sight(expected, range(5), np.random.default_rng(k)))
     assert estimator.trajectory().shape == (303, 3)
-    estimate, joint = everything(estimator)
+    estimate, joint = joint_state(estimator)
     assert np.linalg.eigvalsh(joint).min() > 0.0
     assert np.allclose(estimator.trajectory()[-1], estimate.pose.array())
 
 
 @LAWS.law
-def the_trajectory_has_one_row_per_update_and_is_empty_before(name: str) -> None:
+def the_trajectory_has_one_row_per_update_and_starts_empty(name: str) -> None:
     estimator = make(name)
     assert estimator.trajectory().shape == (0, 3)
     rng = np.random.default_rng(0)
@@ -137,19 +137,19 @@ def the_trajectory_has_one_row_per_update_and_is_empty_before(name: str) -> None
 
 
 @LAWS.law_for([step(), step(0.0, 0.3), step(0.3, 0.0), Odometry(Pose(), np.zeros((3, 3)))])
-def driving_off_from_exact_knowledge_never_fails(name: str, motion: Odometry) -> None:
+def a_drive_from_an_exact_start_never_fails(name: str, motion: Odometry) -> None:
     estimator, true = make(name, Pose(), np.zeros((3, 3))), Pose()
     for _ in range(30):
         estimator.predict(motion)
         true = true @ motion.motion
         estimator.update(sight_exactly(name, true, range(5)))
-    estimate, joint = everything(estimator)
+    estimate, joint = joint_state(estimator)
     assert np.isfinite(joint).all() and np.linalg.eigvalsh(joint).min() > -1e-12
     assert np.allclose(estimate.pose.position, true.position, atol=1e-6)
 
 
 @LAWS.law_for([1e-2, 1e-4, 1e-6])
-def as_the_noise_goes_to_zero_the_estimate_goes_to_the_truth(name: str, sigma: float) -> None:
+def the_estimate_converges_to_the_truth_as_the_noise_goes_to_zero(name: str, sigma: float) -> None:
     rng = np.random.default_rng(1)
     estimator, true = make(name, Pose(), np.zeros((3, 3))), Pose()
     for _ in range(40):
@@ -165,7 +165,7 @@ def as_the_noise_goes_to_zero_the_estimate_goes_to_the_truth(name: str, sigma: f
 
 
 @LAWS.law
-def a_long_random_drive_keeps_the_joint_covariance_positive(name: str) -> None:
+def a_long_random_drive_keeps_the_joint_covariance_positive_definite(name: str) -> None:
     points = np.random.default_rng(3).uniform(-5, 5, (30, 2))
-    estimate, joint = everything(fed(make(name), random_log(2, points)))
+    estimate, joint = joint_state(fed(make(name), random_log(2, points)))
     assert len(estimate.ids) == 30 and np.linalg.eigvalsh(joint).min() > 0.0

@@ -1,4 +1,4 @@
-"""Laws that every back end keeps, one by one."""
+"""Laws of a contract: named checks, each called with the name of an implementation."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ Check = Callable[..., None]
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """One promise, and what tests it."""
+    """One law with its check."""
 
     name: str
     """a sentence, with _ between its words"""
     check: Callable[[str], None]
-    """of the back end of that name; raises whatever shows that it does not keep the law"""
+    """called with the name of an implementation; raises an exception if it violates the law"""
 
 
 class Laws(list[Law]):
-    """Laws in the order in which they were written."""
+    """Laws in the order of their definition."""
 
     def law(self, check: Check) -> Check:
-        """Decorate what tests a law, called with a back end's name."""
+        """Decorate a check, which is called with the name of an implementation."""
         self.append(Law(check.__name__, check))
         return check
 
     def law_for(self, cases: Collection[Any]) -> Callable[[Check], Check]:
-        """Decorate what tests a law in each of some cases, called with a back end's name and the case."""
+        """Decorate a check, which is called with the name of an implementation and each of the cases."""
 
-        def keep(check: Check) -> Check:
+        def add(check: Check) -> Check:
             for k, case in enumerate(cases):
-                said = case if isinstance(case, str) else case if isinstance(case, float) else k
-                self.append(Law(f"{check.__name__} [{said}]", partial(_of, check, case)))
+                label = case if isinstance(case, str) else case if isinstance(case, float) else k
+                self.append(Law(f"{check.__name__} [{label}]", partial(_check_case, check, case)))
             return check
 
-        return keep
+        return add
 
 
-def _of(check: Check, case: Any, name: str) -> None:
+def _check_case(check: Check, case: Any, name: str) -> None:
     check(name, case)
 
 
 @contextlib.contextmanager
-def refused(kind: type[Exception], match: str = "") -> Iterator[None]:
-    """Within the block an exception of that kind is raised whose words match; AssertionError if not."""
+def raises(kind: type[Exception], match: str = "") -> Iterator[None]:
+    """A context that must raise an exception of that kind whose message matches; AssertionError otherwise."""
     try:
         yield
     except kind as error:
         assert re.search(match, str(error)), f"found {error}, expected {match}"
     else:
-        raise AssertionError(f"nothing was refused, expected {kind.__name__} {match}")
+        raise AssertionError(f"nothing was raised, expected {kind.__name__} {match}")

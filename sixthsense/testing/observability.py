@@ -1,8 +1,8 @@
-"""What each filter believes to have learnt: odometry and sightings say nothing of where the map lies, nor how it turns.
+"""Observability of the filters: the information gained about the unobservable position and rotation of the world.
 
-The system has three unobservable directions, the world's motions. All is read from outside, from covariances before
-and after each step: Phi from the covariance of pose and landmarks, H^T R^-1 H as the information an update adds.
-Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010.
+SLAM has three unobservable directions, the rigid motions of the world. All quantities are computed from covariances
+before and after each step: Phi from the covariance of pose and landmarks, H^T R^-1 H as the information added by an
+update. Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.testing.estimation import (
     START,
     START_COV,
-    everything,
+    joint_state,
     make,
     noisy,
     sight,
@@ -26,10 +26,10 @@ from sixthsense.testing.estimation import (
 
 
 def coordinates(name: str, estimate: Estimate) -> Array:
-    """A (n, n): world errors = A times the errors in which the filter is linear.
+    """A (n, n): the errors in world coordinates are A times the errors in which the filter is linear.
 
-    Those of the consistent ones are xi: the invariant's by design, the others' because what is kept about their points
-    of linearisation is handed out about the estimates.
+    The latter are the invariant errors xi for the consistent filters: for ekf-invariant by design, for the others
+    because the covariance kept about the points of linearisation is returned about the estimates.
     """
     size = 3 + 2 * len(estimate.ids)
     A = np.eye(size)
@@ -40,14 +40,14 @@ def coordinates(name: str, estimate: Estimate) -> Array:
 
 
 def own_covariance(name: str, estimator: Estimator) -> Array:
-    """(n, n) of the joint state in the coordinates in which the filter is linear."""
-    estimate, joint = everything(estimator)
+    """(n, n) joint covariance in the coordinates in which the filter is linear."""
+    estimate, joint = joint_state(estimator)
     back = np.linalg.inv(coordinates(name, estimate))
     return np.asarray(back @ joint @ back.T)
 
 
 def observability_gramian(name: str, seed: int, noise: bool) -> Array:
-    """Sum over a window of Phi(k, 0)^T H_k^T R_k^-1 H_k Phi(k, 0), in the filter's own coordinates."""
+    """Sum over a window of Phi(k, 0)^T H_k^T R_k^-1 H_k Phi(k, 0), in the coordinates of the filter."""
     rng = np.random.default_rng(seed)
     estimator, true = make(name), START
     estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
@@ -58,7 +58,7 @@ def observability_gramian(name: str, seed: int, noise: bool) -> Array:
         true = true @ (noisy(odometry, rng) if noise else odometry.motion)
         estimator.predict(odometry)
         predicted = own_covariance(name, estimator)
-        phi = np.eye(len(updated))  # so it is for xi, whose landmarks only the odometry's noise reaches
+        phi = np.eye(len(updated))  # for xi, whose landmark part changes only by the odometry noise
         if name == "ekf":  # Sigma_lp' = Sigma_lp Phi^T
             phi[:3, :3] = np.linalg.lstsq(updated[3:, :3], predicted[3:, :3])[0].T
         estimator.update(sight(true, range(5), rng) if noise else sight_exactly(name, true, range(5)))
@@ -69,13 +69,13 @@ def observability_gramian(name: str, seed: int, noise: bool) -> Array:
 
 
 def nullity(gramian: Array) -> int:
-    """How many directions are not observed; rounding leaves them 1e-15 of the largest, noise makes it 1e-5."""
+    """Number of unobserved directions; their eigenvalues are 1e-15 of the largest by rounding, 1e-5 with false gain."""
     eigenvalues = np.linalg.eigvalsh(gramian)
     return int(np.sum(np.abs(eigenvalues) < 1e-9 * eigenvalues[-1]))
 
 
 def heading_variances(name: str, seed: int) -> Array:
-    """(150,) heading variance over a drive of several loops, by that of the start: no measurement can lower it."""
+    """(150,) heading variance over several loops, relative to the start; no measurement can lower it."""
     rng = np.random.default_rng(seed)
     estimator, true, variances = make(name, isam2=ISAM2Config()), START, []
     for _ in range(150):

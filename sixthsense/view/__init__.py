@@ -1,1 +1,1 @@
-"""The live view: a run as it goes, in Rerun's window, in a browser or in a file; the only package that knows Rerun."""
+"""The live view of a run in a Rerun window, a browser or a file; the only package that imports Rerun."""

@@ -1,7 +1,7 @@
-"""What the live view shows of a run, in Rerun's terms.
+"""The live view's entities of a run in Rerun.
 
-Everything of the plane lies under `map`, which is the world mirrored in y, because Rerun's plane has y downwards; what
-is sent there is in metres, world frame; the body under `map/robot` alone is in the robot's.
+All entities in the plane are below `map`, which mirrors the world in y because y points down in Rerun's 2-D views. Data
+is in metres, world frame, except for the body below `map/robot`, which is in the robot frame.
 """
 
 from __future__ import annotations
@@ -26,35 +26,35 @@ from sixthsense.record.trace import Trace
 _FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
 _THIN, _THICK = 1.0, 2.0  # of lines, pixels
 _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
-_FILE_TICK = timedelta(seconds=5.0)  # of wall time, between two writes to a file
+_FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
 _STAGE_COLORS = ("#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN)
 
 
 class Drawing:
-    """A stream of Rerun's, and what is sent down it."""
+    """A Rerun recording stream and the entities sent to it."""
 
     def __init__(self, sink: str | Path) -> None:
-        """Begin a stream into a file, or to the viewer at an address, rerun+http://..."""
+        """Open a stream to a file, or to the viewer at an address, rerun+http://..."""
         import rerun
 
         self._rr = rerun
         is_live = str(sink).startswith("rerun+http://")
         batches = rerun.ChunkBatcherConfig.DEFAULT()
         if not is_live:
-            batches.flush_tick = _FILE_TICK  # fewer and larger pieces are sooner read again
+            batches.flush_tick = _FILE_TICK  # fewer and larger chunks load faster
         self._stream = rerun.RecordingStream("sixthsense", batcher_config=batches)
         self._stream.set_log_time_enabled(False)
         if is_live:
             self._stream.connect_grpc(str(sink))
         else:
             Path(sink).parent.mkdir(parents=True, exist_ok=True)
-            with Path(sink).open("wb"):  # whose complaint names the file
+            with Path(sink).open("wb"):  # whose error names the file
                 self._stream.save(sink)
-        self._cells = b""  # of the grid that was sent last
+        self._cells = b""  # of the grid sent last
 
     def begin(self, trace: Trace) -> None:
-        """Send what stays as it is: the layout, the true walls, colours and names."""
+        """Send the static entities: layout, true walls, colours and names."""
         rr, scene = self._rr, trace.scene
         self._stream.send_blueprint(self._blueprint(trace))
         self._stream.log("map", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
@@ -68,17 +68,17 @@ class Drawing:
         self._series("plots/nis/per_dof", "NIS per degree of freedom", ESTIMATE)
         for plot in ("nees", "nis"):
             for end in ("low", "high"):
-                self._series(f"plots/{plot}/{end}", f"95 %, {end}", _BAND)
+                self._series(f"plots/{plot}/{end}", f"95 % band, {end}", _BAND)
         for stage, color in zip(STAGES, _STAGE_COLORS, strict=True):
             self._series(f"plots/timing/{stage}", stage, color)
 
     def set_time(self, now_s: float, scan: int) -> None:
-        """What follows is of that time of the source, and of that scan."""
+        """Set the source's time and the scan number of the following data."""
         self._stream.set_time("time", duration=now_s)
         self._stream.set_time("scan", sequence=scan)
 
     def robot(self, tick: Tick, trace: Trace) -> None:
-        """Where the robot is believed to be, where it truly is, and the scan."""
+        """Send the estimated pose, the true position and the scan."""
         rr, live = self._rr, trace.live
         pose = Pose.from_array(trace.estimates[-1])
         turn = rr.RotationAxisAngle(axis=[0.0, 0.0, 1.0], radians=pose.theta)
@@ -90,7 +90,7 @@ class Drawing:
             self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
 
     def features(self, trace: Trace) -> None:
-        """What the last key scan showed, and how sure the pose is after it."""
+        """Send the features of the last key scan and the 95 % ellipse of the pose after it."""
         estimate, live = trace.key_estimates[-1], trace.live
         outline = ellipse(estimate.pose.position, estimate.pose_cov[:2, :2])
         self._lines("map/pose", [outline], ESTIMATE, _THICK)
@@ -101,7 +101,7 @@ class Drawing:
         self._points("map/features/points", estimate.pose @ points, WALL_FOUND, 5.0)
 
     def plots(self, trace: Trace) -> None:
-        """The pose's NEES, the NIS of the matches and the stages' times of the last key scan."""
+        """Send NEES, NIS and stage times of the last key scan."""
         estimate, association = trace.key_estimates[-1], trace.associations[-1]
         cov = estimate.pose_cov[None]
         if trace.key_truths and metrics.full_rank_from(cov) == 0:
@@ -115,11 +115,11 @@ class Drawing:
             self._stream.log(f"plots/timing/{stage}", self._rr.Scalars(ms))
 
     def plan(self, path: Array) -> None:
-        """A planned path (N, 2)."""
+        """Send a planned path (N, 2)."""
         self._lines("map/plan", [path], PLAN, _THICK)
 
     def map(self, trace: Trace) -> None:
-        """The grid, the frontiers, the landmarks and the way so far."""
+        """Send the grid, the frontiers, the landmarks and the path so far."""
         self._grid(trace)
         self._landmarks(trace)
         driven = np.array([estimate.pose.position for estimate in trace.key_estimates]).reshape(-1, 2)
@@ -128,10 +128,10 @@ class Drawing:
             self._lines("map/true/driven", [np.array(trace.key_truths)[:, :2]], TRUTH, _THIN)
 
     def flush(self, timeout_s: float) -> None:
-        """Wait until all is sent, or nobody takes it."""
+        """Wait until all data is sent, or the viewer is gone."""
         try:
             self._stream.flush(timeout_sec=timeout_s)
-        except Exception:  # whoever was to see it has gone, which is no failure of the run
+        except Exception:  # a closed viewer is not a failure of the run
             return
 
     def close(self) -> None:
@@ -157,8 +157,8 @@ class Drawing:
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
         if trace.config.task == "explore" and trace.scene is not None:
             region = trace.config.region or trace.scene.region
-            edge = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
-            self._points("map/frontiers", edge, TRUTH, 1.5)
+            frontiers = frontier_points(grid.seen, grid.obstacles, grid.origin, cell_m, region)
+            self._points("map/frontiers", frontiers, TRUTH, 1.5)
 
     def _landmarks(self, trace: Trace) -> None:
         live = trace.live
@@ -195,7 +195,7 @@ class Drawing:
             self._stream.log(f"{plot}/{path}", self._rr.Scalars(number))
 
     def _blueprint(self, trace: Trace) -> Any:
-        """The plane on the left, the plots on the right."""
+        """The layout: the map on the left, the plots on the right."""
         import rerun.blueprint as rrb
 
         bounds = None
@@ -206,9 +206,9 @@ class Drawing:
             origin="/", contents="/map/**", name="map", background=[255, 255, 255], visual_bounds=bounds
         )
         titles = {
-            "nees": "NEES of the pose, 95 % band",
+            "nees": "Pose NEES, 95 % band",
             "nis": "NIS per degree of freedom, 95 % band",
-            "timing": "Stages of a key scan, ms",
+            "timing": "Time of each stage of a key scan, ms",
         }
         plots = [
             rrb.TimeSeriesView(
@@ -217,7 +217,7 @@ class Drawing:
             for plot, title in titles.items()
         ]
         layout = rrb.Horizontal(plane, rrb.Vertical(*plots), column_shares=[3.0, 2.0])
-        # At the newest, until somebody scrubs.
+        # Follow the latest data until the user moves the time cursor.
         clock = rrb.TimePanel(timeline="time", state="collapsed", play_state="following")
         return rrb.Blueprint(layout, clock, collapse_panels=True)
 

@@ -1,4 +1,4 @@
-"""The hook of the loop that shows a run as it goes, and what becomes of it when the run is over."""
+"""`View`: the hook of the loop that shows a run live, and its end."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from sixthsense.record.trace import Trace
 from sixthsense.view.drawing import Drawing
 from sixthsense.view.viewer import LOOPBACK, Viewer, check_place
 
-_PERIOD_S = 1.0  # between two maps, in the source's time
-_SHARE = 0.01  # and no oftener than this part of the time so far: so a long log grows by its logarithm
-_FLUSH_S = 30.0  # a viewer that was closed takes nothing more
+_PERIOD_S = 1.0  # shortest period of the map, in the source's time
+_PERIOD_SHARE = 0.01  # the period is also at least this share of the time so far: the file grows logarithmically
+_FLUSH_S = 30.0  # timeout, since a closed viewer accepts no data
 
 
 class View:
-    """Shows a run as it goes: a hook of the loop, for `on_tick`; leave its `with` block when the run is over.
+    """Shows a run live: a hook of the loop, for `on_tick`; leave its `with` block when the run is over.
 
         with ss.View("run.rrd") as view:
             ss.run("apartment", on_tick=view)
 
-    Shown are scan, features, landmarks with 95 % ellipses, walls, the pose and its 95 % ellipse, the grid, frontiers,
-    plan, NEES, NIS and the time of each stage, over the source's time and over the number of the scan. A file, .rrd, is
-    opened with `rerun FILE`.
+    The view has scan, features, landmarks with 95 % ellipses, walls, the pose with its 95 % ellipse, grid, frontiers,
+    plan, NEES, NIS and the time of each stage, over the source's time and over the scan number. Open an .rrd file with
+    `rerun FILE`.
     """
 
     def __init__(self, place: str | Path = "window", address: str = LOOPBACK) -> None:
-        """Show it at a `place`: "window", "browser" or a file, .rrd, which is overwritten.
+        """Show the run at a `place`: "window", "browser" or an .rrd file, which is overwritten.
 
-        A browser's server is bound to `address`, the loopback by default: whoever reaches it can look on, so choose
-        another in a network you trust. Usage statistics are off. Raises ViewError for a place that is none, where Rerun
-        is not installed, and where there is no display for a window.
+        The server for browsers is bound to `address`, by default the loopback. Everybody who can reach the address can
+        watch, so choose another one only in a trusted network. Usage statistics are off. Raises ViewError for an
+        unknown place, without Rerun, and for a window without a display.
         """
         check_place(place, address)
         self._viewer: Viewer | None = None
@@ -41,10 +41,10 @@ class View:
             self._viewer = Viewer("browser", address)
         self._drawing = Drawing(place if self._viewer is None else self._viewer.stream)
         self.page = "" if self._viewer is None else self._viewer.page
-        """what a browser opens to see it; empty of a window and of a file"""
+        """address of the page for a browser; empty for a window or a file"""
         self._trace: Trace | None = None
         self._scans = self._keys = self._plans = 0
-        self._next_s = -math.inf  # when the map is sent again
+        self._next_s = -math.inf  # time of the next map
         self._is_open = True
 
     def __enter__(self) -> View:
@@ -54,7 +54,7 @@ class View:
         self.close()
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Show what a tick has brought, if it has brought a scan."""
+        """Show the data of a tick that has a scan."""
         if self._trace is not trace:
             self._trace, self._scans, self._keys, self._plans, self._next_s = trace, 0, 0, 0, -math.inf
             self._drawing.begin(trace)
@@ -72,11 +72,11 @@ class View:
             self._plans = len(trace.plans)
             self._drawing.plan(trace.plans[-1])
         if now_s >= self._next_s:
-            self._next_s = now_s + max(_PERIOD_S, _SHARE * now_s)
+            self._next_s = now_s + max(_PERIOD_S, _PERIOD_SHARE * now_s)
             self._drawing.map(trace)
 
     def finish(self) -> None:
-        """Show the end of the run, and send all that is still to be sent."""
+        """Send the final map and all pending data."""
         if self._trace is not None and self._trace.stamps_ns:
             self._drawing.map(self._trace)
         self._drawing.flush(_FLUSH_S)
@@ -87,12 +87,12 @@ class View:
         return self._trace is not None and self._trace.outcome == "interrupted"
 
     def wait(self) -> None:
-        """Keep a browser's server until Ctrl-C; returns at once of a window and of a file."""
+        """Keep the server for browsers until Ctrl-C; return at once for a window or a file."""
         if self.page and self._viewer is not None:
             self._viewer.wait()
 
     def close(self) -> None:
-        """End it; a window stays until its user closes it."""
+        """End the view; a window stays open until the user closes it."""
         if not self._is_open:
             return
         self._is_open = False

@@ -1,7 +1,7 @@
-"""Rerun's page for browsers, handed on with a policy that keeps it from asking anything of other machines.
+"""A relay of Rerun's page for browsers with a policy that blocks requests to other machines.
 
-The page by itself reports usage to its makers, and asks for news of itself. A Content-Security-Policy lets the browser
-refuse whatever is not asked of this server or of the stream.
+The page itself sends usage statistics and checks for updates. With the Content-Security-Policy the browser blocks every
+request except those to this server and to the stream.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ _TIMEOUT_S = 60.0
 
 
 class Relay:
-    """Serves what another server on this machine serves, under the policy."""
+    """A server that relays another server on this machine, with the policy."""
 
     def __init__(self, address: str, page: str, stream: str) -> None:
-        """Listen on `address` and hand on `page`, http://...; of others it may ask `stream`, http://..., alone."""
+        """Listen on `address` and relay `page`, http://...; the policy allows requests only to it and to `stream`."""
         policy = f"default-src {_OWN}; connect-src {_OWN} {stream}"
-        behind = urlsplit(page)
+        origin = urlsplit(page)
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
 
             def do_GET(self) -> None:
-                connection = http.client.HTTPConnection(str(behind.hostname), behind.port, timeout=_TIMEOUT_S)
+                connection = http.client.HTTPConnection(str(origin.hostname), origin.port, timeout=_TIMEOUT_S)
                 try:
                     asked = {name: self.headers[name] for name in ("Accept-Encoding",) if name in self.headers}
                     connection.request("GET", self.path, headers=asked)
@@ -50,23 +50,23 @@ class Relay:
                 self.wfile.write(body)
 
             def log_message(self, *_: object) -> None:
-                """Nothing: the terminal is the run's."""
+                """Log nothing: the terminal belongs to the run."""
 
         class Server(ThreadingHTTPServer):
             daemon_threads = True
             address_family = AF_INET6 if ":" in address else AF_INET
 
             def handle_error(self, *_: object) -> None:
-                """Nothing: a browser that has gone is none of the run's business."""
+                """Ignore the error of a closed browser."""
 
         self._server = Server((address, 0), Handler)
         self.port = int(self._server.server_address[1])
-        """that it listens on"""
+        """port of the relay"""
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()
 
     def end(self) -> None:
-        """Listen no more."""
+        """Stop the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()

@@ -1,4 +1,4 @@
-"""Rerun's viewer as a process beside ours: where it may be shown, and its server, bound to one address."""
+"""Rerun's viewer as a separate process: the places for it, and its servers, bound to one address."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from sixthsense.view.relay import Relay
 LOOPBACK = "127.0.0.1"
 PLACES = "window, browser or FILE.rrd"
 
-_START_S = 60.0  # in which a viewer has begun to listen
-_END_S = 5.0
+_START_S = 60.0  # timeout until the viewer listens
+_END_S = 5.0  # timeout until the viewer has ended
 
 
 class ViewError(InputError):
-    """One line for a view that cannot be shown."""
+    """One line for a view that is not possible."""
 
 
 def is_place(word: str) -> bool:
-    """Whether a word says where to show a run: window, browser, or a file of Rerun's."""
+    """Whether a word is a place for the view: window, browser, or an .rrd file."""
     return word in ("window", "browser") or Path(word).suffix.lower() == ".rrd"
 
 
 def check_place(place: str | Path, address: str = LOOPBACK) -> None:
-    """Raise ViewError for a place that is none, a window without a display and an address that is none.
+    """Raise ViewError for an unknown place, a window without a display, or an invalid address.
 
-    Raises it, too, where Rerun is not installed, and says how to install it.
+    Without Rerun the error says how to install it.
     """
     if not is_place(str(place)):
         raise ViewError(f"--view: found {shown(str(place))}, allowed: {PLACES}")
@@ -52,16 +52,16 @@ def check_place(place: str | Path, address: str = LOOPBACK) -> None:
 
 
 class Viewer:
-    """A viewer in a process of its own that listens on one address: a native window, or a server for browsers."""
+    """A viewer in a separate process that listens on one address: a native window, or a server for browsers."""
 
     def __init__(self, kind: Literal["window", "browser"], address: str = LOOPBACK) -> None:
-        """Start it and wait until it listens; ViewError if it does not."""
+        """Start the viewer and wait until it listens; ViewError if it does not."""
         host = f"[{address}]" if ":" in address else address
         port = _free_port(address)
         self.stream = f"rerun+http://{host}:{port}/proxy"
-        """where data is sent to"""
+        """address that data is sent to"""
         self.page = ""
-        """what a browser opens; empty of a window"""
+        """address of the page for a browser; empty for a window"""
         self._relay: Relay | None = None
         words, ports = [_program(), "--bind", address, "--port", str(port)], [port]
         if kind == "browser":
@@ -72,10 +72,10 @@ class Viewer:
             words += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
         else:
             words += ["--hide-welcome-screen", "--expect-data-soon"]
-        nowhere = subprocess.DEVNULL
-        # In a session of its own: Ctrl-C is for the run, which ends in order, and is still shown.
+        null = subprocess.DEVNULL
+        # In its own session, so that Ctrl-C stops the run but not the viewer, which shows the end of the run.
         self._process = subprocess.Popen(
-            words, env=_environment(), stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
+            words, env=_environment(), stdin=null, stdout=null, stderr=null, start_new_session=True
         )
         deadline = time.monotonic() + _START_S
         while not all(_listens(address, port) for port in ports):
@@ -85,11 +85,11 @@ class Viewer:
             time.sleep(0.05)
 
     def wait(self) -> None:
-        """Until the viewer ends, or Ctrl-C."""
+        """Wait until the viewer ends, or Ctrl-C."""
         self._process.wait()
 
     def end(self) -> None:
-        """Stop it; a window that its user has closed has ended already."""
+        """Stop the viewer if it is still running."""
         if self._relay is not None:
             self._relay.end()
         if self._process.poll() is None:
@@ -102,7 +102,7 @@ class Viewer:
 
 
 def _program() -> str:
-    """Rerun's own program, without the script around it, which would not hand on the signal that ends it."""
+    """The path of Rerun's binary; its wrapper script would not forward the signal that ends it."""
     spec = find_spec("rerun_cli")
     folders = list(spec.submodule_search_locations or ()) if spec is not None else []
     names = ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun")
@@ -113,7 +113,7 @@ def _program() -> str:
 
 
 def _environment() -> dict[str, str]:
-    """Ours, without usage statistics: the viewer sends none where `CI` is set, whatever is configured."""
+    """The environment without usage statistics: the viewer sends none if `CI` is set."""
     kept = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
     return kept | {"CI": "1", "TELEMETRY_ENABLED": "false"}
 

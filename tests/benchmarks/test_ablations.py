@@ -33,12 +33,12 @@ def test_all_corners_of_an_empty_room_are_visible_from_anywhere_in_it(ablations)
         assert visible(ablations, Pose(x, y, theta), WALLS) == 4
 
 
-def test_a_screen_hides_what_is_behind_it_and_shows_its_own_ends(ablations) -> None:
+def test_a_screen_hides_landmarks_behind_it_and_its_ends_are_visible(ablations) -> None:
     screen = np.concatenate([WALLS, [[[1.0, -1.0], [1.0, 1.0]]]])
     assert visible(ablations, Pose(0.5, 0.0, 0.0), screen) == 2 + 2
 
 
-def test_what_lies_behind_the_robot_or_far_away_is_not_visible(ablations) -> None:
+def test_landmarks_behind_the_robot_or_far_away_are_not_visible(ablations) -> None:
     assert visible(ablations, Pose(0.0, 0.0, 0.0), WALLS, fov=math.pi) == 2
     assert visible(ablations, Pose(0.0, 0.0, 0.0), 2.0 * WALLS) == 0
 
@@ -53,7 +53,7 @@ def test_a_perfect_scan_of_a_room_has_no_false_and_no_missed_landmark(ablations)
     assert figures["sighting_rmse_mm"] < 20.0 and figures["wall_rmse_mm"] < 1.0
 
 
-def test_a_landmark_that_is_not_there_is_false_and_one_not_seen_is_missed(ablations) -> None:
+def test_a_landmark_without_a_true_one_is_false_and_an_unseen_one_is_missed(ablations) -> None:
     config = preset("noiseless", scene="rectangle", max_time=3.0, features={"landmarks": "corners"})
     _, views = ablations.collect(config)
     far = load_scene("rectangle").walls + 50.0
@@ -64,7 +64,7 @@ def test_a_landmark_that_is_not_there_is_false_and_one_not_seen_is_missed(ablati
     assert missed["missed_per_scan"] == missed["visible_per_scan"] > 0.0
 
 
-def test_every_switch_has_its_figures_its_line_and_the_claims_their_sentence(ablations) -> None:
+def test_every_switch_has_figures_and_a_row_and_every_claim_a_sentence(ablations) -> None:
     figures = ablations.ablation_figures("default", 1, "rectangle", 4.0)
     assert all(math.isfinite(value) for value in figures.values())
     json.dumps(figures)

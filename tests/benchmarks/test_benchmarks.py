@@ -65,7 +65,7 @@ def test_extraction_and_insertion_are_timed_per_scan(script):
 
 
 @of("kernels")
-def test_the_heap_finds_paths_as_cheap_as_the_kernel_does(script):
+def test_the_heap_and_the_kernel_find_the_same_cost(script):
     figures = script.astar_figures(size=60, grids=2, repeats=1)
     assert set(figures) == {
         "astar_ms_mean", "astar_expansions_mean", "astar_expansions_per_s", "astar_heapq_ms_mean",
@@ -76,7 +76,7 @@ def test_the_heap_finds_paths_as_cheap_as_the_kernel_does(script):
 
 
 @of("kernels")
-def test_the_heap_cuts_no_corner_and_says_when_there_is_no_path(script):
+def test_the_heap_cuts_no_corner_and_reports_missing_paths(script):
     free = np.zeros((2, 2), dtype=np.bool_)
     assert script.search_heapq(free, 0, 3)[0] == math.sqrt(2.0)
     one_wall = np.array([[False, True], [False, False]])
@@ -86,7 +86,7 @@ def test_the_heap_cuts_no_corner_and_says_when_there_is_no_path(script):
 
 
 @of("ekf_scaling")
-def test_each_size_of_map_has_its_time_and_its_passes(script, tmp_path):
+def test_each_map_size_has_its_time_and_its_passes(script, tmp_path):
     figures = script.scaling_figures((10, 20), repeats=3)
     assert set(figures) == {f"n{n}_m10_{what}" for n in (10, 20) for what in ("ms", "pass_ms", "passes")}
     assert all_finite(figures)
@@ -110,13 +110,13 @@ def test_a_setting_counts_outcomes_and_reduces_the_runs_metrics(script):
 
 
 @of("calibration")
-def test_a_calibration_is_judged_before_and_after(script):
+def test_a_calibration_has_figures_before_and_after(script):
     figures = script.world_figures("worn", 1, 5.0, 20)
     assert figures and all_finite(figures)
 
 
 @of("tasks")
-def test_every_setting_has_a_name_of_its_own(script):
+def test_the_names_of_settings_are_unique(script):
     assert len({setting.name for setting in script.SETTINGS}) == len(script.SETTINGS)
 
 
@@ -151,7 +151,7 @@ def test_dijkstra_cuts_no_corner(script):
 
 
 @of("planning")
-def test_four_ways_of_planning_have_their_medians_and_a_line_in_the_table(script):
+def test_four_planners_have_their_medians_and_a_row_in_the_table(script):
     drawn = script.true_map(load_scene("rectangle"), 0.1)
     figures = script.comparison_figures({"rectangle": drawn}, 4, RRTStarConfig(iterations=500))
     names = [f"{where}.{way}" for where in ("rectangle", "all") for way in ("astar", "astar_shortcut", "rrtstar")]
@@ -164,14 +164,14 @@ def test_four_ways_of_planning_have_their_medians_and_a_line_in_the_table(script
 
 
 @of("planning")
-def test_turns_count_both_ways_and_straight_on_is_none(script):
+def test_turns_count_in_both_directions(script):
     assert script.turns(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [3.0, 0.0]])) == 0.0
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
     assert script.turns(square) == pytest.approx(math.pi)
 
 
 @of("planning")
-def test_a_replan_costs_what_one_from_scratch_does(script):
+def test_a_replan_has_the_cost_of_a_plan_from_scratch(script):
     drawn = script.true_map(load_scene("apartment"), 0.1)
     figures = script.replan_figures(drawn, 4, 2)
     for where in ("ahead", "anywhere"):
@@ -181,7 +181,7 @@ def test_a_replan_costs_what_one_from_scratch_does(script):
 
 
 @of("planning")
-def test_the_robot_is_asked_for_places_inside_willow_garage(script, data_dir):
+def test_queries_in_willow_garage_are_inside_the_building(script, data_dir):
     drawn = script.true_map(script.willow(data_dir / "maps"), 0.2)
     assert len(drawn.cells) > 1000
     assert (drawn.cells.min(axis=0) > 0).all()
@@ -204,7 +204,7 @@ def test_an_exact_log_has_no_error_against_exact_relations(script):
 
 
 @of("intel")
-def test_without_the_data_one_line_says_what_is_missing(script, monkeypatch, capsys):
+def test_missing_data_is_named_in_one_line(script, monkeypatch, capsys):
     monkeypatch.delenv("SIXTHSENSE_DATA", raising=False)
     monkeypatch.setattr("sys.argv", ["intel.py"])
     assert script.main() == 2
@@ -234,7 +234,7 @@ def test_functions_are_timed_in_alternation(script):
 
 
 @of("deskew")
-def test_de_skewing_is_measured_against_instants_and_against_skewed_scans(script):
+def test_de_skewing_is_compared_with_instant_and_with_skewed_scans(script):
     config = preset(scene="rectangle", task="tour", max_time=4.0)
     for name, changes in script.SETTINGS.items():
         figures = script.setting_figures(name, config, changes, 1)

@@ -54,7 +54,7 @@ def driven(config: Config, samples: int = 100):
 
 @pytest.mark.parametrize("name", ["default", "worn", "report"])
 @pytest.mark.parametrize("scene", ["apartment", "rectangle", "office"])
-def test_the_robot_turns_left_through_the_scene_and_touches_nothing(name: str, scene: str) -> None:
+def test_the_calibration_drive_turns_left_without_collisions(name: str, scene: str) -> None:
     config = preset(name, scene=scene)
     walls, samples = driven(config)
     radius = load_scene(scene).radius
@@ -67,7 +67,7 @@ def test_the_robot_turns_left_through_the_scene_and_touches_nothing(name: str, s
     assert {len(s.odometry) - 1 for s in samples} == {round(PERIOD_S / config.robot.control_period_s)}
 
 
-def test_samples_follow_each_other_without_a_gap() -> None:
+def test_samples_are_contiguous() -> None:
     _, samples = driven(preset())
     for before, after in itertools.pairwise(samples):
         ahead = before.truth @ after.motion
@@ -76,7 +76,7 @@ def test_samples_follow_each_other_without_a_gap() -> None:
 
 
 @pytest.mark.parametrize("name", WORLDS)
-def test_after_calibration_the_normalised_errors_have_the_right_chi_square(found, name: str) -> None:
+def test_nees_after_calibration_is_chi_square_distributed(found, name: str) -> None:
     """The likeliest covariance makes the mean NEES the dimension; single samples follow the distribution."""
     for one in found[name]:
         motion, landmarks = one.propagation[1], one.landmarks[1]
@@ -86,7 +86,7 @@ def test_after_calibration_the_normalised_errors_have_the_right_chi_square(found
         assert 0.90 <= np.mean(landmarks.nees < chi2.ppf(0.95, 2)) <= 0.99
 
 
-def test_the_noise_of_the_world_is_found_again(found) -> None:
+def test_the_calibration_recovers_the_noise_of_the_world(found) -> None:
     for one in found["turns"]:
         assert one.assumed.motion.turn_rate == pytest.approx(0.4, rel=0.25)
         assert one.propagation[0].nees.mean() > 5.0
@@ -97,27 +97,27 @@ def test_the_noise_of_the_world_is_found_again(found) -> None:
         assert one.assumed.laser.range_m == pytest.approx(0.01, rel=0.1)
 
 
-def test_worn_wheels_are_corrected_and_good_ones_left_alone(found) -> None:
+def test_only_the_systematic_errors_of_worn_wheels_are_corrected(found) -> None:
     for one in found["worn"]:
         assert one.assumed.wheel_scale_error == pytest.approx(0.02, abs=0.006)
     for name in ("default", "turns", "laser"):
         assert all(one.assumed.wheel_scale_error == one.assumed.drift_rad_per_m == 0.0 for one in found[name])
 
 
-def test_an_unequal_pair_of_wheels_is_found_too() -> None:
+def test_drift_of_unequal_wheels_is_estimated() -> None:
     one = calibrate(preset(**COARSE, world={"drift_rad_per_m": 0.05}))
     assert one.assumed.drift_rad_per_m == pytest.approx(0.05, abs=0.02)
     assert one.assumed.wheel_scale_error == 0.0
 
 
-def test_one_seed_gives_one_calibration() -> None:
+def test_a_calibration_is_reproducible() -> None:
     first, second = (calibrate(preset("worn", seed=5), 40) for _ in range(2))
     assert first.assumed == second.assumed
     np.testing.assert_array_equal(first.propagation[1].nees, second.propagation[1].nees)
 
 
 @pytest.mark.parametrize("assumed", [{}, {"floor_m": 0.0, "floor_rad": 0.0, "laser": {"range_m": 0.0}}])
-def test_a_robot_without_noise_is_no_failure(assumed) -> None:
+def test_a_robot_without_noise_can_be_calibrated(assumed) -> None:
     still = dict.fromkeys(
         (f.name for f in dataclasses.fields(preset().assumed.motion) if f.name != "distribution"), 0.0
     )
@@ -126,7 +126,7 @@ def test_a_robot_without_noise_is_no_failure(assumed) -> None:
     assert one.assumed.motion.turn_rate < 0.01
 
 
-def test_where_laser_noise_cannot_explain_it_the_landmarks_get_a_floor() -> None:
+def test_errors_beyond_the_range_noise_go_into_the_landmark_floor() -> None:
     one = calibrate(
         preset(**COARSE, world={"laser": {"bearing_rad": 0.03}}, features={"lines": {"ransac_threshold_m": 0.02}})
     )
@@ -135,7 +135,7 @@ def test_where_laser_noise_cannot_explain_it_the_landmarks_get_a_floor() -> None
     assert one.landmarks[1].mean_nees == pytest.approx(2.0, abs=0.2)
 
 
-def test_a_calibrated_robot_knows_how_sure_it_may_be(found) -> None:
+def test_a_calibrated_robot_is_consistent(found) -> None:
     for seed, one in enumerate(found["laser"]):
         config = dataclasses.replace(WORLDS["laser"], task="tour", max_time=40.0, seed=seed)
         before = run(config).metrics["pose_nees_world_mean"]
@@ -145,7 +145,7 @@ def test_a_calibrated_robot_knows_how_sure_it_may_be(found) -> None:
 
 
 @pytest.mark.parametrize("name", ["worn", "report"])
-def test_the_file_is_a_partial_configuration_that_gives_what_was_fitted(name: str, tmp_path: Path) -> None:
+def test_the_file_is_a_partial_configuration_with_the_fitted_values(name: str, tmp_path: Path) -> None:
     config = preset(name)
     one = calibrate(config, 30)
     file = tmp_path / "sub" / "noise.toml"
@@ -159,14 +159,14 @@ def test_the_file_is_a_partial_configuration_that_gives_what_was_fitted(name: st
     assert (tmp_path / "sub" / "noise.png").stat().st_size > 10_000
 
 
-def test_the_figure_is_drawn_where_a_kind_was_never_seen(tmp_path: Path) -> None:
+def test_the_figure_is_drawn_without_sightings_of_a_kind(tmp_path: Path) -> None:
     one = calibrate(preset(**COARSE, features={"points": {"ends": False}}), 30)
     assert len(one.landmarks[1].of(Kind.END)) == 0
     save_calibration(one, tmp_path / "noise.png", "no loose ends")
     assert (tmp_path / "noise.png").stat().st_size > 10_000
 
 
-def test_no_sighting_that_would_be_matched_is_infinitely_bad() -> None:
+def test_the_mean_nees_without_sightings_in_the_gate_is_infinite() -> None:
     errors = LandmarkErrors(np.zeros(1), np.ones((1, 2)), 1e-4 * np.eye(2)[None], 0)
     assert errors.mean_nees == np.inf and errors.outside == 1
 
@@ -174,7 +174,7 @@ def test_no_sighting_that_would_be_matched_is_infinitely_bad() -> None:
 @pytest.mark.parametrize(
     ("text", "field"), [(CUPBOARD, "start: the robot touched a wall"), (WALL, "scene: found 0 sightings")]
 )
-def test_a_place_that_will_not_do_is_named(text: str, field: str, tmp_path: Path) -> None:
+def test_an_invalid_start_is_named(text: str, field: str, tmp_path: Path) -> None:
     file = tmp_path / "place.toml"
     file.write_text(text)
     with pytest.raises(CalibrationError, match=field):
@@ -203,7 +203,7 @@ def complaint(args: list[str], capsys) -> str:
         (["rectangle", "--out", "/dev/null/noise.toml", "--samples", "20"], "/dev/null"),
     ],
 )  # fmt: skip
-def test_bad_input_is_one_line(args: list[str], part: str, capsys, tmp_path: Path, monkeypatch) -> None:
+def test_invalid_input_gives_one_line(args: list[str], part: str, capsys, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     if part == "a.toml":
         Path("a.toml").mkdir()
@@ -212,7 +212,7 @@ def test_bad_input_is_one_line(args: list[str], part: str, capsys, tmp_path: Pat
 
 
 @pytest.mark.parametrize("there", ["noise.toml", "noise.png"])
-def test_what_exists_is_kept_unless_it_may_be_overwritten(there: str, capsys, tmp_path: Path, monkeypatch) -> None:
+def test_existing_files_are_kept_unless_overwriting_is_allowed(there: str, capsys, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path(there).write_text("precious")
     args = ["rectangle", "--samples", "20", "--out", "noise.toml"]
@@ -223,7 +223,7 @@ def test_what_exists_is_kept_unless_it_may_be_overwritten(there: str, capsys, tm
     assert "precious" not in Path("noise.toml").read_text()
 
 
-def test_run_takes_the_file_that_calibrate_wrote(capsys, tmp_path: Path, monkeypatch) -> None:
+def test_run_accepts_the_file_of_a_calibration(capsys, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert cli.main(["calibrate", "rectangle", "--preset", "worn", "--out", "noise.toml"]) == cli.DONE
     out = capsys.readouterr().out

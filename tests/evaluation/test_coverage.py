@@ -35,7 +35,7 @@ def test_an_empty_room_is_covered_from_one_pose() -> None:
     assert coverage(area, np.array([[3.0, 2.0, 0.3]]), CIRCLE, CENTRED, 10.0, ROOM) == 1.0
 
 
-def test_no_scan_covers_nothing() -> None:
+def test_the_coverage_without_scans_is_zero() -> None:
     area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
     assert coverage(area, np.empty((0, 3)), CIRCLE, CENTRED, 10.0, ROOM) == 0.0
 
@@ -90,7 +90,7 @@ def test_the_mount_moves_the_laser() -> None:
     assert coverage(area, pose, CIRCLE, (0.0, -0.4, 1.0), 9.0, walls) == pytest.approx(1.0, abs=0.01)
 
 
-def test_what_only_a_smaller_robot_could_see_does_not_count() -> None:
+def test_area_visible_only_to_a_smaller_robot_does_not_count() -> None:
     # The corner of the far room beside the dividing wall is hidden from all of the near room.
     small = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
     large = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.45, 10.0)
@@ -100,14 +100,14 @@ def test_what_only_a_smaller_robot_could_see_does_not_count() -> None:
     assert not (large.mask & ~small.mask).any()
 
 
-def test_a_robot_smaller_than_a_cell_does_not_slip_through_a_wall() -> None:
+def test_a_robot_smaller_than_a_cell_does_not_pass_through_a_wall() -> None:
     for slope in np.linspace(0.0, 1.0, 11):
         walls = segments(*box(0, 0, 6, 4), [(3 - slope, 0), (3 + slope, 4)])
         area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.0, 10.0)
         assert 11.0 < area.square_metres < 12.0
 
 
-def test_only_the_region_counts_but_the_robot_may_look_into_it_from_outside() -> None:
+def test_only_the_region_counts_also_seen_from_outside() -> None:
     area = visible_area(TWO_ROOMS, (3, 0, 6, 4), (1, 1), 0.3, 10.0)
     assert area.square_metres == pytest.approx(2.9 * 3.9, rel=0.02)
     assert not at(area, 1, 1)
@@ -120,13 +120,13 @@ def test_a_start_in_a_wall_or_an_empty_region_is_refused() -> None:
         visible_area(ROOM, (6, 0, 0, 4), (1, 1), 0.3, 10.0)
 
 
-def test_where_nothing_is_to_be_seen_the_share_is_not_a_number() -> None:
+def test_the_coverage_of_an_empty_area_is_nan() -> None:
     area = visible_area(ROOM, (8, 8, 9, 9), (1, 1), 0.2, 10.0)
     assert area.square_metres == 0.0
     assert math.isnan(coverage(area, np.zeros((1, 3)), CIRCLE, CENTRED, 10.0, ROOM))
 
 
-def test_a_place_without_walls_is_all_visible() -> None:
+def test_a_region_without_walls_is_completely_visible() -> None:
     area = visible_area(segments(), (-2, -2, 2, 2), (0, 0), 0.2, 10.0)
     assert area.square_metres == pytest.approx(16.0)
 
@@ -138,7 +138,7 @@ def test_a_very_large_scene_gets_larger_cells() -> None:
     assert area.square_metres == pytest.approx(300 * 300, rel=0.01)
 
 
-def test_scans_that_repeat_each_other_change_nothing() -> None:
+def test_repeated_scans_change_nothing() -> None:
     area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
     pose = np.array([[1.0, 1.0, 0.5]])
     many = np.repeat(pose, 500, axis=0)

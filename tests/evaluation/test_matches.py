@@ -32,13 +32,13 @@ def point(pose, position, cov=COV):
 BELOW, ABOVE = Pose(1.5, 0.8, 0.4), Pose(1.5, 2.2, -0.3)
 
 
-def test_walls_in_line_are_one_line_and_parallel_ones_are_not():
+def test_collinear_walls_share_a_line_and_parallel_ones_do_not():
     assert len(SCENE.lines) == 4
     assert SCENE.line_of[0] == SCENE.line_of[1]
     assert SCENE.line_of[2] != SCENE.line_of[3]
 
 
-def test_a_line_does_not_depend_on_the_way_its_wall_is_drawn():
+def test_a_line_does_not_depend_on_the_direction_of_its_wall():
     again = true_identities(WALLS[::-1, ::-1])
     assert len(again.lines) == 4
 
@@ -51,7 +51,7 @@ def test_the_sides_of_a_thin_wall_are_two_identities():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_faces_of_a_thick_wall_are_told_apart(side):
+def test_the_faces_of_a_thick_wall_are_distinguished(side):
     pose = Pose(4.1 + side, 1.5, 0.2)
     near = explained_by(wall(pose, 0.0 if side > 0 else np.pi, (4.1 + 0.1 * side) * side), pose, SCENE)
     far = explained_by(wall(pose, 0.0 if side > 0 else np.pi, (4.1 - 0.1 * side) * side), pose, SCENE)
@@ -67,14 +67,14 @@ def test_a_line_explains_a_sighting_only_where_it_has_a_wall():
     assert explained_by(wall(pose, np.pi / 2, 0.0, extent=(-2.0, -1.5)), pose, SCENE)
 
 
-def test_what_lies_farther_than_its_own_covariance_allows_is_unexplained():
+def test_a_sighting_beyond_its_covariance_is_unexplained():
     off = wall(BELOW, -np.pi / 2, -1.5 + 6 * 0.005)
     assert not explained_by(off, BELOW, SCENE)
     assert not explained_by(point(BELOW, (2.0, 1.7)), BELOW, SCENE)
     assert explained_by(point(BELOW, (2.0, 1.52)), BELOW, SCENE)
 
 
-def test_a_door_leaf_that_swings_by_a_few_degrees_is_another_wall_than_the_one_behind():
+def test_a_door_leaf_a_few_degrees_open_is_distinguished_from_the_wall_behind_it():
     ajar = np.array([[[0.0, 0.0], [4.0, 0.0]], [[1.0, 0.05], [1.9, 0.13]]])
     scene = true_identities(ajar)
     pose = Pose(1.5, 1.0)
@@ -86,7 +86,7 @@ def test_a_door_leaf_that_swings_by_a_few_degrees_is_another_wall_than_the_one_b
     assert leaf.isdisjoint(behind)
 
 
-def test_a_landmark_given_the_sighting_of_another_wall_is_a_wrong_match():
+def test_a_sighting_of_another_wall_is_a_wrong_match():
     thin, floor = wall(BELOW, -np.pi / 2, -1.5), wall(BELOW, np.pi / 2, 0.0)
     truths = np.tile(BELOW.array(), (3, 1))
     found = judge_matches([{7: thin, 8: floor}, {7: thin}, {7: floor, 8: thin}], truths, SCENE)
@@ -96,20 +96,20 @@ def test_a_landmark_given_the_sighting_of_another_wall_is_a_wrong_match():
     assert found.wrong_per_1000 == pytest.approx(400.0)
 
 
-def test_wrong_matches_do_not_change_what_a_landmark_is():
+def test_wrong_matches_do_not_change_the_identity_of_a_landmark():
     left, right = point(BELOW, (1.0, 1.5)), point(BELOW, (2.0, 1.5))
     found = judge_matches([{1: left}, {1: right}, {1: left}], np.tile(BELOW.array(), (3, 1)), SCENE)
     assert found.wrong == ((1, 1),)
 
 
-def test_an_unexplained_birth_leaves_the_identity_to_the_first_explained_sighting():
+def test_the_first_explained_sighting_gives_a_landmark_its_identity():
     phantom, left, right = (point(BELOW, p) for p in ((3.0, 2.0), (1.0, 1.5), (2.0, 1.5)))
     found = judge_matches([{1: phantom}, {1: left}, {1: right}], np.tile(BELOW.array(), (3, 1)), SCENE)
     assert found.unexplained == ((0, 1),)
     assert found.wrong == ((2, 1),)
 
 
-def test_a_sighting_that_two_points_explain_is_right_with_either_but_decides_nothing_by_itself():
+def test_an_ambiguous_sighting_is_correct_with_either_identity():
     vague = point(BELOW, (1.5, 1.5), np.diag([0.5**2, 0.5**2]))
     left, right = point(BELOW, (1.0, 1.5)), point(BELOW, (2.0, 1.5))
     truths = np.tile(BELOW.array(), (3, 1))
@@ -117,5 +117,5 @@ def test_a_sighting_that_two_points_explain_is_right_with_either_but_decides_not
     assert judge_matches([{1: vague}, {1: left}, {1: right}], truths, SCENE).wrong == ((2, 1),)
 
 
-def test_no_sightings_are_no_wrong_matches():
+def test_without_sightings_there_are_no_wrong_matches():
     assert judge_matches([{}], BELOW.array()[None], SCENE).wrong_per_1000 == 0.0

@@ -144,12 +144,12 @@ def test_the_band_of_the_mean_nees_is_the_chi_square_one(runs: int, band: tuple[
     assert nees_band(runs) == pytest.approx(band, abs=0.006)
 
 
-def test_the_mean_of_chi_square_draws_lies_in_its_band_as_often_as_it_says() -> None:
+def test_the_mean_of_chi_square_samples_lies_in_its_band_with_the_stated_probability() -> None:
     means = np.random.default_rng(8).chisquare(2, (20_000, 10)).mean(axis=1)
     assert share_in_band(means, nees_band(10, dof=2, confidence=0.8)) == pytest.approx(0.8, abs=0.01)
 
 
-def test_a_trajectory_that_obeys_the_relations_has_no_error_wherever_it_lies() -> None:
+def test_a_trajectory_that_fits_the_relations_has_no_error_in_any_frame() -> None:
     rng = np.random.default_rng(9)
     poses, stamps = random_poses(rng, 40), rng.permutation(40) + 976052857.337284
     pairs = rng.integers(0, 40, (100, 2))
@@ -162,7 +162,7 @@ def test_a_trajectory_that_obeys_the_relations_has_no_error_wherever_it_lies() -
         assert rotation == pytest.approx(np.zeros(100), abs=1e-9)
 
 
-def test_the_error_of_a_relation_is_what_is_left_after_it() -> None:
+def test_the_error_of_a_relation_is_the_remaining_motion() -> None:
     rng = np.random.default_rng(10)
     poses, relations = random_poses(rng, 20), random_poses(rng, 19, 1.0)
     stamps = np.arange(20.0)
@@ -174,7 +174,7 @@ def test_the_error_of_a_relation_is_what_is_left_after_it() -> None:
         assert rotation[k] == pytest.approx(abs(left.theta))
 
 
-def test_a_relation_that_names_no_scan_is_named() -> None:
+def test_a_relation_without_its_scan_is_named() -> None:
     stamps, poses = np.array([1.0, 2.0, 976052905.167303]), np.zeros((3, 3))
     names = np.array([[1.0, 2.0], [2.0, 976052905.167303], [2.0, 976052905.167306]])
     relations_error(stamps, poses, names[:2], np.zeros((2, 3)))
@@ -184,7 +184,7 @@ def test_a_relation_that_names_no_scan_is_named() -> None:
         relations_error(stamps[:0], poses[:0], names, np.zeros((3, 3)))
 
 
-def test_the_intel_logs_odometry_errs_as_measured_before(data_dir: Path) -> None:
+def test_the_odometry_of_the_intel_log_has_the_known_error(data_dir: Path) -> None:
     log = open_log(data_dir / "intel" / "intel.clf.bz2", preset("intel").laser)
     relations = read_relations(data_dir / "intel" / "intel.relations")
     scans = [tick for tick in log.ticks if tick.scan is not None]
@@ -196,12 +196,12 @@ def test_the_intel_logs_odometry_errs_as_measured_before(data_dir: Path) -> None
     assert (degrees.mean(), degrees.std()) == (pytest.approx(39.2, abs=0.1), pytest.approx(53.8, abs=0.1))
 
 
-def test_scan_times_are_percentiles_and_no_scan_has_none() -> None:
+def test_scan_times_are_percentiles_and_empty_without_scans() -> None:
     assert scan_times(np.arange(101.0)) == {"scan_ms_p50": 50.0, "scan_ms_p99": 99.0, "scan_ms_max": 100.0}
     assert scan_times(np.empty(0)) == {}
 
 
-def test_landmarks_match_one_to_one_as_many_as_can_be() -> None:
+def test_the_one_to_one_matching_of_landmarks_has_the_most_pairs() -> None:
     truth = np.array([[0.0, 0.0], [1.0, 0.0], [50.0, 50.0]])
     # Greedily the second estimate takes the first true point, and the first is left with none in reach.
     estimated = np.array([[-0.6, 0.0], [0.4, 0.0], [9.0, 9.0]])
@@ -210,7 +210,7 @@ def test_landmarks_match_one_to_one_as_many_as_can_be() -> None:
     assert rmse == pytest.approx(0.6)
 
 
-def test_landmarks_out_of_reach_or_absent_match_nothing() -> None:
+def test_landmarks_beyond_the_radius_and_missing_ones_are_unmatched() -> None:
     some = np.array([[0.0, 0.0], [3.0, 0.0]])
     for estimated, truth in ((some + 10, some), (some[:0], some), (some, some[:0])):
         rmse, matched = match_landmarks(estimated, truth, 0.5)
@@ -258,5 +258,5 @@ def test_true_landmarks_are_ends_corners_and_crossings_but_not_joints_of_a_strai
         assert gaps.min(axis=0).max() < 1e-3
 
 
-def test_no_walls_have_no_landmarks() -> None:
+def test_without_walls_there_are_no_landmarks() -> None:
     assert true_landmarks(np.empty((0, 2, 2))).shape == (0, 2)

@@ -64,7 +64,7 @@ def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline,
     assert figures["ate_max_m"] < 0.03
 
 
-def test_a_row_says_what_a_run_is_worth_and_is_found_again(tours, pipeline, tmp_path, monkeypatch):
+def test_a_row_has_the_figures_of_a_run_and_is_reused(tours, pipeline, tmp_path, monkeypatch):
     short = configs(tours, "ekf-invariant", 12.0, 2)
     found = tours.rows(short, jobs=1, folder=tmp_path)
     assert len(list(tmp_path.glob("*.json"))) == 2
@@ -85,13 +85,13 @@ def test_a_row_says_what_a_run_is_worth_and_is_found_again(tours, pipeline, tmp_
     assert {len(cells) for cells in lines} == {len(pipeline.COLUMNS) + 1}
 
 
-def test_the_mean_over_runs_skips_what_a_run_does_not_have(tours):
+def test_the_mean_over_runs_skips_missing_values(tours):
     rows = [{"nees3": [None, 2.0, 4.0]}, {"nees3": [None, 4.0]}]
     np.testing.assert_allclose(tours.over_runs(rows, "nees3"), [np.nan, 3.0, 4.0])
     assert tours.nees_of(rows[0]) == 3.0
 
 
-def test_nees_of_errors_drawn_from_the_covariance_is_as_many_as_its_dimensions(tours):
+def test_the_mean_nees_of_errors_drawn_from_the_covariance_is_the_dimension(tours):
     rng = np.random.default_rng(2)
     cov = np.array([[4.0, 1.0, 0.01], [1.0, 2.0, 0.02], [0.01, 0.02, 0.001]]) * 1e-4
     error = rng.multivariate_normal(np.zeros(3), cov, 20_000)
@@ -101,7 +101,7 @@ def test_nees_of_errors_drawn_from_the_covariance_is_as_many_as_its_dimensions(t
         assert np.mean(series[name]) == pytest.approx(dof, abs=5.0 * np.sqrt(2.0 * dof / 20_000))
 
 
-def test_a_partial_configuration_is_laid_over_the_preset(tours, tmp_path):
+def test_a_partial_configuration_overrides_the_preset(tours, tmp_path):
     file = tmp_path / "noise.toml"
     file.write_text('preset = "worn"\n[assumed]\nwheel_scale_error = 0.02\n')
     config = tours.tour("apartment", "ekf", "worn", 10.0, file, features={"landmarks": "both"})
@@ -111,7 +111,7 @@ def test_a_partial_configuration_is_laid_over_the_preset(tours, tmp_path):
     assert config.features.landmarks == "both"
 
 
-def test_walls_beside_corners_have_a_line_and_figures_each(tours, monkeypatch):
+def test_tours_with_walls_have_their_figures_and_a_row(tours, monkeypatch):
     script = importlib.import_module("wall_tours")
     config = tours.tour("block", "ekf", "default", 4.0, features={"landmarks": "both"})
     figures = script.tour_figures([tours.make_row(config)])

@@ -26,7 +26,7 @@ def ended(folder) -> Trace:
     return Trace.load(folder)
 
 
-def test_a_film_has_the_frames_asked_for_and_what_was_seen_grows(folder, ended, tmp_path):
+def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, ended, tmp_path):
     shown: list[int] = []
     animate(folder, ended, tmp_path / "run.gif", "a run", frames=3, on_frame=lambda: shown.append(1))
     assert len(shown) == 3
@@ -46,7 +46,7 @@ def test_a_film_is_written_as_mp4(folder, ended, tmp_path):
     assert (tmp_path / "deep" / "run.mp4").read_bytes()[4:8] == b"ftyp"
 
 
-def test_an_mp4_without_ffmpeg_is_refused_before_anything_is_done(folder, ended, tmp_path, monkeypatch):
+def test_an_mp4_without_ffmpeg_is_refused_before_anything_is_written(folder, ended, tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda _: None)
     with pytest.raises(AnimationError, match="needs the program ffmpeg, which is not installed"):
         animate(folder, ended, tmp_path / "run.mp4")
@@ -72,13 +72,13 @@ def test_an_ffmpeg_that_fails_leaves_nothing_behind(folder, ended, tmp_path, mon
         (["{folder}", "--animate"], "--animate: found 2 runs, allowed: with one"),
     ],
 )
-def test_a_film_that_cannot_be_is_refused_in_one_line(folder, args, complaint, capsys):
+def test_an_invalid_film_is_refused_in_one_line(folder, args, complaint, capsys):
     assert main(["report", str(folder), *(word.format(folder=folder) for word in args)]) == 2
     assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
     assert not (folder / "figures" / "report.html").exists()
 
 
-def test_the_folder_after_the_option_is_a_run_and_no_film(folder, tmp_path, monkeypatch, capsys):
+def test_a_folder_after_the_option_is_a_run(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sixthsense.figures.animation.MOST_FRAMES", 2)
     named = tmp_path / "run.two"
     shutil.copytree(folder, named)
@@ -102,7 +102,7 @@ def test_a_map_of_more_cells_than_pixels_keeps_its_thinnest_wall():
     assert high >= 50.0
 
 
-def test_cells_lie_where_the_grid_has_them():
+def test_cells_have_their_position_in_the_grid():
     cells = CellImage(np.array([-1.0, -0.5]), np.array([1.0, 0.5]), 0.1)
     occupancy = np.full((4, 4), -1, dtype=np.int8)
     occupancy[1, 2] = 100

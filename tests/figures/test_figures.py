@@ -49,7 +49,7 @@ def test_the_error_drawn_is_estimate_minus_truth_in_the_unit_of_the_axis(ax, tra
     assert ax.get_xlabel() == "time [s]"
 
 
-def test_a_heading_error_across_the_seam_is_small(ax, trace):
+def test_a_heading_error_is_wrapped_at_pi(ax, trace):
     turned = dataclasses.replace(
         trace,
         key_estimates=[dataclasses.replace(trace.key_estimates[0], pose=Pose(theta=np.pi - 0.01))],
@@ -78,7 +78,7 @@ def test_the_nis_drawn_is_per_degree_of_freedom_with_gaps_where_nothing_matched(
             assert np.isnan(value)
 
 
-def test_the_area_seen_ends_at_the_coverage_of_the_metrics_and_never_shrinks(ax, trace):
+def test_the_seen_area_ends_at_the_coverage_of_the_metrics_and_never_shrinks(ax, trace):
     figures.draw_coverage(ax, trace)
     (drawn,) = (np.asarray(one.get_ydata()) for one in ax.get_lines())
     assert (np.diff(drawn) >= 0.0).all()
@@ -86,7 +86,7 @@ def test_the_area_seen_ends_at_the_coverage_of_the_metrics_and_never_shrinks(ax,
 
 
 @pytest.mark.parametrize("upto", [1, 2, 7, 20])
-def test_coverage_over_time_is_the_coverage_of_what_came_before(trace, upto):
+def test_coverage_over_time_is_the_coverage_up_to_each_scan(trace, upto):
     laser, walls = trace.config.laser, trace.scene.walls
     poses = np.array(trace.truths)
     area = visible_area(walls, trace.scene.region, tuple(poses[0, :2]), trace.radius_m, laser.max_range)
@@ -109,7 +109,7 @@ def test_times_of_stages_are_written_without_exponents(ax):
     assert ax.get_legend_handles_labels()[1] == ["a key scan: median 10 ms, 99 % below 127 ms"]
 
 
-def test_a_run_without_key_scans_is_drawn_too(trace):
+def test_a_run_without_key_scans_can_be_drawn(trace):
     nothing = dataclasses.replace(trace, key_stamps_ns=[], key_estimates=[], key_truths=[], associations=[])
     for k in range(3):
         figures.draw_error(Figure().add_subplot(), nothing, k)
@@ -117,7 +117,7 @@ def test_a_run_without_key_scans_is_drawn_too(trace):
     figures.draw_nis(Figure().add_subplot(), nothing)
 
 
-def test_returns_lie_on_the_walls_and_beams_end_there(ax, scan):
+def test_returns_lie_on_the_walls_at_the_ends_of_the_beams(ax, scan):
     pose = Pose(0.3, 0.2, 0.1)
     figures.draw_returns(ax, pose, scan)
     points = np.asarray(ax.collections[0].get_offsets())
@@ -127,7 +127,7 @@ def test_returns_lie_on_the_walls_and_beams_end_there(ax, scan):
     np.testing.assert_allclose(ends, points, atol=1e-9)
 
 
-def test_a_beam_that_met_nothing_reaches_to_the_maximum_range_and_has_no_return(ax):
+def test_a_beam_without_a_return_has_the_maximum_range_and_no_point(ax):
     laser = LaserConfig(max_range=1.0)
     empty = Scan.from_config(np.full(laser.beams, np.inf), laser)
     figures.draw_beams(ax, Pose(), empty)
@@ -137,7 +137,7 @@ def test_a_beam_that_met_nothing_reaches_to_the_maximum_range_and_has_no_return(
     assert np.ma.getmaskarray(np.ma.masked_invalid(ax.collections[1].get_offsets())).all()
 
 
-def test_neighbouring_partitions_differ_in_colour(ax, scan):
+def test_adjacent_partitions_differ_in_colour(ax, scan):
     parts = [np.arange(k, k + 20) for k in range(0, 200, 20)]
     figures.draw_partitions(ax, Pose(), scan, [*parts, np.arange(200, 203)], least=4)
     colors = [tuple(collection.get_facecolor()[0]) for collection in ax.collections[1:]]
@@ -145,7 +145,7 @@ def test_neighbouring_partitions_differ_in_colour(ax, scan):
     assert all(a != b for a, b in itertools.pairwise(colors))
 
 
-def test_detections_are_drawn_where_they_are(ax, scan):
+def test_detections_are_drawn_at_their_positions(ax, scan):
     config = preset(features={"landmarks": "corners"})
     features = extract(scan, config.assumed, config.features, np.random.default_rng(0))
     figures.draw_detections(ax, Pose(0.3, 0.2, 0.1), features, enlarged=2.0)
@@ -155,7 +155,7 @@ def test_detections_are_drawn_where_they_are(ax, scan):
     figures.draw_detections(ax, Pose(), Features(np.zeros((0, 2, 2)), (), (), ()))
 
 
-def test_the_grid_drawn_leaves_the_window_alone(ax, trace):
+def test_drawing_a_grid_keeps_the_limits_of_the_axes(ax, trace):
     ax.set(xlim=(0.0, 1.0), ylim=(0.0, 1.0))
     figures.draw_seen(ax, trace.grid.free_space())
     figures.draw_hits(ax, trace.grid, trace.config.grid.cell_m)
@@ -163,7 +163,7 @@ def test_the_grid_drawn_leaves_the_window_alone(ax, trace):
     assert len(ax.images) == 3
 
 
-def test_the_local_goal_is_the_first_way_point_ahead(ax):
+def test_the_current_way_point_is_the_first_one_ahead(ax):
     plan = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
     figures.draw_path(ax, plan, plan[[0, 2, 3]])
     local, goal = (np.asarray(collection.get_offsets())[0] for collection in ax.collections)
@@ -171,12 +171,12 @@ def test_the_local_goal_is_the_first_way_point_ahead(ax):
     np.testing.assert_array_equal(goal, plan[3])
 
 
-def test_the_robot_drawn_looks_ahead(ax):
+def test_the_robot_is_drawn_with_its_heading(ax):
     figures.draw_robot(ax, Pose(1.0, 2.0, np.pi / 2), 0.5)
     np.testing.assert_allclose(ax.get_lines()[0].get_xydata(), [[1.0, 2.0], [1.0, 2.5]])
 
 
-def test_the_benchmark_makes_small_pictures_and_finds_what_it_claims_to_show(tmp_path, monkeypatch, capsys):
+def test_the_benchmark_writes_small_figures_with_their_subjects(tmp_path, monkeypatch, capsys):
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
     script = importlib.import_module("report_figures")
     monkeypatch.setattr("sys.argv", ["report_figures.py", "--out", str(tmp_path), "--only", "3", "7"])

@@ -33,11 +33,11 @@ def test_a_recording_keeps_a_scan_for_each_key_scan(run):
     np.testing.assert_array_equal(run.way(0)[-1], np.array(run.trace.estimates)[0, :2])
 
 
-def test_a_recording_makes_the_last_map_anew(run):
+def test_a_recording_rebuilds_the_last_map(run):
     np.testing.assert_array_equal(run.grid(len(run.scans) - 1).hits, run.trace.grid.hits)
 
 
-def test_a_scan_compared_with_itself_has_nothing_lost_or_gained(run):
+def test_a_scan_compared_with_itself_has_no_lost_or_gained_features(run):
     seen = run.features(0)
     change = figures.compare_features(seen, seen)
     assert (len(change.lost), len(change.gained), len(change.walls_lost), len(change.walls_gained)) == (0, 0, 0, 0)
@@ -45,7 +45,7 @@ def test_a_scan_compared_with_itself_has_nothing_lost_or_gained(run):
     assert len(change.walls_kept) == len(seen.walls)
 
 
-def test_points_and_walls_that_one_extraction_alone_finds_are_lost_or_gained():
+def test_points_and_walls_of_only_one_extraction_are_lost_or_gained():
     along, across = [[0.0, 0.0], [2.0, 0.0]], [[0.0, 1.0], [0.0, 3.0]]
     usual = features([(0.0, 0.0), (2.0, 0.0)], [along])
     change = figures.compare_features(features([(0.05, 0.0), (0.0, 3.0)], [across]), usual)
@@ -62,7 +62,7 @@ def test_a_piece_of_a_wall_is_kept_and_the_whole_lost():
     assert len(change.walls_kept) == len(change.walls_lost) == 1
 
 
-def test_a_wall_on_a_true_one_does_not_stray_and_one_beside_it_does():
+def test_the_error_of_a_wall_is_its_distance_from_the_true_walls():
     scene = load_scene("rectangle")
     wall = scene.walls[:1]
     assert figures.strays_m(Pose(), features([], wall), scene) == pytest.approx(0.0, abs=1e-12)
@@ -70,7 +70,7 @@ def test_a_wall_on_a_true_one_does_not_stray_and_one_beside_it_does():
     assert figures.strays_m(Pose(), features([], inward), scene) > 0.1
 
 
-def test_a_run_that_forgot_no_landmark_has_none_to_show(run):
+def test_a_run_without_removed_landmarks_is_refused(run):
     if run.trace.culled == 0:
         with pytest.raises(ValueError, match="run: found no landmark that was culled"):
             figures.worst_culled(run)
@@ -78,7 +78,7 @@ def test_a_run_that_forgot_no_landmark_has_none_to_show(run):
         assert figures.worst_culled(run).born < figures.worst_culled(run).gone
 
 
-def test_a_walls_band_is_widest_where_it_is_known_worst(ax):
+def test_the_band_of_a_wall_has_the_width_of_its_variance(ax):
     wall = Sighting(Kind.WALL, np.array([0.0, 2.0]), np.diag([1e-4, 1e-6]), (-1.0, 3.0))
     figures.draw_wall_bands(ax, Pose(), [wall])
     outline = ax.patches[0].get_xy()
@@ -87,7 +87,7 @@ def test_a_walls_band_is_widest_where_it_is_known_worst(ax):
     np.testing.assert_allclose(outline[half.argmax(), 1], 3.0)
 
 
-def test_the_states_pose_is_drawn_as_large_as_its_covariance(ax):
+def test_the_ellipse_of_the_pose_has_the_size_of_its_covariance(ax):
     estimator = make_estimator("ekf", Pose(1.0, 2.0, 0.0), np.zeros((3, 3)))
     estimator.predict(Odometry(Pose(1.0, 0.0, 0.0), np.diag([0.04, 0.01, 0.01])))
     figures.draw_state(ax, estimator, enlarged=2.0)
@@ -95,7 +95,7 @@ def test_the_states_pose_is_drawn_as_large_as_its_covariance(ax):
     np.testing.assert_allclose(np.ptp(outline[:, 0]), 2.0 * 2.0 * 0.2 * np.sqrt(CHI2_95), rtol=1e-2)
 
 
-def test_gates_are_drawn_at_the_distance_asked(ax):
+def test_gates_are_drawn_at_the_given_distance(ax):
     figures.draw_innovations(ax, Pose(), np.zeros((1, 2)), np.zeros((1, 2)), np.eye(2)[None], gate=9.0)
     assert np.abs(ax.get_lines()[0].get_xydata()).max() == pytest.approx(3.0, rel=1e-2)
 
@@ -105,7 +105,7 @@ def test_correlations_have_a_diagonal_of_ones(ax):
     np.testing.assert_allclose(ax.images[0].get_array(), [[1.0, 0.5], [0.5, 1.0]])
 
 
-def test_walls_stand_where_a_trajectory_puts_their_scans(run, ax):
+def test_walls_are_placed_by_the_trajectory(run, ax):
     poses = run.trace.scan_poses()
     figures.draw_walls_at(ax, run.trace, poses)
     drawn = np.array(ax.collections[0].get_segments())
@@ -113,7 +113,7 @@ def test_walls_stand_where_a_trajectory_puts_their_scans(run, ax):
     assert len(drawn) == sum(len(walls) for walls in run.trace.walls_found)
 
 
-def test_cells_are_coloured_where_they_lie(run, ax):
+def test_cells_are_coloured_at_their_positions(run, ax):
     space = run.grid(0).free_space()
     figures.draw_region(ax, space, np.array([0, space.blocked.shape[1]], dtype=np.int32))
     shown = ax.images[0].get_array()[..., 3] > 0
@@ -122,7 +122,7 @@ def test_cells_are_coloured_where_they_lie(run, ax):
     assert shown[1, 0]
 
 
-def test_one_legend_names_each_thing_once():
+def test_one_legend_has_each_label_once():
     figure, axes = figures.new_axes(1, 2, 6.0, 3.0)
     for each in axes:
         each.plot([0, 1], label="way")

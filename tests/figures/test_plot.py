@@ -28,7 +28,7 @@ def random_cov(rng: np.random.Generator) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_ellipse_holds_95_percent_of_samples(seed: int) -> None:
+def test_the_ellipse_contains_95_percent_of_samples(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mean, cov = rng.normal(size=2), random_cov(rng)
     outline = ellipse(mean, cov, 181)
@@ -50,7 +50,7 @@ def test_every_point_of_the_ellipse_has_the_same_mahalanobis_distance(seed: int)
     assert squared == pytest.approx(5.991, rel=1e-6)
 
 
-def test_a_landmark_that_is_known_exactly_has_a_point_for_an_ellipse() -> None:
+def test_the_ellipse_of_an_exact_landmark_is_a_point() -> None:
     assert np.array_equal(ellipse(np.array([1.0, 2.0]), np.zeros((2, 2))), np.tile([1.0, 2.0], (48, 1)))
 
 
@@ -76,7 +76,7 @@ def test_a_map_is_drawn_without_pyplot_and_without_a_window_system(tmp_path: Pat
     assert (tmp_path / "map.png").is_file()
 
 
-def test_the_figure_is_as_high_as_the_map_asks_for(trace: Trace, tmp_path: Path) -> None:
+def test_the_height_of_the_figure_follows_from_the_map(trace: Trace, tmp_path: Path) -> None:
     heights = []
     for scene in ("rectangle", "loop"):
         save_map(run(dataclasses.replace(preset(), scene=scene, max_time=0.5)), tmp_path / f"{scene}.png", "a title")
@@ -85,15 +85,15 @@ def test_the_figure_is_as_high_as_the_map_asks_for(trace: Trace, tmp_path: Path)
     assert heights[0] < heights[1]
 
 
-def test_the_legend_names_each_thing_once(trace: Trace) -> None:
+def test_the_legend_has_each_label_once(trace: Trace) -> None:
     ax = Figure().add_subplot()
     draw_map(ax, trace)
     _, labels = ax.get_legend_handles_labels()
     assert len(labels) == len(set(labels))
-    assert {"walls, true", "walls found", "driven, true", "driven, estimated", "start", "end"} <= set(labels)
+    assert {"true walls", "detected walls", "true path", "estimated path", "start", "end"} <= set(labels)
 
 
-def test_all_that_is_drawn_lies_within_the_axes(trace: Trace) -> None:
+def test_the_axes_contain_everything_drawn(trace: Trace) -> None:
     ax = Figure().add_subplot()
     draw_map(ax, trace)
     assert trace.scene is not None
@@ -103,7 +103,7 @@ def test_all_that_is_drawn_lies_within_the_axes(trace: Trace) -> None:
         assert low_high[1] > values.max()
 
 
-def test_the_walls_found_lie_on_the_true_ones(trace: Trace) -> None:
+def test_the_detected_walls_lie_on_the_true_ones(trace: Trace) -> None:
     assert trace.scene is not None
     found = walls_found(trace)
     assert len(found) >= 4
@@ -111,7 +111,7 @@ def test_the_walls_found_lie_on_the_true_ones(trace: Trace) -> None:
     assert np.mean(off) < 0.03
 
 
-def test_a_run_that_saw_nothing_is_drawn_too(tmp_path: Path) -> None:
+def test_a_run_without_returns_can_be_drawn(tmp_path: Path) -> None:
     blind = dataclasses.replace(preset(), scene="rectangle", max_time=0.5)
     blind = dataclasses.replace(blind, laser=dataclasses.replace(blind.laser, max_range=0.01))
     save_map(run(blind), tmp_path / "map.png", "a title")

@@ -34,7 +34,7 @@ def without_truth(run: FinishedRun) -> FinishedRun:
     return FinishedRun("log", trace, trace.metrics)
 
 
-def test_one_run_gets_a_figure_of_each_kind(finished, tmp_path):
+def test_one_run_has_a_figure_of_each_kind(finished, tmp_path):
     files = report([finished], tmp_path / "deep" / "figures")
     assert {file.name for file in files} == KINDS | {PAGE}
     for file in files[:-1]:
@@ -51,7 +51,7 @@ def test_an_exploration_has_its_title_right_above_its_plane(finished, tmp_path):
     assert np.diff(marked[: np.count_nonzero(marked < len(rows) // 2)]).max() < 40
 
 
-def test_several_runs_stand_side_by_side_with_a_table(finished, tmp_path):
+def test_several_runs_are_shown_side_by_side_with_a_table(finished, tmp_path):
     files = report([finished, without_truth(finished)], tmp_path)
     assert {file.name for file in files} == KINDS | {"metrics.csv", PAGE}
     with (tmp_path / "metrics.csv").open(newline="", encoding="utf-8") as file:
@@ -61,12 +61,12 @@ def test_several_runs_stand_side_by_side_with_a_table(finished, tmp_path):
     assert rows["outcome"]["log"] == "explored"
 
 
-def test_a_run_without_truth_leaves_out_what_needs_it(finished, tmp_path):
+def test_a_run_without_truth_has_no_figures_that_need_it(finished, tmp_path):
     files = report([without_truth(finished)], tmp_path)
     assert {file.name for file in files} == {"map.png", "nis.png", "stages.png", "exploration.png", PAGE}
 
 
-def test_runs_of_one_name_are_told_apart(finished):
+def test_runs_of_the_same_name_are_distinguished(finished):
     assert table([finished, finished])[0] == ["metric", "rectangle-1 (1)", "rectangle-1 (2)"]
 
 
@@ -83,7 +83,7 @@ def test_too_few_or_too_many_runs_are_refused(finished, tmp_path, count):
         check_folders([tmp_path] * count)
 
 
-def test_a_folder_is_read_with_the_numbers_that_the_run_itself_measured(folder):
+def test_a_folder_is_read_with_the_metrics_of_its_run(folder):
     loaded = load_run(folder)
     assert loaded.metrics == json.loads((folder / "metrics.json").read_text())
     assert loaded.name == "one"
@@ -113,7 +113,7 @@ def test_the_command_writes_into_the_folder_of_one_run(folder, capsys):
     assert "ate_rmse_m" in capsys.readouterr().out
 
 
-def test_the_command_puts_several_runs_under_runs(folder, tmp_path, monkeypatch, capsys):
+def test_the_command_writes_several_runs_into_runs(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
         assert main(["report", str(folder), str(folder)]) == 0
@@ -121,7 +121,7 @@ def test_the_command_puts_several_runs_under_runs(folder, tmp_path, monkeypatch,
     assert "one (1)" in capsys.readouterr().out
 
 
-def test_an_existing_folder_is_written_into_only_if_told_so(folder, tmp_path, capsys):
+def test_an_existing_folder_is_overwritten_only_on_request(folder, tmp_path, capsys):
     assert main(["report", str(folder), "--out", str(tmp_path)]) == 2
     assert "exists, allowed: a new folder, or --overwrite" in capsys.readouterr().err
     assert main(["report", str(folder), "--out", str(tmp_path), "--overwrite"]) == 0
@@ -138,7 +138,7 @@ def test_an_existing_folder_is_written_into_only_if_told_so(folder, tmp_path, ca
         (["report", "x", "--out"], "--out: found nothing, allowed: 1 value"),
     ],
 )
-def test_what_is_no_run_is_refused_in_one_line(args, complaint, tmp_path, monkeypatch, capsys):
+def test_a_folder_without_a_run_is_refused_in_one_line(args, complaint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(args) == 2
     assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
@@ -148,7 +148,7 @@ def test_what_is_no_run_is_refused_in_one_line(args, complaint, tmp_path, monkey
 @pytest.mark.parametrize(
     "text", ["", "{", "[1]", '{"ate_rmse_m": "far"}', '{"outcome": 3}', "[" * 100_000, '{"a": null}']
 )
-def test_metrics_that_are_none_are_refused_in_one_line(folder, tmp_path, text, capsys):
+def test_invalid_metrics_are_refused_in_one_line(folder, tmp_path, text, capsys):
     broken = tmp_path / "broken"
     (broken / "bag").mkdir(parents=True)
     for name in ("config.toml", "bag/bag_0.mcap"):
@@ -162,6 +162,6 @@ def test_metrics_that_are_none_are_refused_in_one_line(folder, tmp_path, text, c
     assert not (broken / "figures").exists()
 
 
-def test_help_says_what_the_command_takes(capsys):
+def test_help_lists_the_options_of_the_command(capsys):
     assert main(["report", "--help"]) == 0
     assert "usage: sixthsense report RUN_DIR ..." in capsys.readouterr().out

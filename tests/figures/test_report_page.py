@@ -71,7 +71,7 @@ def noted(folder: Path, notes: str) -> Path:
     return folder
 
 
-def test_the_page_parses_and_asks_for_nothing_outside_itself(text):
+def test_the_page_is_valid_and_needs_no_other_files(text):
     parsed = Page(text)
     loading = [value for _, name, value in parsed.attributes if name in ("src", "href", "srcset", "data", "action")]
     assert loading
@@ -80,7 +80,7 @@ def test_the_page_parses_and_asks_for_nothing_outside_itself(text):
     assert re.search(r"url\(|@import|https?:", text) is None
 
 
-def test_the_page_holds_each_figure_whole(folder, text):
+def test_the_page_contains_each_figure(folder, text):
     pictures = [value for tag, name, value in Page(text).attributes if (tag, name) == ("img", "src")]
     held = {base64.b64decode(value.partition(",")[2]) for value in pictures}
     assert held == {file.read_bytes() for file in (folder / "figures").glob("*.png")}
@@ -96,7 +96,7 @@ def test_the_page_has_every_metric_the_configuration_the_versions_and_the_comman
     assert re.search(r"Run by sixthsense [\d.]+, python 3[\d.]+, numpy ", said)
 
 
-def test_every_word_that_comes_from_outside_is_escaped(tmp_path):
+def test_every_external_text_is_escaped(tmp_path):
     nasty = '<b onload="x">&amp;'
     quoted = json.dumps(nasty)
     notes = f"[versions]\n{quoted} = {quoted}\n[replayed]\nlog = {quoted}\n{quoted} = {quoted}\n"
@@ -122,7 +122,7 @@ def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
     assert "estimator" not in changed
 
 
-def test_a_replay_is_repeated_with_its_log_and_its_relations(tmp_path):
+def test_the_command_of_a_replay_has_its_log_and_its_relations(tmp_path):
     notes = "[replayed]\nlog = '/logs/my log.clf'\nrelations = 'r.txt'\n"
     folder = noted(tmp_path / "x", notes)
     said = Page(page([shown(folder=folder)], [])).text
@@ -130,12 +130,12 @@ def test_a_replay_is_repeated_with_its_log_and_its_relations(tmp_path):
 
 
 @pytest.mark.parametrize("notes", ["", "[[", "replayed = 3", "[replayed]", "versions = []"])
-def test_notes_that_are_none_are_left_out(tmp_path, notes):
+def test_invalid_notes_are_ignored(tmp_path, notes):
     folder = noted(tmp_path / "x", notes)
     assert f"sixthsense run --config {folder}/config.toml" in Page(page([shown(folder=folder)], [])).text
 
 
-def test_a_killed_run_has_a_page_that_says_so(folder, tmp_path, capsys):
+def test_the_page_of_a_killed_run_says_so(folder, tmp_path, capsys):
     killed = tmp_path / "two.partial"
     (killed / "bag").mkdir(parents=True)
     for name in ("config.toml", "bag/bag_0.mcap"):
@@ -160,12 +160,12 @@ def test_vector_figures_are_small_and_the_same_each_time(folder, tmp_path, form)
         assert first[name].startswith(b"<?xml" if form == "svg" else b"%PDF")
 
 
-def test_a_run_that_was_never_written_has_a_page_too(tmp_path, folder):
+def test_a_run_without_a_folder_has_a_page(tmp_path, folder):
     run = load_run(folder)
     report([FinishedRun("here", run.trace, run.metrics)], tmp_path)
     assert "--config" not in Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
 
 
-def test_a_form_that_there_is_not_is_refused_in_one_line(folder, capsys):
+def test_an_unknown_format_is_refused_in_one_line(folder, capsys):
     assert main(["report", str(folder), "--figures", "bmp"]) == 2
     assert capsys.readouterr().err == "sixthsense: --figures: found 'bmp', allowed: png, svg, pdf\n"

@@ -43,7 +43,7 @@ def error_of(file: Path, laser: LaserConfig = LASER) -> str:
     return str(caught.value)
 
 
-def test_a_log_gives_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(tmp_path: Path) -> None:
+def test_a_log_has_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(tmp_path: Path) -> None:
     lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2), "\n", "RLASER 1 2.0\n", "NMEA-GGA x\n", odom(3, x=7)]
     log = read_carmen(written(tmp_path, "".join(lines)), LASER)
     seen = []
@@ -63,19 +63,19 @@ def test_the_odometry_of_a_scan_is_the_robots_and_not_the_lasers(tmp_path: Path)
     assert tick.odometry.array() == pytest.approx([1.0, -2.0, 0.5])
 
 
-def test_ranges_at_or_beyond_the_maximum_mean_no_return(tmp_path: Path) -> None:
+def test_ranges_at_or_beyond_the_maximum_are_no_returns(tmp_path: Path) -> None:
     scan = read_carmen(written(tmp_path, flaser(ranges="0.0 49.99 50.0 inf")), LASER).scans[0]
     assert scan.ranges.tolist() == [0.0, pytest.approx(49.99), math.inf, math.inf]
 
 
-def test_a_scan_knows_the_lasers_mount_and_bearings(tmp_path: Path) -> None:
+def test_a_scan_has_the_mount_and_the_bearings_of_the_laser(tmp_path: Path) -> None:
     laser = LaserConfig(beams=4, fov=math.pi, max_range=50.0, mount=(0.1, 0.0, 0.2))
     scan = read_carmen(written(tmp_path, flaser()), laser).scans[0]
     assert scan.T_robot_laser.array() == pytest.approx([0.1, 0.0, 0.2])
     assert scan.bearings == pytest.approx(np.linspace(-math.pi / 2, math.pi / 2, 4), abs=1e-6)
 
 
-def test_the_order_of_the_file_is_the_clock_where_stamps_run_backwards(tmp_path: Path) -> None:
+def test_ticks_keep_the_order_of_the_file_when_stamps_decrease(tmp_path: Path) -> None:
     log = read_carmen(written(tmp_path, odom(10) + flaser(11) + flaser(5) + odom(5) + flaser(11) + flaser(12)), LASER)
     s = 10**9
     assert stamps(log) == [10 * s, 11 * s, 11 * s + 1, 11 * s + 2, 11 * s + 3, 12 * s]
@@ -83,12 +83,12 @@ def test_the_order_of_the_file_is_the_clock_where_stamps_run_backwards(tmp_path:
     assert log.backward_stamps == 1
 
 
-def test_stamps_keep_every_digit_of_the_log(tmp_path: Path) -> None:
+def test_stamps_keep_all_digits_of_the_log(tmp_path: Path) -> None:
     log = read_carmen(written(tmp_path, odom("976052857.337284123") + flaser("1e9")), LASER)
     assert stamps(log) == [976052857337284123, 10**18]
 
 
-def test_record_stamps_ascend_strictly_whatever_the_log_says(tmp_path: Path) -> None:
+def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
     for seed in range(10):
         own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)
         log = read_carmen(written(tmp_path, "".join(flaser(stamp) for stamp in own)), LASER)
@@ -97,7 +97,7 @@ def test_record_stamps_ascend_strictly_whatever_the_log_says(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["a.log", "a.log.gz", "a.clf.bz2"])
-def test_plain_and_compressed_logs_are_read_alike_whatever_their_names(tmp_path: Path, name: str) -> None:
+def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path: Path, name: str) -> None:
     text = (HEADER + odom() + flaser(2)).encode()
     for content in (text, gzip.compress(text), bz2.compress(text)):
         log = open_log(written(tmp_path, content, name), LASER)
@@ -140,14 +140,14 @@ def test_a_log_of_another_laser_names_the_option_to_change(tmp_path: Path) -> No
     assert "--laser.beams 5" in message
 
 
-def test_one_odd_scan_among_good_ones_is_no_reason_to_change_the_laser(tmp_path: Path) -> None:
+def test_a_single_deviating_scan_gives_no_hint_to_change_the_laser(tmp_path: Path) -> None:
     message = error_of(written(tmp_path, flaser() + flaser(ranges="1 2 3 4 5")))
     assert "line 2: found FLASER with 5 ranges, allowed: 4" in message
     assert "--laser.beams" not in message
 
 
 @pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
-def test_a_last_line_cut_short_anywhere_is_named(tmp_path: Path, line: str) -> None:
+def test_a_truncated_last_line_is_named(tmp_path: Path, line: str) -> None:
     for length in range(1, line.rindex(" ") + 1):
         assert "line 2: " in error_of(written(tmp_path, flaser() + line[:length]))
 
@@ -156,7 +156,7 @@ def test_a_last_line_needs_no_line_end(tmp_path: Path) -> None:
     assert len(read_carmen(written(tmp_path, flaser() + flaser(2).rstrip("\n")), LASER).scans) == 2
 
 
-def test_a_log_without_scans_says_what_it_has_instead(tmp_path: Path) -> None:
+def test_a_log_without_scans_lists_the_messages_it_has(tmp_path: Path) -> None:
     assert "found no FLASER line (2 ODOM, 1 PARAM)" in error_of(written(tmp_path, HEADER + odom() + odom(2)))
     assert "no line at all" in error_of(written(tmp_path, ""))
 
@@ -166,19 +166,19 @@ def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
     assert "cannot be read" in error_of(tmp_path)
 
 
-def test_binary_noise_is_refused_in_one_short_line(tmp_path: Path) -> None:
+def test_random_bytes_are_refused_in_one_short_line(tmp_path: Path) -> None:
     for seed in range(30):
         noise = np.random.default_rng(seed).bytes(5000)
         for start in (b"", b"\x1f\x8b\x08", b"BZh9", b"FLASER ", b"ODOM "):
             assert len(error_of(written(tmp_path, start + noise))) < 300 + len(str(tmp_path))
 
 
-def test_a_line_without_end_does_not_fill_the_memory(tmp_path: Path) -> None:
+def test_an_endless_line_does_not_fill_the_memory(tmp_path: Path) -> None:
     assert "line 1: found a line of over" in error_of(written(tmp_path, gzip.compress(bytes(20_000_000))))
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
-def test_a_compressed_log_cut_short_anywhere_is_refused(tmp_path: Path, compress) -> None:
+def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None:
     ranges = np.random.default_rng(0).uniform(0, 9, (40, 4)).round(3)
     content = compress("".join(flaser(i, " ".join(map(str, row))) for i, row in enumerate(ranges)).encode())
     for length in range(len(content) - 1, 3, -17):
@@ -197,7 +197,7 @@ def test_an_unknown_kind_of_log_lists_the_known_ones(tmp_path: Path) -> None:
         assert len(open_log(written(tmp_path, flaser(), name), LASER).scans) == 1
 
 
-def test_relations_are_read_with_comments_and_blank_lines_passed_over(tmp_path: Path) -> None:
+def test_comments_and_blank_lines_of_relations_are_skipped(tmp_path: Path) -> None:
     text = "# checked\n\n1.5 2.5 0.1 0.2 9 9 9 4.0\n2.5 1.5 -0.1 0 0 0 0 -1\n"
     relations = read_relations(written(tmp_path, text, "a.relations"))
     assert relations.stamps.tolist() == [[1.5, 2.5], [2.5, 1.5]]
@@ -220,7 +220,7 @@ def test_bad_relations_are_named(tmp_path: Path, text: str, said: str) -> None:
     assert str(tmp_path) in str(caught.value)
 
 
-def test_the_intel_log_is_read_whole_and_in_its_own_order(data_dir: Path) -> None:
+def test_the_intel_log_is_read_completely_and_in_its_order(data_dir: Path) -> None:
     log = open_log(data_dir / "intel" / "intel.clf.bz2", preset("intel").laser)
     assert len(log.scans) == 13_631
     assert len(log.ticks) == 13_631 + 26_915

@@ -23,7 +23,7 @@ SLOW = ("ros1", "mcap", "db3", "run-bag")
 
 
 @pytest.mark.parametrize("name", PARSERS)
-def test_damaged_files_and_noise_make_a_result_or_one_line(name):
+def test_damaged_files_and_random_bytes_give_a_result_or_one_line(name):
     parser = PARSERS[name]
     with tempfile.TemporaryDirectory() as folder:
         seeds = parser.seeds(Path(folder))
@@ -127,7 +127,7 @@ BAD_FILES = [
 @pytest.mark.parametrize(
     ("line", "files", "said"), BAD_FILES, ids=[f"{k}-{row[0]!r}" for k, row in enumerate(BAD_FILES)]
 )
-def test_a_bad_file_ends_in_one_line_and_writes_nothing(line, files, said, tmp_path, monkeypatch, capsys):
+def test_an_invalid_file_gives_one_line_and_writes_nothing(line, files, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, content in files.items():
         Path(name).parent.mkdir(parents=True, exist_ok=True)
@@ -135,7 +135,7 @@ def test_a_bad_file_ends_in_one_line_and_writes_nothing(line, files, said, tmp_p
     assert said in one_line(line.split(" "), capsys)
 
 
-def test_a_scene_and_a_configuration_of_deep_or_endless_values_are_refused_in_a_short_line(tmp_path):
+def test_deeply_nested_and_huge_values_are_refused_in_one_short_line(tmp_path):
     for text in (f"walls{'.a' * 3000} = 1", f"radius = {'[' * 500}{']' * 500}", f"goal = '{'x' * 10**6}'"):
         (tmp_path / "s.toml").write_text(ROOM.split("walls")[0].replace("radius = 0.2", "") + text)
         with pytest.raises(SceneError) as scene:
@@ -146,7 +146,7 @@ def test_a_scene_and_a_configuration_of_deep_or_endless_values_are_refused_in_a_
         assert len(str(scene.value)) < 500 and len(str(config.value)) < 500
 
 
-def test_a_bag_whose_types_lack_their_fields_ends_in_one_line(tmp_path):
+def test_a_bag_with_incomplete_types_is_refused_in_one_line(tmp_path):
     parser = PARSERS["ros1"]
     seed = parser.seeds(tmp_path)[0]
     for field in (b"float32[] ranges", b"float32 angle_min", b"float32 range_max"):
@@ -196,7 +196,7 @@ def bombs() -> dict[str, bytes]:
     }  # fmt: skip
 
 
-def test_chunks_that_would_fill_the_memory_end_in_one_line(tmp_path, monkeypatch, capsys):
+def test_chunks_that_would_fill_the_memory_are_refused_in_one_line(tmp_path, monkeypatch, capsys):
     from sixthsense.sources.logs import decompress
 
     monkeypatch.chdir(tmp_path)
@@ -214,7 +214,7 @@ def test_chunks_that_would_fill_the_memory_end_in_one_line(tmp_path, monkeypatch
     assert "before it ends, allowed: a bag of a run" in one_line(["replay", "run"], capsys)
 
 
-def test_chunks_read_again_and_again_end_in_one_line(tmp_path, monkeypatch):
+def test_repeated_decompression_of_chunks_is_refused_in_one_line(tmp_path, monkeypatch):
     from sixthsense.sources.logs import decompress
 
     parser = PARSERS["mcap"]
@@ -228,7 +228,7 @@ def test_chunks_read_again_and_again_end_in_one_line(tmp_path, monkeypatch):
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("name", ["x.bag", "x.mcap", "x.db3", "run/bag/bag_0.mcap", "bag/x.mcap", "m.pgm", "x.log"])
-def test_a_pipe_that_says_nothing_and_a_device_without_end_are_refused(name, tmp_path, monkeypatch, capsys):
+def test_a_silent_pipe_and_an_endless_device_are_refused(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for folder in ("run/bag", "bag"):
         Path(folder).mkdir(parents=True)
@@ -245,7 +245,7 @@ def test_a_pipe_that_says_nothing_and_a_device_without_end_are_refused(name, tmp
 
 @pytest.mark.parametrize("kind", ["ros1", "mcap", "db3", "run-bag"])
 @pytest.mark.parametrize(("was", "is_now"), [(0.2, 1e300), (0.2, float("nan")), (0.1, 1e308)])
-def test_poses_that_no_number_can_square_are_refused_without_a_warning(kind, was, is_now, tmp_path):
+def test_poses_whose_squares_overflow_are_refused_without_a_warning(kind, was, is_now, tmp_path):
     parser = PARSERS[kind]
     seed = parser.seeds(tmp_path)[-1]
     damaged = seed.replace(struct.pack("<d", was), struct.pack("<d", is_now))
@@ -255,12 +255,12 @@ def test_poses_that_no_number_can_square_are_refused_without_a_warning(kind, was
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 @pytest.mark.parametrize("command", ["run x.toml", "run x.scn", "run x.yaml", "run --config x.toml"])
-def test_a_scene_and_a_configuration_are_no_pipes(command, tmp_path, monkeypatch, capsys):
+def test_a_pipe_is_refused_as_a_scene_and_as_a_configuration(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     os.mkfifo(command.split()[-1])
     assert f"{command.split()[-1]}: is a pipe" in one_line(command.split(), capsys)
 
 
-def test_a_range_that_no_float32_holds_is_no_return_and_no_warning(tmp_path):
+def test_a_range_that_overflows_float32_is_no_return_and_gives_no_warning(tmp_path):
     parser = PARSERS["carmen"]
     assert attempt(parser, tmp_path, parser.seeds(tmp_path)[0].replace(b"81.8", b"1e308"))

@@ -55,7 +55,7 @@ def error_of(text: str | bytes, folder: Path) -> str:
     return str(caught.value)
 
 
-def test_a_pose_is_a_tick_a_second_after_the_one_before(tmp_path):
+def test_poses_are_ticks_one_second_apart(tmp_path):
     log = read_graph(graph(SMALL, tmp_path))
     assert [tick.stamp_ns for tick in log.ticks] == [0, 10**9, 2 * 10**9]
     assert log.start == Pose() and log.ticks[2].odometry == Pose(1.0, 0.1, 0.2) @ Pose(1.0, 0.1, 0.2)
@@ -65,7 +65,7 @@ def test_a_pose_is_a_tick_a_second_after_the_one_before(tmp_path):
     assert log.ticks[0].increment_cov is None
 
 
-def test_tags_differ_in_the_order_of_the_numbers_and_in_what_they_are(tmp_path):
+def test_motion_tags_differ_in_the_order_and_the_meaning_of_their_numbers(tmp_path):
     own = np.array([[4.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 2.0]])
     information = np.linalg.inv(own)
     rows, toro = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
@@ -78,7 +78,7 @@ def test_tags_differ_in_the_order_of_the_numbers_and_in_what_they_are(tmp_path):
         assert log.ticks[1].increment_cov == pytest.approx(turn @ own @ turn.T, abs=1e-9)
 
 
-def test_landmarks_differ_in_what_their_numbers_are(tmp_path):
+def test_landmark_tags_differ_in_the_meaning_of_their_numbers(tmp_path):
     cov = np.array([[0.3, 0.1], [0.1, 0.2]])
     (xx, xy), (_, yy) = np.linalg.inv(cov).tolist()
     lines = [
@@ -95,7 +95,7 @@ def test_landmarks_differ_in_what_their_numbers_are(tmp_path):
     assert polar == pytest.approx(np.diag([4e-4, 0.01]), rel=1e-3, abs=1e-9)
 
 
-def test_guesses_comments_and_late_landmarks_are_no_trouble(tmp_path):
+def test_initial_values_comments_and_late_landmarks_are_accepted(tmp_path):
     text = "# a head\n\nVERTEX_SE2 0 0 0 0\nVERTEX2 1 9 9 9\nVERTEX_XY 7 1 1\n" + SEEN.format(0, 7, 1.0, 0.0)
     log = read_graph(graph(text + MOTION.format(0, 1) + MOTION.format(1, 2) + SEEN.format(1, 7, 2.0, 0.0), tmp_path))
     assert [list(tick.sightings) for tick in log.ticks] == [[7], [7], []]
@@ -136,12 +136,12 @@ def test_a_bad_line_is_named_with_file_and_line(tmp_path, line, said):
     assert len(message) < 300 + len(str(tmp_path))
 
 
-def test_certain_odometry_is_allowed(tmp_path):
+def test_odometry_without_noise_is_allowed(tmp_path):
     log = read_graph(graph("ODOMETRY 0 1 1 0 0 0 0 0 0 0 0\n", tmp_path))
     assert not np.any(log.ticks[1].increment_cov)
 
 
-def test_no_edge_noise_and_a_missing_file_are_one_line(tmp_path):
+def test_no_edge_random_bytes_and_a_missing_file_give_one_line(tmp_path):
     assert "found no edge between poses" in error_of("# nothing\n", tmp_path)
     for seed in range(10):
         error_of(np.random.default_rng(seed).bytes(3000), tmp_path)
@@ -150,12 +150,12 @@ def test_no_edge_noise_and_a_missing_file_are_one_line(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["a.graph", "a.g2o", "a.toro", "a.txt", "a.TXT"])
-def test_the_name_tells_a_graph(tmp_path, name):
+def test_a_graph_is_recognised_by_its_name(tmp_path, name):
     assert len(open_log(graph(SMALL, tmp_path, name), LaserConfig()).ticks) == 3
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
-def test_a_replay_repeats_its_bits_and_does_not_mind_the_order_of_sightings(tmp_path, estimator):
+def test_a_replay_is_reproducible_for_any_order_of_sightings(tmp_path, estimator):
     config = preset("victoria", estimator=estimator)
     log, turned = read_graph(graph(drive(), tmp_path, "a.txt")), read_graph(graph(drive(order=-1), tmp_path, "b.txt"))
     first, again, other = (replay(source, config) for source in (log, log, turned))
@@ -201,13 +201,13 @@ def test_the_command_replays_a_graph_and_then_its_own_record_to_the_same_estimat
         (["--preset", "park"], "preset: found 'park', allowed: "),
     ],
 )
-def test_options_that_do_not_go_with_a_graph_are_one_line_and_exit_code_2(tmp_path, words, said):
+def test_options_that_do_not_apply_to_a_graph_give_one_line_and_exit_code_2(tmp_path, words, said):
     done = command("replay", graph(SMALL, tmp_path), *words, "--out", tmp_path / "out")
     assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists() and not (tmp_path / "out.partial").exists()
 
 
-def test_a_bad_graph_is_one_line_and_exit_code_2(tmp_path):
+def test_an_invalid_graph_gives_one_line_and_exit_code_2(tmp_path):
     done = command("replay", graph(SMALL + "LOOP 1 2\n", tmp_path), "--out", tmp_path / "out")
     assert done.returncode == 2 and f"line {LINES + 1}: found tag 'LOOP'" in done.stderr
     assert done.stderr.count("\n") == 1 and not (tmp_path / "out.partial").exists()
@@ -225,13 +225,13 @@ def test_victoria_park_has_its_published_size():
     assert (len(log.ticks), len(ids), len(set(ids))) == (6969, 3640, 151)
 
 
-def test_victoria_parks_columns_are_covariances():
+def test_the_columns_of_victoria_park_are_covariances():
     """Innovations are as large as they say: taken as information they would be two hundred times as large, or small."""
     figures = replay(victoria_park(), preset("victoria", estimator="ekf-invariant")).metrics
     assert 0.5 < figures["nis_mean_per_dof"] < 1.5
 
 
-def test_the_benchmark_races_the_smoother_against_gtsam_by_hand(tmp_path, monkeypatch):
+def test_the_benchmark_compares_the_smoother_with_gtsam(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
     script = importlib.import_module("victoria_park")
     log = victoria_park()

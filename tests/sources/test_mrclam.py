@@ -70,7 +70,7 @@ def changed(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new, 1))
 
 
-def test_ticks_are_those_of_odometry_and_of_measurements_in_the_order_of_time(tmp_path):
+def test_odometry_and_measurements_give_ticks_in_the_order_of_time(tmp_path):
     log = read_mrclam(folder(tmp_path), ASSUMED)
     stamps = [tick.stamp_ns for tick in log.ticks]
     assert len(stamps) == 40 + 7 and np.all(np.diff(stamps) > 0)
@@ -91,13 +91,13 @@ def test_without_truth_odometry_begins_at_zero(tmp_path):
     assert log.start == Pose() and all(tick.truth is None for tick in log.ticks)
 
 
-def test_ids_are_subjects_robots_are_left_out_and_depths_become_distances(tmp_path):
+def test_ids_are_subjects_robots_are_skipped_and_depths_become_distances(tmp_path):
     for tick in read_mrclam(folder(tmp_path), ASSUMED).ticks:
         for i, sighting in (tick.sightings or {}).items():
             assert (tick.odometry @ sighting.z) == pytest.approx(np.array(PLACES[i]), abs=1e-3)
 
 
-def test_ranges_are_taken_as_they_stand_on_request(tmp_path):
+def test_depths_are_used_as_ranges_on_request(tmp_path):
     depth = read_mrclam(folder(tmp_path), ASSUMED)
     plain = read_mrclam(tmp_path, ASSUMED, as_depth=False)
     for a, b in zip(depth.ticks, plain.ticks, strict=True):
@@ -107,7 +107,7 @@ def test_ranges_are_taken_as_they_stand_on_request(tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_noisy_range_and_bearing_make_a_sighting_without_bias_and_with_the_right_covariance(seed):
+def test_a_noisy_range_and_bearing_give_an_unbiased_sighting_with_the_correct_covariance(seed):
     rng, many = np.random.default_rng(seed), 20_000
     r, b, sigma_r = 5.0, 0.7, 0.1
     for sigma_b in (0.02, 0.1):
@@ -120,7 +120,7 @@ def test_a_noisy_range_and_bearing_make_a_sighting_without_bias_and_with_the_rig
             assert np.mean(nees) == pytest.approx(2.0, rel=0.05)
 
 
-def test_bearing_and_range_come_back_from_a_sighting():
+def test_bearing_and_range_of_a_sighting_are_recovered():
     bearing, distance, cov = polar_sighting(3.0, -0.4, (0.01, 0.0004)).bearing_range()
     assert (bearing, distance) == pytest.approx((-0.4, 3.0), abs=1e-6)
     assert cov == pytest.approx(np.diag([0.0004, 0.01]), rel=1e-3)
@@ -146,7 +146,7 @@ def test_the_log_ends_where_truth_or_odometry_does(tmp_path):
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "isam2"])
-def test_a_replay_finds_the_landmarks_twice_alike_whatever_the_order_of_the_file(tmp_path, estimator):
+def test_a_replay_is_reproducible_for_any_order_of_the_measurements(tmp_path, estimator):
     config = preset("mrclam", estimator=estimator, assumed={"wheel_scale_error": 0.0, "drift_rad_per_m": 0.0})
     log, turned = read_mrclam(folder(tmp_path / "a"), ASSUMED), read_mrclam(folder(tmp_path / "b", order=-1), ASSUMED)
     first, again, other = (replay(source, config) for source in (log, log, turned))
@@ -157,7 +157,7 @@ def test_a_replay_finds_the_landmarks_twice_alike_whatever_the_order_of_the_file
     assert {i: place.tolist() for i, place in found.items()} == {i: pytest.approx(PLACES[i], abs=0.01) for i in PLACES}
 
 
-def test_what_a_log_without_scans_measures_has_no_scene(tmp_path):
+def test_a_log_without_scans_has_no_metrics_of_a_scene(tmp_path):
     figures = replay(read_mrclam(folder(tmp_path), ASSUMED), preset("mrclam")).metrics
     assert "coverage" not in figures and "goal_error_m" not in figures and figures["outcome"] == "log ended"
 
@@ -168,7 +168,7 @@ def test_a_missing_file_is_named(tmp_path, name):
     assert (name if "Odometry" not in name else "RobotN_Odometry.dat") in error_of(tmp_path)
 
 
-def test_a_robot_must_be_chosen_where_there_are_two_and_must_be_there(tmp_path):
+def test_a_robot_must_be_selected_among_several_and_must_exist(tmp_path):
     folder(tmp_path, robot=2)
     folder(tmp_path, robot=3)
     assert "found robots 2, 3, allowed: one, by --robot N" in error_of(tmp_path)
@@ -176,7 +176,7 @@ def test_a_robot_must_be_chosen_where_there_are_two_and_must_be_there(tmp_path):
     assert len(read_mrclam(tmp_path, ASSUMED, 2).ticks) == 47
 
 
-def test_barcodes_without_a_subject_are_misreadings_if_rare_and_else_an_error(tmp_path):
+def test_rare_unknown_barcodes_are_skipped_and_frequent_ones_are_an_error(tmp_path):
     file = folder(tmp_path, steps=250) / "Robot3_Measurement.dat"
     changed(file, f" {BARCODES[6]} ", " 34 ")
     log = read_mrclam(tmp_path, ASSUMED)
@@ -214,7 +214,7 @@ def test_a_bad_line_is_named_with_file_and_line(tmp_path, name, line, said):
 
 
 @pytest.mark.parametrize("name", ["Barcodes.dat", "Robot3_Odometry.dat", "Robot3_Measurement.dat"])
-def test_binary_noise_and_emptiness_are_one_line(tmp_path, name):
+def test_random_bytes_and_empty_files_give_one_line(tmp_path, name):
     file = folder(tmp_path) / name
     for seed in range(10):
         file.write_bytes(np.random.default_rng(seed).bytes(2000))
@@ -223,12 +223,12 @@ def test_binary_noise_and_emptiness_are_one_line(tmp_path, name):
     assert f"{file}: found no line of numbers" in error_of(tmp_path)
 
 
-def test_truth_of_another_day_is_refused(tmp_path):
+def test_truth_from_another_time_is_refused(tmp_path):
     (folder(tmp_path) / "Robot3_Groundtruth.dat").write_text(rows((1.0, 0, 0, 0), (2.0, 0, 0, 0)))
     assert "found truth at no stamp of the odometry" in error_of(tmp_path)
 
 
-def test_noise_of_nothing_is_refused(tmp_path):
+def test_zero_measurement_noise_is_refused(tmp_path):
     folder(tmp_path)
     with pytest.raises(LogError, match=r"assumed.laser.bearing_rad 0, allowed on ranges and bearings: above 0"):
         read_mrclam(tmp_path, merge(ASSUMED, {"laser": {"bearing_rad": 0.0}}))
@@ -273,19 +273,19 @@ def test_the_command_replays_a_folder_and_then_its_own_record_to_the_same_estima
         (["--assumed.laser.range-m", "0"], "assumed.laser.range_m 0"),
     ],
 )
-def test_options_that_do_not_go_with_the_folder_are_one_line_and_exit_code_2(tmp_path, words, said):
+def test_options_that_do_not_apply_to_the_folder_give_one_line_and_exit_code_2(tmp_path, words, said):
     done = command("replay", folder(tmp_path / "set"), *words, "--out", tmp_path / "out")
     assert done.returncode == 2 and said in done.stderr and done.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists() and not (tmp_path / "out.partial").exists()
 
 
-def test_the_robot_is_an_option_of_mrclam_alone(tmp_path):
+def test_the_option_robot_is_only_for_mrclam(tmp_path):
     (tmp_path / "g.txt").write_text("ODOMETRY 0 1 1 0 0 1e-4 0 0 1e-4 0 1e-4\n")
     done = command("replay", tmp_path / "g.txt", "--robot", 1)
     assert done.returncode == 2 and "--robot: found on a log that is not a MRCLAM folder" in done.stderr
 
 
-def test_the_benchmark_measures_each_estimator_and_the_wheels(tmp_path, monkeypatch):
+def test_the_benchmark_measures_each_estimator_and_odometry(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
     script = importlib.import_module("mrclam")
     log = read_mrclam(folder(tmp_path), ASSUMED)

@@ -118,7 +118,7 @@ def foreign(path: Path, kind: str, late_ns: int = 0, duration_s: float = 4.0) ->
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_of_others_gives_scans_odometry_and_the_mount(kind, tmp_path):
+def test_a_foreign_bag_gives_scans_odometry_and_the_mount(kind, tmp_path):
     log = open_log(foreign(tmp_path / "theirs", kind), LaserConfig())
     assert isinstance(log, BagLog) and not log.backward_stamps
     assert len(log.scans) == 31 and log.start == way(0.0)
@@ -138,7 +138,7 @@ def test_a_bag_of_others_gives_scans_odometry_and_the_mount(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_bag_of_others_replays_through_the_command_and_its_folder_replays_again(kind, tmp_path, capsys):
+def test_the_command_replays_a_foreign_bag_and_then_its_own_folder(kind, tmp_path, capsys):
     file = foreign(tmp_path / "theirs", kind)
     assert cli.main(["replay", str(file), "--out", str(tmp_path / "out")]) == cli.DONE
     assert cli.main(["replay", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == cli.DONE
@@ -151,13 +151,13 @@ def test_a_bag_of_others_replays_through_the_command_and_its_folder_replays_agai
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_late_scan_is_put_where_its_stamp_says(tmp_path):
+def test_a_late_scan_is_sorted_by_its_stamp(tmp_path):
     prompt = open_log(foreign(tmp_path / "a", "mcap"), LaserConfig())
     late = open_log(foreign(tmp_path / "b", "mcap", late_ns=90_000_000), LaserConfig())
     assert [(t.stamp_ns, t.odometry) for t in late.ticks] == [(t.stamp_ns, t.odometry) for t in prompt.ticks]
 
 
-def test_stamps_that_run_backwards_keep_the_files_order_and_an_ascending_clock(tmp_path):
+def test_decreasing_stamps_keep_the_order_of_the_file_and_ticks_ascend(tmp_path):
     with Bag(tmp_path / "x", "mcap") as bag:
         for k, stamp in enumerate([5, 3, 4, 9]):
             bag.odometry("/odom", stamp * 10**9, Pose(k, 0, 0), late_ns=(20 + k - stamp) * 10**9)
@@ -178,27 +178,27 @@ def scan_of(tmp_path: Path, ranges, laser: LaserConfig | None = None, turn=None,
     return open_log(bag.path, laser or LaserConfig()).scans[0]
 
 
-def test_ranges_outside_their_limits_and_nan_met_nothing(tmp_path):
+def test_ranges_outside_their_limits_and_nan_are_no_returns(tmp_path):
     row = scan_of(tmp_path, [0.05, 0.1, 8.0, 8.1, np.nan, -1.0, np.inf, 3.0]).ranges
     assert row.tolist() == [np.inf, pytest.approx(0.1), 8.0, *[np.inf] * 4, 3.0]
 
 
-def test_a_scan_that_runs_clockwise_sees_the_same_points(tmp_path):
+def test_a_clockwise_scan_gives_the_same_points(tmp_path):
     scan = scan_of(tmp_path, [1.0, 2.0, 3.0], first=0.5, step=-0.25)
     assert scan.ranges.tolist() == [3.0, 2.0, 1.0] and scan.bearings.tolist() == [0.0, 0.25, 0.5]
 
 
-def test_a_laser_that_hangs_upside_down_sees_the_room_mirrored(tmp_path):
+def test_the_scan_of_an_upside_down_laser_is_mirrored(tmp_path):
     scan = scan_of(tmp_path, [1.0, 2.0, 3.0], first=0.0, step=0.25, turn=(1.0, 0.0, 0.0, 0.0))
     assert scan.ranges.tolist() == [3.0, 2.0, 1.0] and scan.bearings.tolist() == [-0.5, -0.25, 0.0]
 
 
-def test_a_beam_that_repeats_the_first_is_left_out(tmp_path):
+def test_a_beam_that_repeats_the_first_is_removed(tmp_path):
     scan = scan_of(tmp_path, np.arange(1.0, 6.0), first=-math.pi, step=math.pi / 2)
     assert scan.ranges.tolist() == [1.0, 2.0, 3.0, 4.0] and scan.closed
 
 
-def test_a_mount_that_is_given_counts_more_than_the_bags(tmp_path):
+def test_a_given_mount_overrides_that_of_the_bag(tmp_path):
     given = replace(LaserConfig(), mount=(1.0, 2.0, 0.5))
     assert scan_of(tmp_path, np.ones(9), given).T_robot_laser == Pose(1.0, 2.0, 0.5)
 
@@ -214,7 +214,7 @@ BAD_SCANS = [
 
 
 @pytest.mark.parametrize(("how", "said"), BAD_SCANS, ids=[said for _, said in BAD_SCANS])
-def test_numbers_that_will_not_do_end_in_one_line(how, said, tmp_path):
+def test_invalid_numbers_are_refused_in_one_line(how, said, tmp_path):
     with pytest.raises(LogError, match=said) as caught:
         scan_of(tmp_path, **how)
     assert "\n" not in str(caught.value)
@@ -227,7 +227,7 @@ def complaint(args: list[str], capsys) -> str:
     return err
 
 
-def test_of_several_topics_one_must_be_named(tmp_path, capsys):
+def test_one_of_several_topics_must_be_selected(tmp_path, capsys):
     with Bag(tmp_path / "x", "mcap") as bag:
         for k in range(3):
             bag.odometry("/odom", k * 10**9, Pose())
@@ -241,7 +241,7 @@ def test_of_several_topics_one_must_be_named(tmp_path, capsys):
     assert cli.main([*args, "--topic", "/rear"]) == cli.DONE
 
 
-def test_a_bag_without_the_topics_lists_those_it_has(tmp_path, capsys):
+def test_a_bag_without_the_required_topics_lists_its_topics(tmp_path, capsys):
     with Bag(tmp_path / "x", "mcap") as bag:
         bag.odometry("/odom", 10**9, Pose())
     args = ["replay", str(bag.path), "--out", str(tmp_path / "out")]
@@ -253,7 +253,7 @@ def test_a_bag_without_the_topics_lists_those_it_has(tmp_path, capsys):
     )
 
 
-def test_clocks_that_have_nothing_in_common_are_named(tmp_path):
+def test_disjoint_clocks_are_named(tmp_path):
     with Bag(tmp_path / "x", "mcap") as bag:
         bag.odometry("/odom", 10**9, Pose())
         bag.scan("/scan", 10**15, np.ones(240))
@@ -263,7 +263,7 @@ def test_clocks_that_have_nothing_in_common_are_named(tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_bag_that_is_cut_short_ends_in_one_line(kind, share, tmp_path, capsys):
+def test_a_truncated_bag_is_refused_in_one_line(kind, share, tmp_path, capsys):
     path = foreign(tmp_path / "theirs", kind, duration_s=1.0)
     file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != ".yaml")
     content = file.read_bytes()
@@ -275,7 +275,7 @@ def test_a_bag_that_is_cut_short_ends_in_one_line(kind, share, tmp_path, capsys)
 @pytest.mark.parametrize("name", ["x.bag", "x.mcap", "x.db3", "x/metadata.yaml", "x/bag/bag_0.mcap"])
 @given(noise=st.binary(max_size=300), magic=st.sampled_from([b"", b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"]))
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-def test_noise_is_no_bag(name, noise, magic, tmp_path):
+def test_random_bytes_are_not_a_bag(name, noise, magic, tmp_path):
     file = tmp_path / name
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(magic + noise)
@@ -287,7 +287,7 @@ def test_noise_is_no_bag(name, noise, magic, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_options_that_go_with_another_kind_of_log_are_refused(tmp_path, capsys):
+def test_options_of_another_kind_of_log_are_refused(tmp_path, capsys):
     file = str(foreign(tmp_path / "theirs", "mcap", duration_s=1.0))
     out = ["--out", str(tmp_path / "out")]
     assert cli.main(["replay", file, *out]) == cli.DONE

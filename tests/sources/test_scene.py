@@ -74,12 +74,12 @@ def sides(scene: Scene) -> set[tuple[tuple[float, float], ...]]:
 # --- the shipped scenes
 
 
-def test_the_shipped_scenes_are_these() -> None:
+def test_the_shipped_scenes_are_listed_by_name() -> None:
     assert list(shipped_scenes()) == SHIPPED
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_no_way_leads_out_of_a_scene(name: str) -> None:
+def test_no_path_leads_out_of_a_scene(name: str) -> None:
     scene = load_scene(name)
     raster = Raster(scene)
     inside = raster.reached(~raster.blocked, scene.start.position)
@@ -101,7 +101,7 @@ def test_no_ray_leaks_out_of_a_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_a_robot_with_room_to_spare_reaches_every_goal(name: str) -> None:
+def test_a_larger_robot_still_reaches_every_goal(name: str) -> None:
     scene = load_scene(name)
     raster = Raster(scene)
     clearance = ndimage.distance_transform_edt(~raster.blocked) * CELL_M
@@ -122,7 +122,7 @@ def test_free_space_has_no_passage_too_narrow_for_a_robot_of_the_largest_radius(
     assert (ndimage.distance_transform_edt(~core)[free] * CELL_M).max() <= 0.3 * math.sqrt(2) + 2 * CELL_M
 
 
-def test_the_loop_is_about_a_hundred_metres_and_its_tour_goes_round_one_way() -> None:
+def test_the_loop_has_about_a_hundred_metres_and_its_tour_goes_round_in_one_direction() -> None:
     scene = load_scene("loop")
     centre = np.array([16.0, 11.0])
     places = np.array([*scene.tour, scene.tour[0]]) - centre
@@ -133,7 +133,7 @@ def test_the_loop_is_about_a_hundred_metres_and_its_tour_goes_round_one_way() ->
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 25
 
 
-def test_the_apartment_has_loose_ends() -> None:
+def test_the_apartment_has_free_wall_ends() -> None:
     walls = load_scene("apartment").walls
     loose = 0
     for k, wall in enumerate(walls):
@@ -145,7 +145,7 @@ def test_the_apartment_has_loose_ends() -> None:
 # --- loading
 
 
-def test_walls_and_polygons_become_the_same_segments(tmp_path: Path) -> None:
+def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
     polygon = "[[polygons]]\npoints = [[0, 0], [4, 0], [4, 2], [0, 2]]\n"
     a = load_scene(write(tmp_path, "a.toml", GOOD + ROOM))
     b = load_scene(write(tmp_path, "b.toml", GOOD + polygon))
@@ -156,7 +156,7 @@ def test_walls_and_polygons_become_the_same_segments(tmp_path: Path) -> None:
     assert a.walls.dtype == np.float64 and not a.walls.flags.writeable
 
 
-def test_goal_tour_and_region_may_be_left_out(tmp_path: Path) -> None:
+def test_goal_tour_and_region_are_optional(tmp_path: Path) -> None:
     scene = load_scene(write(tmp_path, "s.toml", "start = [1, 1, 0]\nradius = 0.2\n" + ROOM))
     assert scene.goal is None and scene.tour == () and scene.region == (0, 0, 4, 2)
 
@@ -221,7 +221,7 @@ def test_a_scene_keeps_its_own_copy_of_the_walls() -> None:
         ("radius = 0.2", "radius = ", "is not TOML (Invalid value (at line 2"),
     ],
 )
-def test_a_bad_toml_scene_is_one_line_that_says_where(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_an_invalid_toml_scene_gives_one_line_with_the_field(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in GOOD + ROOM
     path = write(tmp_path, "bad.toml", (GOOD + ROOM).replace(old, new, 1))
     message = fails(path)
@@ -309,7 +309,7 @@ def test_a_scn_file_is_a_start_a_radius_and_walls(tmp_path: Path) -> None:
         ("0 0 0 0.1\n1 1 1 2\n", "walls: all on one line"),
     ],
 )
-def test_a_bad_scn_scene_is_one_line_that_says_where(tmp_path: Path, text: str, said: str) -> None:
+def test_an_invalid_scn_scene_gives_one_line_with_the_line_number(tmp_path: Path, text: str, said: str) -> None:
     assert said in fails(write(tmp_path, "bad.scn", text))
 
 
@@ -383,7 +383,7 @@ def test_every_corner_stays_within_half_a_cell_of_the_simplified_outline() -> No
             assert max(point_segment_distance(corner, walls).min() for corner in loop) <= 0.5 + 1e-6
 
 
-def test_simplification_leaves_rectangles_alone_and_straightens_staircases() -> None:
+def test_simplification_keeps_rectangles_and_straightens_staircases() -> None:
     for height, width in [(1, 1), (1, 2), (1, 40), (3, 3), (2, 50)]:
         loop = outlines(np.ones((height, width), bool))[0]
         assert {tuple(p) for p in simplify(loop)} == {(0, 0), (width, 0), (width, height), (0, height)}
@@ -393,7 +393,7 @@ def test_simplification_leaves_rectangles_alone_and_straightens_staircases() -> 
         assert len(simplify(loop)) <= 12
 
 
-def test_the_simplified_outline_is_the_cheapest_of_all() -> None:
+def test_the_simplified_outline_has_the_least_cost() -> None:
     def cost(points: np.ndarray, i: int, j: int) -> float:
         """The price of the segment from point i to point j, by the definition."""
         along = points[j] - points[i]
@@ -442,7 +442,7 @@ def test_no_ray_passes_between_diagonal_cells(tmp_path: Path) -> None:
         assert np.abs(ranges - radius - 0.5).max() < 1.5
 
 
-def test_a_map_lies_where_map_server_puts_it(tmp_path: Path) -> None:
+def test_the_pose_of_a_map_is_that_of_map_server(tmp_path: Path) -> None:
     pixels = np.full((4, 6), 254)
     pixels[3, 1] = 0  # the bottom row
     scene = load_scene(write_map(tmp_path, pixels, resolution="0.5", origin="[10, 20, 0]"))
@@ -454,7 +454,7 @@ def test_a_map_lies_where_map_server_puts_it(tmp_path: Path) -> None:
     assert np.allclose(np.sort(moved.reshape(-1, 2), axis=0), np.sort(turned.walls.reshape(-1, 2), axis=0))
 
 
-def test_solid_lies_on_the_left_of_a_map_s_walls(tmp_path: Path) -> None:
+def test_the_solid_is_on_the_left_of_the_walls_of_a_map(tmp_path: Path) -> None:
     pixels = np.full((30, 30), 254)
     pixels[5:25, 5:25] = 0
     pixels[10:20, 10:20] = 254
@@ -484,7 +484,7 @@ def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> 
     )
 
 
-def test_trinary_maps_average_alpha_in_and_scale_maps_do_not(tmp_path: Path) -> None:
+def test_alpha_is_averaged_in_trinary_maps_but_not_in_scale_maps(tmp_path: Path) -> None:
     pixels = np.full((3, 3, 4), 255)
     pixels[1, 1] = [0, 0, 0, 255]  # the mean with alpha is 64: occupancy 0.75
     assert len(load_scene(write_map(tmp_path, pixels)).walls) == 4
@@ -521,7 +521,7 @@ def test_a_cell_exactly_at_the_threshold_is_not_occupied(tmp_path: Path) -> None
         ({"image": "m.yaml"}, "m.yaml: not a readable image"),
     ],
 )
-def test_a_bad_map_is_one_line_that_says_where(tmp_path: Path, fields: dict[str, str], said: str) -> None:
+def test_an_invalid_map_gives_one_line_with_the_field(tmp_path: Path, fields: dict[str, str], said: str) -> None:
     path = write_map(tmp_path, np.zeros((3, 3)))
     path.write_text("".join(f"{k}: {v}\n" for k, v in {**MAP, **fields}.items()), encoding="utf-8")
     message = fails(path)
@@ -534,7 +534,7 @@ def test_a_map_needs_every_field(tmp_path: Path, field: str) -> None:
     assert f"{field}: missing" in fails(write(tmp_path, "m.yaml", table))
 
 
-def test_a_map_file_that_is_no_table_is_refused(tmp_path: Path) -> None:
+def test_a_map_file_without_a_table_is_refused(tmp_path: Path) -> None:
     assert "allowed: a table" in fails(write(tmp_path, "m.yaml", "- 1\n- 2\n"))
     assert "allowed: a table" in fails(write(tmp_path, "m.yaml", ""))
     fails(write(tmp_path, "m.yaml", "[" * 100_000))
@@ -569,13 +569,13 @@ def test_the_real_maps_load(data_dir: Path) -> None:
         assert np.linalg.norm(scene.walls[:, 1] - scene.walls[:, 0], axis=1).min() > 0.01
 
 
-def test_a_map_turned_by_half_a_turn_reaches_left_and_down_of_its_origin(data_dir: Path) -> None:
+def test_a_map_rotated_by_180_degrees_extends_left_and_below_its_origin(data_dir: Path) -> None:
     x0, y0, x1, y1 = load_scene(data_dir / "maps" / "stata_basement.yaml").region
     width, height = 1730 * 0.0504, 1300 * 0.0504
     assert x1 <= 26.1 and x0 >= 25.9 - width - 0.2 and y1 <= 48.6 and y0 >= 48.5 - height - 0.2
 
 
-def test_the_report_s_scenes_load(data_dir: Path) -> None:
+def test_the_scenes_of_the_report_load(data_dir: Path) -> None:
     found = {file.stem: load_scene(file) for file in (data_dir / "scenes_report").glob("*.scn")}
     assert {name: len(scene.walls) for name, scene in found.items()} == {
         "apartment": 65,

@@ -15,7 +15,7 @@ def world(config=None, start=None, walls=ROOM, radius=0.2, seed=0):
     return World(walls, start or Pose(), radius, config or preset("noiseless"), np.random.default_rng(seed))
 
 
-def test_without_noise_odometry_is_the_truth():
+def test_odometry_without_noise_is_the_truth():
     source = world(start=Pose(0.3, -0.2, 1.0))
     source.step(Command())
     for k in range(100):
@@ -23,14 +23,14 @@ def test_without_noise_odometry_is_the_truth():
     assert np.allclose(tick.odometry.array(), tick.truth.array(), atol=1e-12)
 
 
-def test_the_clock_counts_whole_nanoseconds_and_scans_come_on_time():
+def test_stamps_are_exact_nanoseconds_and_scans_have_their_period():
     source = world(preset("report"))
     ticks = [source.step(Command()) for _ in range(41)]
     assert [t.stamp_ns for t in ticks[:3]] == [0, 16_666_667, 33_333_334]
     assert [k for k, t in enumerate(ticks) if t.scan is not None] == [0, 10, 20, 30, 40]
 
 
-def test_commands_are_clipped_to_what_the_drive_can_do():
+def test_commands_are_clipped_to_the_limits_of_the_robot():
     source = world()
     source.step(Command())
     tick = source.step(Command(5.0, 0.0))
@@ -39,7 +39,7 @@ def test_commands_are_clipped_to_what_the_drive_can_do():
     assert tick.truth.theta == pytest.approx(-0.02)
 
 
-def test_a_robot_that_drives_at_a_wall_collides_and_stands_where_it_touched():
+def test_a_robot_that_hits_a_wall_stops_at_the_contact():
     source = world()
     while not (tick := source.step(Command(0.5, 0.0))).collided:
         assert point_segment_distance(tick.truth.position, ROOM).min() >= 0.2
@@ -47,7 +47,7 @@ def test_a_robot_that_drives_at_a_wall_collides_and_stands_where_it_touched():
     assert source.step(Command()) is None
 
 
-def test_a_thin_wall_is_not_jumped_over_by_a_fast_tick():
+def test_a_fast_robot_does_not_pass_a_thin_wall():
     config = merge(preset("noiseless"), {"robot": {"speed": 50.0, "control_period_s": 0.1, "integration_step_s": 0.1}})
     walls = np.concatenate([ROOM, [[[1.0, -1.0], [1.0, 1.0]]]])
     source = world(config, walls=walls, radius=0.05)
@@ -55,7 +55,7 @@ def test_a_thin_wall_is_not_jumped_over_by_a_fast_tick():
     assert source.step(Command(50.0, 0.0)).collided
 
 
-def test_passing_the_end_of_a_wall_counts_the_whole_disc():
+def test_the_whole_disc_collides_with_the_end_of_a_wall():
     walls = np.concatenate([ROOM, [[[0.5, 0.15], [0.5, 1.0]]]])
     source = world(walls=walls, radius=0.2)
     while not (tick := source.step(Command(0.5, 0.0))).collided:
@@ -64,7 +64,7 @@ def test_passing_the_end_of_a_wall_counts_the_whole_disc():
     assert not any(source.step(Command(0.5, 0.0)).collided for _ in range(60))
 
 
-def test_the_same_seed_gives_the_same_world_and_another_another():
+def test_the_seed_determines_the_world():
     def truth(seed):
         source = world(preset(), seed=seed)
         return [source.step(Command(0.2, 0.5)).truth.array() for _ in range(50)]
@@ -74,7 +74,7 @@ def test_the_same_seed_gives_the_same_world_and_another_another():
 
 
 @pytest.mark.parametrize("v, w", [(0.4, 0.0), (0.0, 0.8), (0.3, 0.6)])
-def test_what_the_world_does_is_what_the_estimators_assume(v, w):
+def test_the_motion_noise_of_the_world_is_that_of_the_motion_model(v, w):
     """The spread of the truth about the odometry is the covariance that the increments fold to."""
     from sixthsense.core.motion import STANDSTILL, odometry
 
@@ -96,7 +96,7 @@ def test_what_the_world_does_is_what_the_estimators_assume(v, w):
     assert 3 - 0.45 < nees.mean() < 3 + 0.45  # 600 runs: sigma of the mean is 0.1
 
 
-def test_worn_wheels_drift_and_fall_short():
+def test_worn_wheels_have_drift_and_a_scale_error():
     config = merge(preset("noiseless"), {"world": {"wheel_scale_error": 0.02, "drift_rad_per_m": 0.01}})
     source = world(config, walls=ROOM * 10)
     for _ in range(101):
@@ -106,7 +106,7 @@ def test_worn_wheels_drift_and_fall_short():
     assert math.hypot(tick.truth.x, tick.truth.y) == pytest.approx(1.02, rel=1e-4)
 
 
-def test_range_noise_has_the_configured_spread():
+def test_range_noise_has_the_configured_standard_deviation():
     source, scans = world(preset()), []
     while len(scans) < 200:
         tick = source.step(Command())

@@ -37,7 +37,7 @@ def test_the_jacobian_of_an_arc_agrees_with_finite_differences(distance, turn):
         np.testing.assert_allclose(arc_jacobian(distance, turn)[:, column], (ahead - behind) / (2 * h), atol=1e-8)
 
 
-def test_twenty_landmarks_stand_three_metres_outside_the_circle_that_is_driven(circle):
+def test_twenty_landmarks_lie_three_metres_outside_the_driven_circle(circle):
     points = landmarks()
     assert points.shape == (20, 2)
     radius = 0.25 / math.radians(1.5)
@@ -46,7 +46,7 @@ def test_twenty_landmarks_stand_three_metres_outside_the_circle_that_is_driven(c
     np.testing.assert_allclose(gaps, gaps[0])
 
 
-def test_the_true_way_is_the_circle_without_noise(circle):
+def test_the_true_path_is_the_circle_without_noise(circle):
     truth = simulate(0, 0, 480).truth
     np.testing.assert_allclose(np.hypot(truth[:, 0], truth[:, 1] - RADIUS), RADIUS)
     np.testing.assert_allclose(truth[239], np.zeros(3), atol=1e-9)  # once round in 240 steps
@@ -56,7 +56,7 @@ def test_the_true_way_is_the_circle_without_noise(circle):
     assert math.dist(first.position, step.position) < 1e-9
 
 
-def test_a_seed_and_a_run_name_the_evidence(circle):
+def test_seed_and_run_determine_the_measurements(circle):
     one, again, other_run, other_seed = (simulate(*key, 40) for key in ((3, 1), (3, 1), (3, 2), (4, 1)))
     assert [o.motion for o in one.odometry] == [o.motion for o in again.odometry]
     assert all(np.array_equal(a[i].z, b[i].z) for a, b in zip(one.sightings, again.sightings, strict=True) for i in a)
@@ -66,7 +66,7 @@ def test_a_seed_and_a_run_name_the_evidence(circle):
     assert [o.motion for o in longer.odometry[:40]] == [o.motion for o in one.odometry]
 
 
-def test_the_noise_is_what_the_benchmark_says(circle):
+def test_the_noise_is_that_of_the_benchmark(circle):
     evidence, points = simulate(0, 0), landmarks()
     assert len(evidence.truth) == 2500
     driven = np.array([arc(o.motion) for o in evidence.odometry])
@@ -82,7 +82,7 @@ def test_the_noise_is_what_the_benchmark_says(circle):
     assert abs(np.mean(errors)) < 4 * 0.1 / math.sqrt(np.size(errors))
 
 
-def test_one_step_of_odometry_errs_in_two_directions_and_two_steps_in_three(circle):
+def test_the_covariance_of_odometry_has_rank_two_after_one_step_and_three_after_two(circle):
     evidence = simulate(0, 0, 3)
     for odometry in evidence.odometry:
         g = arc_jacobian(*arc(odometry.motion))
@@ -94,7 +94,7 @@ def test_one_step_of_odometry_errs_in_two_directions_and_two_steps_in_three(circ
         assert np.isnan(nees).tolist() == [True, False, False]
 
 
-def test_with_hardly_any_noise_every_estimator_follows_the_circle(monkeypatch):
+def test_every_estimator_follows_the_circle_with_little_noise(monkeypatch):
     for name in ("SIGMA_SPEED", "SIGMA_TURN_RATE", "SIGMA_POINT"):
         monkeypatch.setattr(f"sixthsense.testing.circle.{name}", 1e-6)
     for name in ("ODOMETRY_COV", "POINT_COV"):
@@ -121,7 +121,7 @@ def test_every_estimator_has_its_figures_and_its_ratios(circle, tmp_path):
     assert (tmp_path / "circle.png").stat().st_size > 0
 
 
-def test_figures_are_what_they_are_called(circle):
+def test_figures_match_their_definitions(circle):
     def track(position, heading, nees):
         return Track(*(np.array(row) for row in (position, heading, nees, nees, nees)), 1.0)
 
@@ -139,7 +139,7 @@ def test_figures_are_what_they_are_called(circle):
     assert figures["ekf.share_in_band"] == figures["isam2.share_in_band"] == 1.0
 
 
-def test_two_processes_find_what_one_finds(circle):
+def test_two_processes_give_the_results_of_one(circle):
     one, two = (circle.all_runs(3, ("ekf", "ekf-fej"), seed=5, jobs=jobs, steps=20) for jobs in (1, 2))
     for name, tracks in one.items():
         for a, b in zip(tracks, two[name], strict=True):
@@ -147,7 +147,7 @@ def test_two_processes_find_what_one_finds(circle):
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_before_the_first_round_is_over_every_estimator_is_honest(circle, name):
+def test_every_estimator_is_consistent_within_the_first_round(circle, name):
     """150 s, 20 runs. Runs are independent, the steps of one are not: the band is that of 20 runs, not of all steps."""
     runs = [follow(name, simulate(11, run, 150)) for run in range(20)]
     for field, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_heading", 1)):
@@ -156,7 +156,7 @@ def test_before_the_first_round_is_over_every_estimator_is_honest(circle, name):
 
 
 @pytest.mark.parametrize("threshold", [0.1, 0.01])
-def test_the_smoother_ends_where_the_invariant_filter_does(circle, threshold):
+def test_the_smoother_ends_near_the_invariant_filter(circle, threshold):
     """Both see all evidence and lose none of it to an invented heading: they differ by less than they err."""
     evidence = simulate(2, 0, 300)
     smoother = follow("isam2", evidence, ISAM2Config(relinearize_threshold=threshold))
@@ -168,7 +168,7 @@ def test_the_smoother_ends_where_the_invariant_filter_does(circle, threshold):
 @pytest.mark.parametrize(
     "options", [["--runs", "0"], ["--jobs", "0"], ["--seed", "-1"], ["--estimator", "ukf"], ["--runs", "many"]]
 )
-def test_a_bad_option_is_refused_before_anything_runs(circle, options, monkeypatch, tmp_path, capsys):
+def test_an_invalid_option_is_refused_before_anything_runs(circle, options, monkeypatch, tmp_path, capsys):
     file = tmp_path / "figures.json"
     monkeypatch.setattr("sys.argv", ["landmark_circle.py", *options, "--json", str(file)])
     with pytest.raises(SystemExit) as stop:
@@ -178,7 +178,7 @@ def test_a_bad_option_is_refused_before_anything_runs(circle, options, monkeypat
     assert not file.exists()
 
 
-def test_the_command_writes_its_figures_of_the_estimators_asked_for(circle, monkeypatch, tmp_path, capsys):
+def test_the_command_writes_the_figures_of_the_given_estimators(circle, monkeypatch, tmp_path, capsys):
     file = tmp_path / "figures.json"
     monkeypatch.setattr(circle, "all_runs", partial(circle.all_runs, steps=10))
     monkeypatch.setattr("sys.argv", ["landmark_circle.py", "--runs", "2", "--jobs", "1", "--json", str(file),
@@ -190,7 +190,7 @@ def test_the_command_writes_its_figures_of_the_estimators_asked_for(circle, monk
 
 
 @pytest.mark.slow
-def test_the_standard_filter_lies_and_its_cures_do_not(circle):
+def test_only_the_standard_filter_is_inconsistent(circle):
     """40 whole runs of the filters, each band that of 40 runs."""
     figures = circle.circle_figures(circle.all_runs(40, FILTERS))
     for field, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_heading", 1)):

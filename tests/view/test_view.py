@@ -55,7 +55,7 @@ def folder(tmp_path_factory) -> Path:
     return out
 
 
-def test_a_run_is_shown_in_a_file_with_all_there_is_to_see(folder):
+def test_the_file_of_a_run_has_all_entities(folder):
     counts = rows(folder.parent / "deep" / "one.rrd")
     assert set(counts) >= SHOWN
     assert counts["/map/scan"] == 61  # every scan
@@ -63,13 +63,13 @@ def test_a_run_is_shown_in_a_file_with_all_there_is_to_see(folder):
     assert counts["/plots/nis/low"] == counts["/plots/nis/high"] == counts["/plots/nis/per_dof"]
 
 
-def test_a_replay_is_shown_too(folder, tmp_path, capsys):
+def test_a_replay_can_be_shown(folder, tmp_path, capsys):
     file = tmp_path / "replay.rrd"
     assert main(["replay", str(folder), "--out", str(tmp_path / "again"), "--view", str(file)]) == 0
     assert set(rows(file)) >= SHOWN - {"/map/plan"}  # a passenger plans nothing
 
 
-def test_to_be_watched_changes_nothing(tmp_path):
+def test_the_view_does_not_change_the_run(tmp_path):
     config = preset(scene="rectangle", task="goal", goal=(1.2, 0.5), estimator="isam2", seed=4)
     with ss.View(tmp_path / "run.rrd") as view:
         watched = run(config, view)
@@ -85,7 +85,7 @@ def test_a_log_without_scans_is_shown(tmp_path):
         assert "/map/robot" in rows(tmp_path / "log.rrd")
 
 
-def test_the_core_runs_where_rerun_is_not_installed():
+def test_a_run_works_without_rerun():
     code = (
         "import sys; sys.modules['rerun'] = None; sys.modules['rerun_cli'] = None\n"
         "import sixthsense as ss; from sixthsense.cli import main\n"
@@ -117,7 +117,7 @@ def test_without_rerun_a_view_is_refused_in_one_line_that_says_how_to_install_it
         (["rectangle", "--view", "x.rrd", "--bind", "::1"], "--bind: found without --view browser, allowed: with it"),
     ],
 )
-def test_a_view_that_cannot_be_is_refused_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
+def test_an_invalid_view_is_refused_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["run", *words]) == 2
     assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
@@ -157,7 +157,7 @@ def viewer():
     started.end()
 
 
-def test_a_browser_is_served_on_the_loopback_alone_and_kept_from_other_machines(viewer):
+def test_the_server_for_browsers_uses_the_loopback_and_blocks_other_machines(viewer):
     with urllib.request.urlopen(viewer.page) as answer:
         assert b"<canvas" in answer.read()
         policy = answer.headers["Content-Security-Policy"]
@@ -182,7 +182,7 @@ def test_the_viewer_sends_no_usage_statistics(viewer):
     assert not any(entry.startswith(b"FORCE_RERUN_ANALYTICS") for entry in environment)
 
 
-def test_a_run_goes_on_when_its_viewer_has_gone(tmp_path, monkeypatch):
+def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
     monkeypatch.setattr("sixthsense.view.recording._FLUSH_S", 1.0)
     with ss.View("browser") as view:
         view._viewer._process.kill()
@@ -205,7 +205,7 @@ class Behind(BaseHTTPRequestHandler):
         pass
 
 
-def test_the_relay_hands_on_what_is_behind_it_under_its_policy():
+def test_the_relay_adds_its_policy_to_the_original_page():
     server = HTTPServer(("127.0.0.1", 0), Behind)
     Thread(target=server.serve_forever, daemon=True).start()
     relay = Relay("127.0.0.1", f"http://127.0.0.1:{server.server_port}", "http://127.0.0.1:1")

@@ -12,7 +12,7 @@ from sixthsense.core.landmarks import predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.metrics import nees_band, nees_invariant
 from sixthsense.slam.estimators import ESTIMATORS
-from sixthsense.testing.estimation import CONSISTENT, POINTS, everything, make, noisy, sight, step
+from sixthsense.testing.estimation import CONSISTENT, POINTS, joint_state, make, noisy, sight, step
 
 LAP, RADIUS = 40, 4.0
 ROUND = Pose(2.0 * math.pi * RADIUS / LAP, 0.0, 2.0 * math.pi / LAP)
@@ -48,7 +48,7 @@ def short_drive(name, seed, steps=50, sigma=0.03):
             nis += normalised(np.concatenate([seen[i].z for i in estimate.ids.tolist()]) - z.ravel(), S)
             dof += 10
         estimator.update(seen)
-    estimate, joint = everything(estimator)
+    estimate, joint = joint_state(estimator)
     error = error_of(estimate, true, POINTS)
     return normalised(error[:3], joint[:3, :3]), normalised(error, joint), nis, dof
 
@@ -94,7 +94,7 @@ def laps(name, seed, count, heading_sigma):
                     pose[2] ** 2,
                 ]
             )
-    estimate, joint = everything(estimator)
+    estimate, joint = joint_state(estimator)
     error = error_of(estimate, true, RING)
     return [*np.mean(rows, axis=0), normalised(error[3:], joint[3:, 3:]) / (len(error) - 3)]
 

@@ -8,7 +8,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.testing import check_estimator, contract, edges
-from sixthsense.testing.estimation import START_COV, everything, fed, make, noisy, sight, step
+from sixthsense.testing.estimation import START_COV, fed, joint_state, make, noisy, sight, step
 
 LAWS = [*contract.LAWS, *edges.LAWS]
 
@@ -30,7 +30,7 @@ def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
                 odometry = step(sigma=sigma)
                 true = true @ noisy(odometry, rng)
                 log.append((odometry, sight(true, range(5), rng, sigma)))
-            estimate, joint = everything(fed(make(name, Pose(), np.zeros((3, 3))), log))
+            estimate, joint = joint_state(fed(make(name, Pose(), np.zeros((3, 3))), log))
             answers.append((np.append(estimate.pose.array(), estimate.landmarks), joint / sigma**2))
         mean, cov = answers[-1]
         gaps.append([[np.abs(m - mean).max() / sigma, np.abs(c - cov).max() / np.abs(cov).max()] for m, c in answers])

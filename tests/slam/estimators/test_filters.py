@@ -7,7 +7,7 @@ from scipy.linalg import block_diag, expm
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.landmarks import initialize_point, predict_points
 from sixthsense.core.motion import compose_jacobians
-from sixthsense.testing.estimation import START, START_COV, driven, everything, fed, make, random_log, sight, step
+from sixthsense.testing.estimation import START, START_COV, driven, fed, joint_state, make, random_log, sight, step
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 SEEDS = range(5)
@@ -176,7 +176,7 @@ REFERENCES = {
 def test_the_filter_agrees_with_a_textbook_one(name, seed):
     log = random_log(seed, DENSE)
     x, P, ids = REFERENCES[name](log)
-    estimate, joint = everything(fed(make(name), log))
+    estimate, joint = joint_state(fed(make(name), log))
     assert estimate.ids.tolist() == ids
     assert np.allclose(estimate.pose.position, x[:2], atol=1e-9)
     assert np.allclose(estimate.pose.theta, Pose(theta=x[2]).theta, atol=1e-9)
@@ -219,11 +219,11 @@ def test_the_invariant_correction_follows_the_exponential_and_transports_the_cov
     assert np.allclose(x, state(standard_filter), atol=1e-12)
     for estimator in (standard_filter, invariant):
         estimator.update(sight(START @ Pose(0.4, -0.3, 0.3), range(6), np.random.default_rng(6), points=DENSE))
-    shift, cov = state(standard_filter) - x, everything(standard_filter)[1]
+    shift, cov = state(standard_filter) - x, joint_state(standard_filter)[1]
     expected = moved(np.linalg.solve(derivative(x), shift), x)
     assert np.allclose(state(invariant), expected, atol=1e-8)
     T = derivative(expected) @ np.linalg.inv(derivative(x))
-    leaned = everything(invariant)[1]
+    leaned = joint_state(invariant)[1]
     assert np.allclose(leaned, T @ cov @ T.T, atol=1e-8)
     # And neither is what the standard filter does.
     assert np.abs(expected - x - shift).max() > 1e-3 and np.abs(leaned - cov).max() > 1e-3 * np.abs(cov).max()
@@ -247,9 +247,9 @@ def derivative(x):
 @pytest.mark.parametrize("name", ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"])
 def test_forgetting_removes_rows_and_columns_and_changes_no_bit_of_the_rest(name):
     estimator = driven(name)
-    before, cov = everything(estimator)
+    before, cov = joint_state(estimator)
     estimator.forget(before.ids[[1, 3]].tolist())
-    after, cov_after = everything(estimator)
+    after, cov_after = joint_state(estimator)
     index = [0, 1, 2, 3, 4, 7, 8, 11, 12]
     assert np.array_equal(cov_after, cov[np.ix_(index, index)])
     assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks[[0, 2, 4]])

@@ -14,8 +14,8 @@ from sixthsense.testing.estimation import (
     CONVERGED,
     START,
     START_COV,
-    everything,
     fed,
+    joint_state,
     make,
     noisy,
     random_log,
@@ -75,7 +75,7 @@ def test_the_smoother_agrees_with_a_batch_solution_of_the_same_factors(seed):
     log = random_log(seed, POINTS, steps=12, most=6)
     log[0] = (STANDSTILL, log[0][1])
     smoother = fed(make("isam2"), log)
-    estimate, joint = everything(smoother)
+    estimate, joint = joint_state(smoother)
     trajectory = smoother.trajectory()
     found = np.append(trajectory, estimate.landmarks)
     guess = found + np.random.default_rng(seed).normal(0, 0.02, found.size)
@@ -142,7 +142,7 @@ def test_the_default_smoother_solves_hard_cases(case, known):
         if k % 4 == 3:
             smoother.forget([smoother.estimate().ids[-1]])
         if k % 10 == 0:
-            estimate, joint = everything(smoother)
+            estimate, joint = joint_state(smoother)
             assert np.isfinite(joint).all()
             scale = np.sqrt(np.diag(joint)) + 1e-9
             assert np.linalg.eigvalsh(joint / np.outer(scale, scale)).min() > -1e-6
@@ -226,7 +226,7 @@ def test_a_wide_robust_loss_has_no_effect():
     _, one = crossed(ISAM2Config(robust="huber", robust_scale=1e3))
     _, two = crossed(DEFAULT)
     assert np.allclose(one.trajectory(), two.trajectory(), atol=1e-9)
-    assert np.allclose(everything(one)[1], everything(two)[1], atol=1e-9)
+    assert np.allclose(joint_state(one)[1], joint_state(two)[1], atol=1e-9)
 
 
 def test_past_poses_gain_from_later_sightings():
