@@ -24,8 +24,9 @@ CONSISTENT = FILTERS[1:]
 def circle(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
     import landmark_circle
+    from harness import single_threaded
 
-    with landmark_circle.single_threaded():
+    with single_threaded():
         yield landmark_circle
 
 
