@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test test-all notebooks check bench docs clean
+.PHONY: run test test-all notebooks check kernels bench docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -15,13 +15,16 @@ run: $(VENV)/installed  ## see a robot explore an apartment
 	$(BIN)/sixthsense run apartment --out runs/first --overwrite
 
 test: $(VENV)/installed  ## what CI runs
-	$(BIN)/python -m pytest -m "not slow" -n 2
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal
 
 test-all: $(VENV)/installed  ## the slow statistics too
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 
 notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritten
-	$(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
+
+kernels: $(VENV)/installed  ## compile the Numba kernels once, before two processes each do
+	$(BIN)/python -c "from sixthsense.loop import warm_up; warm_up()"
 
 check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/ruff check .

@@ -3,6 +3,17 @@ from pathlib import Path
 
 import pytest
 
+import sixthsense as ss
+
+# Before NumPy is imported: the matrices of the tests are small, and each worker of xdist has one core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+@pytest.fixture(scope="session")
+def explored() -> ss.Trace:
+    """The exploration of the scene rectangle with seed 1, one for all tests that only read it."""
+    return ss.run("rectangle", seed=1, progress=False)
+
 
 @pytest.fixture
 def data_dir() -> Path:

@@ -506,16 +506,16 @@ def makers(of: psutil.Process) -> list[psutil.Process]:
 
 
 def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
-    campaign = program("rectangle", "--task", "tour", "--max-time", "20", "--seeds", "0:16", "--out", "c")
-    while campaign.poll() is None and len(list(Path().glob("c/rows/run-*"))) < 4:
+    campaign = program("rectangle", "--task", "tour", "--max-time", "10", "--seeds", "0:8", "--out", "c")
+    while campaign.poll() is None and len(list(Path().glob("c/rows/run-*"))) < 2:
         with contextlib.suppress(subprocess.TimeoutExpired):
             campaign.wait(0.05)
     makers(psutil.Process(campaign.pid))[0].kill()
     out, err = campaign.communicate()
     assert campaign.returncode == 0, err
     frame = ss.load_campaign("c")
-    assert len(frame) == 16 and not frame.duplicated(IDENTITY).any()
-    assert set(frame["outcome"]) == {"tour ended"} and "16 tour ended" in out
+    assert len(frame) == 8 and not frame.duplicated(IDENTITY).any()
+    assert set(frame["outcome"]) == {"tour ended"} and "8 tour ended" in out
     assert "Traceback" not in err and "dashboard http://127.0.0.1:" in err
 
 

@@ -39,11 +39,16 @@ def script(page: str, folder: Path) -> str:
     return "\n".join(lines)
 
 
-@pytest.mark.parametrize("page", PAGES)
-def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path):
-    if page in NEEDS:
-        pytest.importorskip(NEEDS[page])
-    # A process and a home of its own: evo keeps settings there, and imposes others on whoever imports it.
+@pytest.mark.parametrize("page", [page for page in PAGES if page not in NEEDS])
+def test_the_code_of_a_page_runs_from_top_to_bottom(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(script(page, tmp_path), page, "exec"), {"__name__": page})
+
+
+@pytest.mark.parametrize("page", NEEDS)
+def test_the_code_of_a_page_on_other_programs_runs_in_a_process_of_its_own(page, tmp_path):
+    """And in a home of its own: evo keeps settings there, and imposes others on whoever imports it."""
+    pytest.importorskip(NEEDS[page])
     own = {"HOME": str(tmp_path), "USERPROFILE": str(tmp_path), "MPLCONFIGDIR": matplotlib.get_cachedir()}
     done = subprocess.run(
         [sys.executable, "-c", script(page, tmp_path)], cwd=tmp_path, env=os.environ | own | {"MPLBACKEND": "agg"},

@@ -156,14 +156,13 @@ def test_the_file_is_a_partial_configuration_with_the_fitted_values(name: str, t
     comments = [line for line in file.read_text().splitlines() if line.startswith("#")]
     assert any("30 samples" in line and "before" in line and "after" in line for line in comments)
     assert sorted(p.name for p in file.parent.iterdir()) == ["noise.png", "noise.toml"]
-    assert (tmp_path / "sub" / "noise.png").stat().st_size > 10_000
 
 
 def test_the_figure_is_drawn_without_sightings_of_a_kind(tmp_path: Path) -> None:
     one = calibrate(preset(**COARSE, features={"points": {"ends": False}}), 30)
     assert len(one.landmarks[1].of(Kind.END)) == 0
     save_calibration(one, tmp_path / "noise.png", "no loose ends")
-    assert (tmp_path / "noise.png").stat().st_size > 10_000
+    assert (tmp_path / "noise.png").is_file()
 
 
 def test_the_mean_nees_without_sightings_in_the_gate_is_infinite() -> None:
@@ -225,9 +224,11 @@ def test_existing_files_are_kept_unless_overwriting_is_allowed(there: str, capsy
 
 def test_run_accepts_the_file_of_a_calibration(capsys, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["calibrate", "rectangle", "--preset", "worn", "--out", "noise.toml"]) == cli.DONE
+    words = ["calibrate", "rectangle", "--preset", "worn", "--samples", "40", "--out", "noise.toml"]
+    assert cli.main(words) == cli.DONE
     out = capsys.readouterr().out
     assert "mean NEES" in out and "written to noise.toml and noise.png" in out
-    assert cli.main(["run", "rectangle", "--config", "noise.toml", "--out", "run"]) == cli.DONE
+    short = ["--task", "tour", "--max-time", "2"]
+    assert cli.main(["run", "rectangle", "--config", "noise.toml", "--out", "run", *short]) == cli.DONE
     used, found = load_config("run/config.toml"), load_config("noise.toml")
     assert used.assumed == found.assumed and used.preset == "worn"

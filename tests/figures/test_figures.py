@@ -12,16 +12,15 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import LaserConfig, Scan, beam_bearings, cast_rays
 from sixthsense.evaluation.coverage import coverage, coverage_over_time, visible_area
-from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam.features import Features, extract
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 
 
-@pytest.fixture(scope="module")
-def trace() -> Trace:
-    return run(preset(scene="rectangle", seed=1))
+@pytest.fixture
+def trace(explored) -> Trace:
+    return explored
 
 
 @pytest.fixture(scope="module")

@@ -16,9 +16,9 @@ from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 
 
-@pytest.fixture(scope="module")
-def trace() -> Trace:
-    return run(dataclasses.replace(preset(), scene="rectangle", seed=1))
+@pytest.fixture
+def trace(explored: Trace) -> Trace:
+    return explored
 
 
 def random_cov(rng: np.random.Generator) -> Array:
@@ -76,7 +76,7 @@ def test_a_map_is_drawn_without_pyplot_and_without_a_window_system(tmp_path: Pat
     assert (tmp_path / "map.png").is_file()
 
 
-def test_the_height_of_the_figure_follows_from_the_map(trace: Trace, tmp_path: Path) -> None:
+def test_the_height_of_the_figure_follows_from_the_map(tmp_path: Path) -> None:
     heights = []
     for scene in ("rectangle", "loop"):
         save_map(run(dataclasses.replace(preset(), scene=scene, max_time=0.5)), tmp_path / f"{scene}.png", "a title")

@@ -8,18 +8,15 @@ import pytest
 from PIL import Image
 
 from sixthsense.cli import main
-from sixthsense.config import preset
 from sixthsense.figures.report import FinishedRun, ReportError, check_folders, compact, load_run, report, table
-from sixthsense.loop import run
 
 PAGE = "report.html"
 KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
 
 
-@pytest.fixture(scope="module")
-def finished() -> FinishedRun:
-    trace = run(preset(scene="rectangle", seed=1))
-    return FinishedRun("rectangle-1", trace, trace.metrics)
+@pytest.fixture
+def finished(explored) -> FinishedRun:
+    return FinishedRun("rectangle-1", explored, explored.metrics)
 
 
 @pytest.fixture(scope="module")

@@ -75,7 +75,8 @@ def test_each_alone_may_pass_where_both_together_cannot():
     assert len(rows) == 1
 
 
-def test_the_search_ends_in_a_room_full_of_ambiguous_matches():
+def test_the_search_ends_in_a_room_full_of_ambiguous_matches(monkeypatch):
+    monkeypatch.setattr("sixthsense.slam.association.joint_compatibility._MAX_NODES", 300)
     innovation, joint, noise = problem(1, 14, 14)
     innovation.squared[:] = 1.0
     rows, cols = jointly_compatible(innovation, 100.0 * joint, noise, 13.8, 0.999)
