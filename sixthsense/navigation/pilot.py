@@ -9,7 +9,7 @@ from sixthsense.slam.slam import Step
 
 
 class Pilot:
-    """Drives where the navigator wants, as far as the guard lets it."""
+    """Takes a command from the navigator and lets the guard slow or stop it."""
 
     def __init__(self, navigator: Navigator, guard: Guard) -> None:
         self.navigator = navigator
