@@ -1,4 +1,4 @@
-"""Every option does what it says: a law for each that no other test would miss."""
+"""Every option has its documented effect: a test for each option that no other test covers."""
 
 import math
 
@@ -25,7 +25,7 @@ ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3
 
 
 def features_at(config, T_world_laser=None):
-    """Features of a noise-free scan whose laser stands at the same place, whatever its mount."""
+    """Features of a noise-free scan; the laser has the same pose for any mount."""
     pose = T_world_laser or Pose(-0.5, 0.3, 0.4)
     ranges = cast_rays(pose, beam_bearings(config.laser), ROOM, config.laser.max_range)
     scan = Scan.from_config(ranges, config.laser)
@@ -73,7 +73,7 @@ def test_range_noise_alone_does_not_split_a_wall():
 
 
 def matched(config, point, cov=1e-2):
-    """Whether a sighting at `point` is taken for the landmark that is known at (2, 0), and whether for a new one."""
+    """Whether a sighting at `point` is matched with the known landmark at (2, 0), and whether it is a new one."""
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
     known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * cov)]
     estimator.update(associator.associate(known, estimator).sightings)
@@ -147,4 +147,4 @@ def test_the_clock_of_a_key_scan_counts_its_processing_not_the_source(monkeypatc
         metrics = replay(log, config).metrics
     assert metrics["stage_ms_mean.sense"] >= 1000.0 and metrics["scan_ms_max"] == 0.0
     again = replay(log, config)
-    assert len(again.stamps_ns) == 12  # a log can be replayed as often as one likes
+    assert len(again.stamps_ns) == 12  # a log can be replayed more than once

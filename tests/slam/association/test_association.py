@@ -20,7 +20,7 @@ def sight(pose, ids, rng=None, sigma=0.02, points=POINTS):
 
 
 def known(config=None, sigma=0.02):
-    """An estimator that has seen the five points once, its associator, and where it stands."""
+    """An estimator that has seen the five points once, its associator, and its pose."""
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config or AssociationConfig())
     estimator.update(associator.associate(sight(Pose(), range(5), sigma=sigma), estimator).sightings)
     return estimator, associator
@@ -64,7 +64,7 @@ def test_two_sightings_are_never_of_one_landmark():
 
 
 def test_the_assignment_is_the_best_for_all_not_for_the_first():
-    """Two landmarks in a row, two sightings shifted along it: nearest first would take the wrong partner."""
+    """Two landmarks in a row, two sightings shifted along it: greedy nearest-first matching would be wrong."""
     points = np.array([[2.0, 0.0], [2.5, 0.0]])
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     estimator.update(associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=points), estimator).sightings)
@@ -96,7 +96,7 @@ def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
         gone = associator.cull()
         estimator.forget(gone)
         culled += [(scan, i) for i in gone]
-    assert culled == [(10, 1)]  # at scan 5 it was too young to tell, and so is the third at scan 10
+    assert culled == [(10, 1)]  # at scan 5 it was too young, as the third is at scan 10
     assert associator.culled == 1 and sorted(associator.records) == [0, 2]
     off = Associator(AssociationConfig(culling=False, cull_period=1))
     off.associate(sight(Pose(), range(5)), make_estimator("ekf", Pose(), np.zeros((3, 3))))
@@ -105,7 +105,7 @@ def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05])
 def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
-    """300 drives from exact knowledge; matches are correlated through the pose, and the joint NIS knows it."""
+    """300 drives from an exact start; matches are correlated through the pose, which the joint NIS accounts for."""
     nis = dof = 0.0
     for seed in range(300):
         rng = np.random.default_rng(seed)
@@ -121,7 +121,7 @@ def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
 
 
 def test_among_close_landmarks_a_sighting_is_matched_correctly_or_not_at_all():
-    """Landmarks 0.4 m apart, pose error within its covariance: what is matched is matched rightly."""
+    """Landmarks 0.4 m apart, pose error within its covariance: every match is correct."""
     points = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) * 0.4 + 1.0
     wrong = total = 0
     for seed in range(100):
@@ -142,7 +142,7 @@ def test_among_close_landmarks_a_sighting_is_matched_correctly_or_not_at_all():
 @pytest.mark.parametrize("name", ["ekf", "isam2"])
 @pytest.mark.parametrize("method", ["chi2", "report"])
 def test_comparing_near_landmarks_only_changes_no_association(name, method):
-    """What the bound on sigmas leaves out could not have passed a gate: with no bound the answers are the same."""
+    """Pairs beyond the bound on sigmas cannot pass a gate: without the bound the result is the same."""
     config = AssociationConfig(method=method)
     rng = np.random.default_rng(5)
     points = rng.uniform(-6, 6, (60, 2))

@@ -1,4 +1,4 @@
-"""Joint compatibility against a search of every hypothesis."""
+"""Joint compatibility against an exhaustive search of all hypotheses."""
 
 import itertools
 
@@ -11,7 +11,7 @@ from sixthsense.slam.association.matching import Innovations, joint_nis
 
 
 def problem(seed, sightings=4, landmarks=5):
-    """Innovations of points near each other, whose predictions share a large error of the pose."""
+    """Innovations of points near each other, whose predictions share a large pose error."""
     rng = np.random.default_rng(seed)
     by_pose = np.concatenate([np.tile(-np.eye(2), (landmarks, 1, 1)), rng.normal(0, 2, (landmarks, 2, 1))], axis=2)
     by_landmark = np.tile(np.eye(2), (landmarks, 1, 1))
@@ -63,7 +63,7 @@ def test_the_largest_jointly_compatible_set_is_found(seed):
 
 
 def test_each_alone_may_pass_where_both_together_cannot():
-    """Two landmarks seen shifted apart: a shift of the robot explains either, nothing explains both."""
+    """Two landmarks sighted with opposite shifts: a shift of the robot explains either one, but not both."""
     by_pose, by_landmark = np.tile(np.array([[-1.0, 0, 0], [0, -1.0, 0]]), (2, 1, 1)), np.tile(np.eye(2), (2, 1, 1))
     joint, noise = np.diag([1.0, 1.0, 1e-9] + [1e-4] * 4), np.tile(1e-4 * np.eye(2), (2, 1, 1))
     values = np.full((2, 2, 2), 9.0)

@@ -1,4 +1,4 @@
-"""Laying a scan's walls onto the map's."""
+"""Alignment of a scan's walls with the map's walls."""
 
 import math
 
@@ -18,7 +18,7 @@ CORNERS = np.array([[-3.0, -2.0], [3.0, -2.0], [3.0, 1.0], [1.5, 2.0], [-3.0, 2.
 def room(corners=CORNERS):
     following = np.roll(corners, -1, axis=0)
     direction = following - corners
-    alpha = np.arctan2(direction[:, 0], -direction[:, 1])  # inwards, to the left of a round that is counter-clockwise
+    alpha = np.arctan2(direction[:, 0], -direction[:, 1])  # inwards, to the left of a counter-clockwise outline
     d = np.cos(alpha) * corners[:, 0] + np.sin(alpha) * corners[:, 1]
     return np.column_stack([alpha, d]), np.stack([corners, following], axis=1)
 
@@ -32,7 +32,7 @@ def believed(pose, cov=LOOSELY):
 
 
 def seen(pose, corners=CORNERS):
-    """What the robot sees of the walls from a pose."""
+    """Sightings of the walls from a pose."""
     walls, extents = room(corners)
     z, _, _ = predict_walls(pose, walls)
     sightings = []
@@ -49,7 +49,7 @@ def test_a_room_is_aligned_from_a_wrong_prediction(off):
     estimate, extents = believed(Pose(true.x + off[0], true.y + off[1], true.theta + off[2]))
     found = align(seen(true), estimate, extents, 0.5, AlignConfig())
     assert found.explained == pytest.approx(1.0)
-    # The prediction still pulls, as little as its covariance deserves.
+    # The prediction is a prior with a small weight.
     assert (
         math.dist(found.pose.position, true.position) < 0.02 and abs(wrap_angle(found.pose.theta - true.theta)) < 0.01
     )

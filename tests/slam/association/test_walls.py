@@ -1,4 +1,4 @@
-"""Walls as landmarks: their geometry, their sightings, and what all estimators make of them."""
+"""Walls as landmarks: geometry, sightings, and all estimators on them."""
 
 import math
 
@@ -37,7 +37,7 @@ def sight(pose, ids, rng=None, walls=WALLS):
 
 
 def driven(name, steps=10, transform=None, seed=0):
-    """An estimator after a short drive that saw walls, and where the robot is; the world moved by `transform`."""
+    """An estimator after a short drive with sightings of walls, and the true pose; the world moved by `transform`."""
     T, start, rng = transform or Pose(), Pose(0.3, -0.2, 0.4), np.random.default_rng(seed)
     turn = np.eye(3)
     turn[:2, :2] = rotation(T.theta)
@@ -92,7 +92,7 @@ def test_a_new_wall_is_initialized_where_it_was_sighted(name):
     assert after.ids[-1] == 77 and after.walls.all() and np.allclose(after.landmarks[-1], mean, atol=1e-9)
     joint = estimator.joint_covariance([77])
     expected = by_pose @ before.pose_cov @ by_pose.T + by_z @ COV @ by_z.T
-    # The smoother holds the wall's frame where it is by a weak tie along the wall.
+    # The smoother fixes the wall's frame along the wall by a factor with a large sigma.
     assert np.allclose(joint[3:, 3:], expected, rtol=1e-4, atol=1e-7)
     assert np.allclose(joint[3:, :3], by_pose @ before.pose_cov, rtol=1e-4, atol=1e-7)
 
@@ -106,7 +106,7 @@ def test_a_wall_with_zero_innovation_changes_no_mean_and_increases_no_variance(n
     estimator.update({i: Sighting(Kind.WALL, z[k], COV, (-1.0, 1.0)) for k, i in enumerate(ids)})
     after, cov_after = everything(estimator)
     assert np.allclose(before.pose.array(), after.pose.array(), atol=1e-7)
-    # The smoother states a sighting where it believes the wall's frame to be, which moves a little with each solution.
+    # The smoother's factor depends on the estimated wall frame, which moves a little with each solution.
     assert np.linalg.eigvalsh(cov - cov_after).min() > (-1e-5 if name == "isam2" else -1e-8)
 
 
@@ -127,7 +127,7 @@ def test_moving_the_world_moves_walls_with_it(name, transform):
 
 @pytest.mark.parametrize("start_cov", [0.0, 1e-3])
 def test_the_smoother_has_the_pose_covariance_of_the_filter(start_cov):
-    """GTSAM's residual of a wall's frame mixes along and across: what is not known along must not come in across."""
+    """GTSAM's residual couples tangential and normal errors: tangential uncertainty must not affect the normal one."""
     rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
     filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
     for k in range(12):
@@ -226,7 +226,7 @@ def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
     sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
     place, root = measurement(pose, frame, sighting, is_first=False)
     assert lines(place.inverse().array()[None])[0][0] == pytest.approx(sighting.z, abs=1e-12)
-    # A robot elsewhere along the wall fits as well; one that is off it, or turned, as badly as the sighting says.
+    # The residual ignores the place along the wall; offset and heading are weighted by the sighting's covariance.
     turn, d = 0.01, 0.02
     for along in (0.0, 0.05):
         off = Pose(place.x + along, place.y - d, place.theta - turn)
@@ -246,7 +246,7 @@ def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
     ],
 )
 def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, wall):
-    # From these places in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
+    # At these poses in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
     walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
     exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
     z = predict_walls(pose, np.array([wall]))[0][0]
@@ -324,7 +324,7 @@ def test_duplicate_walls_are_merged():
     config = AssociationConfig(cull_period=2, cull_below=1)
     for offset, gone in ((0.005, [1]), (0.15, [])):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
-        # Two stretches too far apart to be called one, until a sighting of the first reaches the second.
+        # Two pieces with a gap too large for one wall, until a sighting of the first reaches the second.
         first = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
         second = Sighting(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
         for longer in (-0.5, 0.2):

@@ -1,4 +1,4 @@
-"""The polar view of a sighting: its mean has no bias, its covariance is the Jacobian's."""
+"""Polar coordinates of a sighting: an unbiased mean, and the covariance by the Jacobian."""
 
 import math
 
@@ -27,7 +27,7 @@ def view(z, cov):
 
 
 def mean_error(z, cov, errors, weights):
-    """Of the view of z + error, and of the plain change of coordinates, both by the truth: (bearing, range) each."""
+    """Errors (bearing, range) of `bearing_range` at z + error, and of the plain change of coordinates."""
     found = [[view(z + e, cov) - polar(z), polar(z + e) - polar(z)] for e in errors]
     found = np.array(found)
     found[..., 0] = wrap_angle(found[..., 0])
@@ -37,7 +37,7 @@ def mean_error(z, cov, errors, weights):
 @pytest.mark.parametrize("shape", COVS)
 @pytest.mark.parametrize("z", [np.array([2.0, 0.0]), np.array([-1.5, -1.2])])
 def test_over_many_draws_the_polar_mean_is_the_truth(shape, z):
-    """An error of a tenth of the range: the plain change of coordinates is off by many times what is left."""
+    """An error of a tenth of the range: the plain change of coordinates has many times the remaining bias."""
     r = math.hypot(*z)
     along_the_beam = rotation(math.atan2(z[1], z[0]))
     cov = along_the_beam @ COVS[shape] @ along_the_beam.T * (0.1 * r) ** 2
@@ -50,7 +50,7 @@ def test_over_many_draws_the_polar_mean_is_the_truth(shape, z):
 
 @pytest.mark.parametrize("shape", COVS)
 def test_the_remaining_bias_is_of_fourth_order(shape):
-    """Half the noise, a sixteenth of the bias; of the plain change of coordinates, a quarter."""
+    """Half the noise gives a sixteenth of the bias; for the plain change of coordinates a quarter."""
     z = np.array([1.2, -1.6])
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
     grid = np.stack(np.meshgrid(nodes, nodes), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""No estimator lies about its uncertainty, and where one does, how much; odometry and sightings as they are claimed."""
+"""NEES and NIS of all estimators on odometry and sightings with exactly the assumed noise."""
 
 import math
 
@@ -55,13 +55,13 @@ def short_drive(name, seed, steps=50, sigma=0.03):
 
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_on_short_drives_pose_map_and_innovations_are_consistent(name):
-    """40 runs; where little is turned the standard filter is consistent as well."""
+    """40 runs; with little rotation the standard filter is consistent, too."""
     runs = 40
     pose, whole, nis, dof = np.array([short_drive(name, seed) for seed in range(runs)]).T
     for values, freedom in ((pose, 3), (whole, 13)):
         low, high = nees_band(runs, freedom, confidence=0.99)
         assert low < values.mean() < high
-    low, high = chi2.ppf([0.005, 0.995], dof.sum())  # innovations are white: those of one run count as many
+    low, high = chi2.ppf([0.005, 0.995], dof.sum())  # innovations are white, so those of one run are independent
     assert low < nis.sum() < high
 
 
@@ -104,7 +104,7 @@ def mean_laps(name, runs, count, heading_sigma):
 
 
 def bands(runs):
-    """95 % bands (2, 4) of pose (world, invariant), heading and landmark; of single steps, so wide for their mean."""
+    """95 % bands (2, 4) of pose (world, invariant), heading and landmark; of single steps, so wide for a mean."""
     return np.array([nees_band(runs, dof) for dof in (3, 3, 1, 2)]).T
 
 
@@ -121,7 +121,7 @@ def assert_overconfident(name, runs, count, heading_sigma):
 
 @pytest.mark.parametrize(("name", "runs"), [(name, 20 if name == "isam2" else 40) for name in CONSISTENT])
 def test_over_several_rounds_the_consistent_estimators_stay_in_their_bands(name, runs):
-    """The whole map's NEES is no part of it: with a heading this badly known the map bends, 1.35 to 1.74 by freedom."""
+    """Without the NEES of the whole map: with a heading this uncertain it is 1.35 to 1.74 per degree of freedom."""
     assert_consistent(name, runs, 4, 0.06)
 
 

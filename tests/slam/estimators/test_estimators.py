@@ -1,4 +1,4 @@
-"""The contract of every estimator; a new back end is tested by adding its name to ESTIMATORS and FAMILIES."""
+"""The contract of every estimator; to test a new one, add its name to ESTIMATORS and FAMILIES."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_every_estimator_keeps_the_law(name, law):
 
 
 def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
-    """The gap to the smoother goes with the square of the noise, for what differs is of second order."""
+    """The difference from the smoother is of second order: it falls with the square of the noise."""
     gaps = []
     for sigma in (1e-2, 1e-3):
         answers = []
@@ -44,7 +44,7 @@ def test_an_unknown_estimator_lists_the_known_ones():
 
 
 class Overconfident(EKF):
-    """Believes each sighting to be better than it says."""
+    """Assumes a smaller covariance than each sighting states."""
 
     def update(self, sightings):
         super().update(sightings)

@@ -1,4 +1,4 @@
-"""Each filter against a plain one: full matrices, textbook coordinates, written without regard to speed."""
+"""Each filter against a plain reference with full matrices in textbook coordinates."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def standard(log):
 
 
 def null_direction(point, anchors):
-    """How the state moves, per radian, as the world turns about its origin."""
+    """Derivative of the state by a rotation of the world about its origin, per radian."""
     return np.concatenate([J @ point, [1.0], *(J @ anchor for anchor in anchors)])
 
 
@@ -103,7 +103,7 @@ def anchored(log, constrained):
             x = np.concatenate([x, x[:2] + offset])
             anchors.append(point + offset)
             ids.append(i)
-    # What is handed out is about the estimates: the filter's own covariance is about the points.
+    # The returned covariance is about the estimates, the filter's own about the linearization points.
     T = to_world(np.vstack([x[:2], x[3:].reshape(-1, 2)])) @ np.linalg.inv(to_world(np.vstack([point, *anchors])))
     return x, T @ P @ T.T, ids
 
@@ -185,7 +185,7 @@ def test_the_filter_agrees_with_a_textbook_one(name, seed):
 
 
 def test_the_variants_differ_from_the_standard_filter():
-    """The drive on which the filters are compared tells them apart."""
+    """On the drive of the comparison the filters differ."""
     log = random_log(0, DENSE)
     poses = np.array([fed(make(name), log).estimate().pose.array() for name in REFERENCES])
     assert min(np.abs(a - b).max() for k, a in enumerate(poses) for b in poses[:k]) > 1e-5
@@ -193,7 +193,7 @@ def test_the_variants_differ_from_the_standard_filter():
 
 @pytest.mark.parametrize("name", ["ekf-fej", "ekf-oc", "ekf-invariant"])
 def test_forgetting_keeps_the_linearization_points_of_the_others(name):
-    """After others were forgotten, the filter goes on as one that never knew them, if those brought no evidence."""
+    """After landmarks without evidence are forgotten, the filter equals one that never had them."""
     log = random_log(1, DENSE, steps=20)
     one, two = fed(make(name), log), fed(make(name), log)
     ids = two.estimate().ids.tolist()
@@ -214,7 +214,7 @@ def test_the_invariant_correction_follows_the_exponential_and_transports_the_cov
     for estimator in (standard_filter, invariant):
         estimator.update(sight(START, range(6), np.random.default_rng(5), points=DENSE))
         estimator.predict(step(sigma=0.3))
-    # Up to their first correction the two are one; the standard one then tells shift and covariance.
+    # Up to the first correction both filters are equal; the standard one then gives shift and covariance.
     x = state(invariant)
     assert np.allclose(x, state(standard_filter), atol=1e-12)
     for estimator in (standard_filter, invariant):
@@ -225,7 +225,7 @@ def test_the_invariant_correction_follows_the_exponential_and_transports_the_cov
     T = derivative(expected) @ np.linalg.inv(derivative(x))
     leaned = joint_state(invariant)[1]
     assert np.allclose(leaned, T @ cov @ T.T, atol=1e-8)
-    # And neither is what the standard filter does.
+    # The standard filter has neither.
     assert np.abs(expected - x - shift).max() > 1e-3 and np.abs(leaned - cov).max() > 1e-3 * np.abs(cov).max()
 
 

@@ -30,7 +30,7 @@ MISSING = np.zeros(2)
 
 
 def log_se2(pose):
-    """(x, y, theta) of the twist whose exponential is `pose`: the error in which GTSAM weighs a motion."""
+    """(x, y, theta) of the twist whose exponential is `pose`: GTSAM's error of a motion."""
     half = 0.5 * pose.theta
     cot = 1.0 if abs(half) < 1e-9 else half / math.tan(half)
     return np.append(np.array([[cot, half], [-half, cot]]) @ pose.position, pose.theta)
@@ -46,7 +46,7 @@ def whitening(cov, theta):
 def residuals(x, log, ids):
     """All whitened residuals of prior, odometry, bearings and ranges; x = poses (K, 3), then landmarks (n, 2).
 
-    The first pose is the start: the log's first motion is none.
+    The first pose is the start: the log's first motion is unused.
     """
     poses = [Pose.from_array(row) for row in x[: 3 * len(log)].reshape(-1, 3)]
     places = dict(zip(ids, x[3 * len(log) :].reshape(-1, 2), strict=True))
@@ -128,7 +128,7 @@ HARD = {
 @pytest.mark.parametrize("known", [0.0, 1e-3, 1.0])
 @pytest.mark.parametrize("case", HARD)
 def test_the_default_smoother_solves_hard_cases(case, known):
-    """No indeterminate system: with the start known exactly, well or badly, and landmarks forgotten once seen."""
+    """The system is never singular: with an exact, a certain or an uncertain start, and landmarks forgotten at once."""
     odometry, sigmas, points = HARD[case]
     rng = np.random.default_rng(0)
     smoother, true = make("isam2", START, np.diag([known, known, 0.1 * known]) ** 2, DEFAULT), START
@@ -230,7 +230,7 @@ def test_a_wide_robust_loss_has_no_effect():
 
 
 def test_past_poses_gain_from_later_sightings():
-    """The smoothed trajectory is nearer to the truth than what was believed at the time."""
+    """The smoothed trajectory is nearer to the truth than the filtered one."""
     errors = []
     for seed in range(5):
         rng, true, causal, truth = np.random.default_rng(seed), START, [], []

@@ -1,4 +1,4 @@
-"""Odometry and sightings say nothing of where the map lies, nor how it turns: what filters believe to have learnt."""
+"""Position and heading of the whole map are unobservable: which filters gain information about them."""
 
 import numpy as np
 import pytest
@@ -32,11 +32,11 @@ def test_the_standard_filter_does_not_observe_the_position_of_the_world(seed):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", CONSISTENT)
 def test_the_heading_variance_never_falls_below_that_of_the_start(name, seed):
-    """Nothing that was measured knows about the world's axes."""
+    """No measurement depends on the world's axes."""
     assert heading_variances(name, seed).min() > 1.0
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_standard_filters_heading_variance_falls_below_that_of_the_start(seed):
-    """Which is its error, shown as it is: at the least 0.22 to 0.32 of the variance that no measurement can lower."""
+    """The known inconsistency: the variance falls to 0.22 to 0.32 of a value that no measurement can lower."""
     assert heading_variances("ekf", seed).min() < 0.5

@@ -147,7 +147,7 @@ def test_sweep_noise_of_a_sighting_grows_with_its_lag() -> None:
 
 
 def test_the_noise_of_a_sweep_is_that_of_the_odometry_within_it() -> None:
-    """De-skewed by noisy odometry a far point errs by as much as the sweep's covariance says, by its lag."""
+    """De-skewed by noisy odometry, a far point has the error covariance of the sweep, scaled by its lag."""
     rng, errors, covs = np.random.default_rng(3), [], []
     step, cov = Pose(0.01, 0.0, 0.02), np.diag([1e-4, 1e-4, 2e-3]) ** 2
     config = LaserConfig(beams=360, sweep_s=0.1)

@@ -62,7 +62,7 @@ def test_a_closed_scan_begins_at_a_break_so_that_no_piece_straddles_the_seam():
 
 
 def test_the_adaptive_jump_grows_with_range_and_spacing():
-    """A wall met at 20 degrees is one partition near and far; a fixed threshold tears it apart far away."""
+    """A wall met at 20 degrees is one partition near and far; a fixed threshold splits it far away."""
     for distance in (0.2, 4.0):
         spacing = math.radians(1.0)
         angles = np.arange(0.0, math.radians(69.0), spacing)
@@ -115,7 +115,7 @@ def total_least_squares(points):
 
 
 def test_with_equal_noise_across_the_line_the_fit_is_the_orthogonal_one():
-    """Far off and head on all beams meet the wall alike, so that the weights are equal."""
+    """At a large distance and normal incidence all weights are equal."""
     rng = np.random.default_rng(2)
     points = np.stack([100.0 + rng.normal(0, 0.01, 50), np.linspace(-1, 1, 50)], axis=1)
     fit = fit_line(points, np.arange(50), 0.01, 0.0)
@@ -140,7 +140,7 @@ def test_the_covariance_of_a_line_is_that_of_its_errors(span, sigma_bearing):
         nees.append(error @ np.linalg.solve(cov, error))
         errors.append(error / np.sqrt(np.diag(cov)))
     assert np.mean(nees) == pytest.approx(2.0, abs=0.3)  # sigma of the mean: 0.05
-    assert np.abs(np.mean(errors, axis=0)).max() < 0.15  # no bias worth a seventh of a sigma
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.15  # bias below a seventh of a sigma
 
 
 def test_lines_follow_each_other_in_the_order_of_the_scan():
@@ -328,7 +328,7 @@ def test_uniform_noise_is_used_by_its_variance():
 
 
 def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls():
-    """An error of its angle turns a wall about its middle: to second order that is a bias of its distance."""
+    """An error of the angle rotates a wall about its middle: a second-order bias of its distance."""
     rng, config = np.random.default_rng(0), preset(features={"landmarks": "walls"})
     wall = np.array([[[3.0, 0.2], [3.0, -0.5]]])
     bias, nees = [], []

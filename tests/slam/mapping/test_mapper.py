@@ -1,4 +1,4 @@
-"""The grid follows where the smoother puts its key scans."""
+"""The grid follows the smoothed poses of its key scans."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_a_scan_without_a_return_causes_no_error() -> None:
 
 
 def test_a_smoother_that_revisits_corners_rebuilds_its_map() -> None:
-    """In the block's corridors the heading is known badly until the next corner, and then the way there moves."""
+    """In the block's corridors the heading is uncertain until the next corner, whose sighting moves earlier poses."""
     trace = run(preset(scene="block", estimator="isam2", task="tour", max_time=100.0, features=CORNERS))
     assert trace.outcome == "tour ended" and trace.rebuilds > 0
     moved = trace.trajectory - np.array([estimate.pose.array() for estimate in trace.key_estimates])
