@@ -19,7 +19,7 @@ from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, joint_nis
 from sixthsense.slam.association.pre_gate import pre_gate
 from sixthsense.slam.association.wall_alignment import Alignment, align
-from sixthsense.slam.association.wall_extents import disagreement, ends, fused, in_line, joined
+from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Estimate, Estimator
 
 
@@ -169,7 +169,7 @@ class Associator:
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
         recent = np.array([self._scan - record.last_scan < self._config.cull_period for record in records], dtype=bool)
         gone: list[LandmarkId] = []
-        for j, k in in_line(walls, extents, recent, self._config.wall_gap_m, self._config.new_separation_m):
+        for j, k in collinear_pairs(walls, extents, recent, self._config.wall_gap_m, self._config.new_separation_m):
             if ids[j] in gone or ids[k] in gone:
                 continue
             joint = estimator.joint_covariance([ids[j], ids[k]])[3:, 3:]

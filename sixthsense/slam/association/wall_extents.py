@@ -45,7 +45,7 @@ def nearness(sighted: Array, alphas: Array, landmarks: Array, extents: Array) ->
     return Nearness(angle, middle @ normal.T - landmarks[:, 1], low - high)
 
 
-def in_line(
+def collinear_pairs(
     landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
 ) -> list[tuple[int, int]]:
     """Pairs of walls (n, 2), at least one of them `recent` (n,), that may be one by direction, offset and extent."""
