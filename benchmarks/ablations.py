@@ -17,15 +17,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, run, write_json
 
 from sixthsense.config import Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance, wrap_angle
 from sixthsense.core.laser import Scan, cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import ate, true_landmarks
-from sixthsense.loop import run, warm_up
 from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
 
@@ -98,7 +98,7 @@ def collect(config: Config) -> tuple[Trace, list[View]]:
             visible = visible_landmarks(tick.truth, landmarks, scene.walls, config.laser)
             views.append(View(tick.scan, tick.truth, visible))
 
-    return run(config, keep), views
+    return run(config, keep).trace, views
 
 
 def detection_figures(views: Sequence[View], walls: Array, config: Config) -> Figures:
@@ -163,7 +163,7 @@ def ablation_figures(name: str, seeds: int, scene: str = "apartment", max_time: 
                 trace, seen = collect(seeded)
                 views += seen
             else:
-                trace = run(seeded)
+                trace = run(seeded).trace
             rows.append(run_figures(trace, landmarks) | {"done": float(trace.outcome == "goal reached")})
             outcomes[trace.outcome.replace(" ", "_")] += 1
         found: Figures = {f"outcome.{outcome}": count for outcome, count in outcomes.most_common()}

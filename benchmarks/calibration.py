@@ -7,11 +7,11 @@ import math
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, run, write_json
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.evaluation.calibrate import SAMPLES, calibrate
-from sixthsense.loop import run, warm_up
+from sixthsense.running.warmup import warm_up
 
 SCENE = "apartment"
 TOUR_S = 200.0

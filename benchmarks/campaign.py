@@ -18,7 +18,7 @@ import psutil
 from harness import Figures, arguments, print_figures, write_json
 
 from sixthsense.campaign import load_campaign
-from sixthsense.loop import warm_up
+from sixthsense.running.warmup import warm_up
 
 RUNS = 40
 COMMAND = ("campaign", "apartment", "--seeds", f"0:{RUNS}", "--task", "tour")

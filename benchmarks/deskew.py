@@ -11,12 +11,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, run, write_json
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.core.geometry import point_segment_distance
-from sixthsense.loop import run, warm_up
 from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
 
 SWEEP_S = 0.1
 
@@ -51,8 +51,8 @@ def setting_figures(name: str, base: Config, changes: Mapping[str, Any], seeds: 
     config = merge(base, changes)
     rows = []
     for seed in range(seeds):
-        trace = run(dataclasses.replace(config, seed=seed))
-        rows.append(trace.metrics | {"map_rmse_m": map_rmse_m(trace)})
+        made = run(dataclasses.replace(config, seed=seed))
+        rows.append(made.metrics | {"map_rmse_m": map_rmse_m(made.trace)})
 
     def values(key: str) -> list[float]:
         return [row[key] for row in rows if key in row]

@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
 
 from sixthsense.campaign import CampaignError, load_campaign
 from sixthsense.campaign.folder import read_folder
 from sixthsense.config import Config, ExploreConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.loop import run, warm_up
 from sixthsense.navigation.gridsearch import geodesic_distances
 from sixthsense.navigation.visibility import visible_cells
+from sixthsense.running.warmup import warm_up
 from sixthsense.sources.scene import load_scene
 
 COLUMNS = ("coverage", "home_error_m", "path_length_m", "sim_time_s", "realtime_factor", "ate_rmse_m")

@@ -16,12 +16,29 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.tables import text_table
+from sixthsense.figures.run import Run
+from sixthsense.loop import OnTick
+from sixthsense.running.runs import Watch, replay_log, simulate
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.replay_input import Recorded
 
 T = TypeVar("T")
 R = TypeVar("R")
 Figures = dict[str, float]
+
+
+def run(config: Config, *hooks: OnTick) -> Run:
+    """Simulate a configuration, without a progress bar."""
+    return simulate(config, watch=Watch(hooks, progress=False))
+
+
+def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:
+    """Replay an open log, without a progress bar."""
+    return replay_log(Recorded("log", log, config, relations, {}, ()))
 
 
 def arguments(description: str | None) -> argparse.ArgumentParser:

@@ -9,11 +9,11 @@ import time
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, replay, write_json
 
 from sixthsense.config import Config, preset
 from sixthsense.evaluation import metrics
-from sixthsense.loop import replay, warm_up
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.log import Log
@@ -27,8 +27,8 @@ def replay_figures(log: Log, relations: Relations, config: Config, seeds: int) -
     figures: Figures = {}
     speeds: list[float] = []
     for seed in range(seeds):
-        trace = replay(Log(log.ticks), dataclasses.replace(config, seed=seed), relations)
-        result = trace.metrics
+        made = replay(Log(log.ticks), dataclasses.replace(config, seed=seed), relations)
+        trace, result = made.trace, made.metrics
         figures |= {f"seed{seed}.{key}": result[key] for key in ERRORS}
         speeds.append(result["realtime_factor"])
         if seed == 0:

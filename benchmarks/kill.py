@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sixthsense.record.trace import Trace
+from sixthsense.figures.run import load
 
 # The command, which also writes the last recorded and the last flushed stamp into shared memory.
 CHILD = """
@@ -47,7 +47,7 @@ class Kill:
     flushed_ns: int
     """stamp of the last flushed tick"""
     lost_wall_s: float
-    """time since the file was last written"""
+    """time since bag and record were both last written"""
 
 
 def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
@@ -68,8 +68,8 @@ def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
         child.wait()
     recorded_ns, flushed_ns = struct.unpack("<qq", notes.read_bytes())
     partial = folder / "run.partial"
-    lost_wall_s = killed - (partial / "bag" / "bag_0.mcap").stat().st_mtime
-    return Kill(partial, recorded_ns, flushed_ns, lost_wall_s)
+    written = min((partial / name).stat().st_mtime for name in ("bag/bag_0.mcap", "record.jsonl"))
+    return Kill(partial, recorded_ns, flushed_ns, killed - written)
 
 
 def main() -> None:
@@ -83,14 +83,15 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             after_s = float(rng.uniform(0.0, options.longest))
             kill = kill_one(Path(folder), after_s, number)
-            trace = Trace.load(kill.partial)
+            run = load(kill.partial)
+            trace = run.trace
             last_ns = trace.stamps_ns[-1] + 100_000_000  # ticks after the last scan are not in the trace
             wall.append(kill.lost_wall_s)
             simulated.append(max(0.0, 1e-9 * (kill.recorded_ns - last_ns)))
             print(
                 f"{number + 1:3d}  killed after {after_s:.2f} s at {1e-9 * kill.recorded_ns:6.1f} s simulated, "
                 f"lost {wall[-1]:.3f} s of wall time, {simulated[-1]:5.1f} s simulated; "
-                f"ATE {trace.metrics['ate_rmse_m']:.4f} m",
+                f"ATE {run.metrics['ate_rmse_m']:.4f} m",
                 flush=True,
             )
             assert last_ns >= kill.flushed_ns, "more than the last chunk is lost"

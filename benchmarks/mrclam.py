@@ -14,12 +14,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, machine, print_table, replay, write_json
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import heading_rmse
-from sixthsense.loop import replay
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs.mrclam import MrclamLog, read_mrclam
@@ -48,7 +48,7 @@ def per_axis_rmse(estimate: Array, truth: Array) -> float:
 
 def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
     """Figures of one estimator."""
-    metrics, truth, key_truth = trace.metrics, np.array(trace.truths), np.array(trace.key_truths)
+    metrics, truth, key_truth = measure(trace), np.array(trace.truths), np.array(trace.key_truths)
     causal = np.array([estimate.pose.array() for estimate in trace.key_estimates])
     figures = {
         "position_rmse_per_axis_m": per_axis_rmse(np.array(trace.estimates), truth),
@@ -73,7 +73,7 @@ def log_figures(log: MrclamLog, config: Config, estimators: Sequence[str] = ESTI
     """Flat keys such as `ekf_invariant.position_rmse_per_axis_m`; odometry alone is `dead_reckoning`."""
     figures: Figures = {}
     for name in estimators:
-        trace = replay(log, dataclasses.replace(config, estimator=name))
+        trace = replay(log, dataclasses.replace(config, estimator=name)).trace
         figures |= {f"{name.replace('-', '_')}.{key}": value for key, value in estimator_figures(trace, log).items()}
         odometry, truth = np.array(trace.odometry), np.array(trace.truths)
     figures["dead_reckoning.position_rmse_per_axis_m"] = per_axis_rmse(odometry, truth)

@@ -19,8 +19,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, plot, record, window
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
-from sixthsense.loop import warm_up
 from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.features import Features
 
 SCAN = 48  # a key scan of the apartment that sees corridor, living room, bath and kitchen

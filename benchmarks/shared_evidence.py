@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, replay, run, write_json
 from tqdm import tqdm
 
 from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import Tick
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import full_rank_from, nees_band, nees_world
 from sixthsense.figures.plot import CYCLE, new_figure, save
-from sixthsense.loop import replay, run, warm_up
 from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
@@ -54,7 +55,7 @@ def record(config: Config) -> Log:
 
 def compare(log: Log, config: Config, estimators: Sequence[str]) -> dict[str, Trace]:
     """The trace of each estimator on one log."""
-    return {name: replay(log, dataclasses.replace(config, estimator=name)) for name in estimators}
+    return {name: replay(log, dataclasses.replace(config, estimator=name)).trace for name in estimators}
 
 
 def over_time(trace: Trace) -> tuple[Array, Array, Array, Array]:
@@ -72,7 +73,7 @@ def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
     """Mean over the runs of each column, by keys such as `ekf_invariant.ate_rmse_m`."""
     figures: Figures = {}
     for name, runs in traces.items():
-        metrics = [trace.metrics for trace in runs]
+        metrics = [measure(trace) for trace in runs]
         for _, key, _ in COLUMNS:
             values = [m[key] for m in metrics if key in m]
             if values:

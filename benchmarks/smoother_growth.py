@@ -8,12 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import Figures, arguments, machine, print_table, run, write_json
 
 from sixthsense.config import preset
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, new_figure, save
-from sixthsense.loop import run, warm_up
 from sixthsense.record.stopwatch import STAGES
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.estimators import ESTIMATORS
 
 BUDGET_MS = 16.7
@@ -33,7 +33,8 @@ def main() -> None:
         scene="apartment", task="tour", estimator=options.estimator, seed=options.seed, max_time=options.seconds,
         features={"landmarks": options.landmarks},
     )  # fmt: skip
-    trace = run(config)
+    made = run(config)
+    trace = made.trace
     ms = trace.stopwatch.key_scan_ms()
     print(machine())
     print(f"{len(trace.stamps_ns)} scans, {len(ms)} key scans, {len(trace.records)} landmarks, {trace.outcome}")
@@ -51,7 +52,7 @@ def main() -> None:
         "scan_ms_p99": float(np.percentile(ms, 99)),
         "scan_ms_max": float(ms.max()),
         "last_over_first_tenth": float(np.median(ms[parts[-1]]) / np.median(ms[parts[0]])),
-        "realtime_factor": trace.metrics["realtime_factor"],
+        "realtime_factor": made.metrics["realtime_factor"],
     }
     print_table([["figure", "measured"], *([key, f"{value:.4g}"] for key, value in figures.items())])
     write_json(options.json, figures)

@@ -9,11 +9,12 @@ import json
 import time
 
 import numpy as np
-from harness import arguments, machine
+from harness import arguments, machine, run
 
 from sixthsense.config import preset
 from sixthsense.core.source import Tick
-from sixthsense.loop import replay, run, warm_up
+from sixthsense.loop import replay
+from sixthsense.running.warmup import warm_up
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log
 

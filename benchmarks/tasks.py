@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, print_table, write_json
+from harness import Figures, arguments, check_at_least, machine, print_table, run, write_json
 
 from sixthsense.config import preset
-from sixthsense.loop import run, warm_up
+from sixthsense.running.warmup import warm_up
 
 
 @dataclass(frozen=True)

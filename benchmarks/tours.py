@@ -15,16 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import check_at_least, pooled
+from harness import check_at_least, pooled, run
 
 from sixthsense.campaign.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.matches import judge_matches, true_identities
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
-from sixthsense.loop import run, warm_up
 from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import load_scene
 
@@ -52,7 +53,7 @@ def judge(trace: Trace) -> Row:
 
     NEES is None before the covariance has full rank.
     """
-    metrics = trace.metrics
+    metrics = measure(trace)
     assert trace.scene is not None
     truths = np.array(trace.key_truths)
     matches = judge_matches([a.sightings for a in trace.associations], truths, true_identities(trace.scene.walls))
@@ -93,7 +94,7 @@ def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
 def make_row(config: Config) -> Row:
     """Run a configuration and evaluate it."""
     names = ("scene", "estimator", "preset", "seed")
-    return {**{name: getattr(config, name) for name in names}, **judge(run(config))}
+    return {**{name: getattr(config, name) for name in names}, **judge(run(config).trace)}
 
 
 def rows(configs: Sequence[Config], jobs: int, folder: Path | None = None) -> list[Row]:

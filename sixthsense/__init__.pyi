@@ -36,6 +36,8 @@ from .evaluation.results import Metrics as Metrics
 from .sources.scene import Scene as Scene
 from .sources.scene import load_scene as load_scene
 from .sources.scene import shipped_scenes as shipped_scenes
-from .record.trace import Trace as Trace
+from .figures.run import Run as Run
+from .figures.run import Trace as Trace
+from .figures.run import load as load
 from .view.recording import View as View
 from .sources.world import World as World

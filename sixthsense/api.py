@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, merge, preset
 from sixthsense.config.section import shown
-from sixthsense.running.progress import COMPILING, Progress, each, is_compiled
+from sixthsense.running.runs import Watch, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
+    from sixthsense.figures.run import Run
     from sixthsense.loop import OnTick
-    from sixthsense.record.folder import RunFolder
-    from sixthsense.record.trace import Trace
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
+    from sixthsense.sources.replay_input import Recorded
 
 
 def run(
@@ -30,7 +28,7 @@ def run(
     out: str | Path | None = None,
     overwrite: bool = False,
     **fields: Any,
-) -> Trace:
+) -> Run:
     """Put a robot into a scene it has never seen, and let it see all of it or reach its goals.
 
         run = ss.run("apartment", estimator="isam2", seed=3)
@@ -45,7 +43,7 @@ def run(
     progress
         Whether a bar shows how far it is; by default in a notebook and at a terminal.
     out
-        Folder to write, as `sixthsense run --out` does, from which `ss.Trace.load` reads the run; none by default.
+        Folder to write, as `sixthsense run --out` does, from which `ss.load` reads the run; none by default.
     overwrite
         Replace that folder if it exists.
     **fields
@@ -56,10 +54,10 @@ def run(
 
     Returns
     -------
-    Trace
-        The record. Where the interpreter is interrupted, Ctrl-C or the notebook's stop button, that of the run so far,
-        with the outcome "interrupted": what follows in the cell then goes on with it. A second interrupt within two
-        seconds raises KeyboardInterrupt, and so ends a loop over many runs.
+    Run
+        Its record (`run.trace`), metrics and figures. Where the interpreter is interrupted, Ctrl-C or the notebook's
+        stop button, the run so far, with the outcome "interrupted": what follows in the cell then goes on with it. A
+        second interrupt within two seconds raises KeyboardInterrupt, and so ends a loop over many runs.
 
     Raises
     ------
@@ -71,7 +69,6 @@ def run(
         For a folder that exists, or cannot be written.
 
     """
-    from sixthsense import loop
     from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
@@ -85,12 +82,8 @@ def run(
     config = with_task(config, given)
     there = load_scene(config.scene)
     mission(there, config)
-
-    def go(hook: OnTick | None) -> Trace:
-        return loop.run(config, hook)
-
-    bar = Progress(f"{there.name}, {config.task}", config.max_time, shown=progress)
-    return _recorded(go, config, bar, on_tick, out, overwrite, None)
+    with reserved(out, config, overwrite) as folder:
+        return simulate(config, there, folder, _watch(on_tick, progress))
 
 
 def replay(
@@ -105,7 +98,7 @@ def replay(
     out: str | Path | None = None,
     overwrite: bool = False,
     **fields: Any,
-) -> Trace:
+) -> Run:
     """Digest a recorded log with the code that drives the simulated robot; the robot goes where it went.
 
         run = ss.replay("intel.clf.bz2", relations="intel.relations", estimator="isam2")
@@ -137,8 +130,8 @@ def replay(
 
     Returns
     -------
-    Trace
-        The record; with the outcome "interrupted" where it was (see `ss.run`).
+    Run
+        As of `ss.run`; with the outcome "interrupted" where it was (see `ss.run`).
 
     Raises
     ------
@@ -148,33 +141,43 @@ def replay(
         For a log or relations that cannot be read, naming file and line.
 
     """
-    from sixthsense import loop
-    from sixthsense.sources.logs.relations import read_relations
-    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
-
     given = _named(fields)
-    files: Mapping[str, str] = {}
     if isinstance(log, (str, Path)):
-        check_options(log, given, bool(topics), robot is not None)
-        if config is not None and "preset" in given:
-            raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
-        base = given.pop("preset", None) if config is None else config
-        out = None if out is None else Path(out)
-        check_out(log, out)
-        found = open_recorded(log, _over(base_of(log) if base is None else base, given), relations, topics, robot)
-        opened, name, settings, judged, files = found.log, found.name, found.config, found.relations, found.files
+        found = _opened(Path(log), config, relations, topics, robot, given, out)
     else:
+        from sixthsense.sources.logs.relations import read_relations
+        from sixthsense.sources.replay_input import Recorded
+
         if config is None:
             raise ConfigError("config: found none beside a log that is open, allowed: a Config, such as ss.preset()")
-        opened, name, settings = log, "log", _over(config, given)
         judged = read_relations(relations) if isinstance(relations, (str, Path)) else relations
+        found = Recorded("log", log, _over(config, given), judged, {}, ())
+    with reserved(out, found.config, overwrite, found.files or None) as folder:
+        return replay_log(found, folder, _watch(on_tick, progress))
 
-    def go(hook: OnTick | None) -> Trace:
-        trace = loop.replay(opened, settings, judged, hook)
-        trace.name = name
-        return trace
 
-    return _recorded(go, settings, Progress(name, opened.duration_s, shown=progress), on_tick, out, overwrite, files)
+def _opened(
+    log: Path,
+    config: Config | None,
+    relations: str | Path | Relations | None,
+    topics: Sequence[str],
+    robot: int | None,
+    given: dict[str, Any],
+    out: str | Path | None,
+) -> Recorded:
+    """Open a log's file or folder with the configuration that goes with it."""
+    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
+
+    check_options(log, given, bool(topics), robot is not None)
+    if config is not None and "preset" in given:
+        raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
+    base = given.pop("preset", None) if config is None else config
+    check_out(log, None if out is None else Path(out))
+    return open_recorded(log, _over(base_of(log) if base is None else base, given), relations, topics, robot)
+
+
+def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
+    return Watch(() if on_tick is None else (on_tick,), progress)
 
 
 def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Config:
@@ -193,67 +196,9 @@ def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Con
     return config
 
 
-def keep(folder: RunFolder, trace: Trace, title: str) -> dict[str, Any]:
-    """Write a run that is over into its folder, its map included, and give it its name; returns the metrics."""
-    from sixthsense.figures.plot import save_map
-
-    metrics = folder.write(trace)
-    save_map(trace, folder.partial / "figures" / "map.png", title)
-    folder.finish()
-    return metrics
-
-
 def shown_word(value: Any) -> str:
     """A word as it is, anything else as a complaint shows it."""
     return value if isinstance(value, str) else shown(value)
-
-
-def _recorded(
-    go: Callable[[OnTick | None], Trace],
-    config: Config,
-    bar: Progress,
-    on_tick: OnTick | None,
-    out: str | Path | None,
-    overwrite: bool,
-    files: Mapping[str, str] | None,
-) -> Trace:
-    """What `go` makes of a run, called after each tick with the hooks that show, record and watch it."""
-    from sixthsense.evaluation.finished import as_finished
-
-    with ExitStack() as kept:
-        folder: RunFolder | None = None
-        if out is not None:
-            from sixthsense.record.folder import RunFolder
-
-            folder = kept.enter_context(RunFolder(Path(out), config, overwrite, files or None))
-        with ExitStack() as hooked:
-            hooks: list[OnTick] = [hooked.enter_context(bar)]
-            _warm_up(bar)
-            if folder is not None:
-                from sixthsense.record.bag import BagWriter
-
-                hooks.insert(0, hooked.enter_context(BagWriter(folder.partial)))
-            if on_tick is not None:
-                hooks.append(on_tick)
-            trace = go(each(*hooks))
-        if folder is not None:
-            keep(folder, trace, as_finished(trace).title)
-    return trace
-
-
-@functools.cache
-def _warm() -> None:
-    from sixthsense.loop import warm_up
-
-    warm_up()
-
-
-def _warm_up(bar: Progress) -> None:
-    """Compile the hot loops, or load them, once, and say so where that takes long."""
-    if not is_compiled():
-        bar.say(COMPILING)
-    _warm()
-    bar.say("")
 
 
 def _over(base: str | Config, given: Mapping[str, Any]) -> Config:

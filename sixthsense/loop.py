@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
-from sixthsense.config import Config, merge
+from sixthsense.config import Config
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
-from sixthsense.evaluation.measure import measure
 from sixthsense.navigation import make_navigator
-from sixthsense.navigation.exploration_navigator import ExplorationNavigator
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator, ReplayNavigator
 from sixthsense.navigation.pilot import Pilot
-from sixthsense.navigation.planners import make_planner
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
-from sixthsense.slam.features import extract
-from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.slam import DEFAULT_RADIUS_M, Slam, Step
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import Scene, SceneError, load_scene
+from sixthsense.sources.replay_input import recorded_scene
+from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
@@ -39,8 +29,6 @@ OnTick = Callable[[Tick, Trace], None]
 
 Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every turn of the loop; a word that it returns is the outcome, and ends the run."""
-
-NO_WALLS = np.zeros((0, 2, 2))
 
 
 def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
@@ -81,7 +69,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     scene, if that still loads, in `config`.
     """
     log.rewind()
-    scene = _recorded_scene(log, config)
+    scene = recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
     return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick)
@@ -117,42 +105,3 @@ class _Deadline:
         if self._first_ns is None:
             self._first_ns = tick.stamp_ns
         return self._outcome if tick.stamp_ns >= self._first_ns + self._max_ns else None
-
-
-def _recorded_scene(log: Log, config: Config) -> Scene | None:
-    if log.ticks[0].truth is None or not log.scans:
-        return None
-    try:
-        return load_scene(config.scene)
-    except SceneError:
-        return None  # the record outlives the file
-
-
-def warm_up() -> None:
-    """Compile the hot loops, or load them compiled, so that the first key scan is as quick as the rest."""
-    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
-    config = Config(max_time=3.0)
-    scene = Scene("room", walls, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    rng = np.random.default_rng(0)
-    follower = Follower(config.follow, config.robot)
-    planner = make_planner("astar")
-    driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
-    trace = Trace(config, scene, 0.2)
-    recorded_drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace)
-    measure(trace)
-    assert trace.grid is not None
-    space = trace.grid.free_space()
-    for _ in range(2):  # the second is a replan
-        planner.plan(space, (0.0, 0.0), (1.0, 1.0))
-    # What most runs do without: scans that take time, and a search that is bounded.
-    swept = merge(config, {"laser": {"sweep_s": 0.1}})
-    deskew, tick = Deskewer(), World(walls, Pose(), 0.2, swept, rng).step(Command())
-    deskew.moved(0, STANDSTILL)
-    assert tick is not None and tick.scan is not None
-    extract(deskew(tick.scan), config.assumed, config.features, rng)
-    mapper = Mapper(config.grid, 0.2)
-    mapper.add(np.zeros((1, 3)), tick.scan, NO_WALLS)
-    mapper.grid.free_space(margin_m=0.1).between((0.0, 0.0), (1.0, 0.0), 1.0)
-    # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
-    gc.collect()
-    gc.freeze()

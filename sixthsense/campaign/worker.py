@@ -7,7 +7,6 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
-from functools import cache
 from typing import Any
 
 from sixthsense.campaign.plan import config_hash, scene_digest
@@ -54,11 +53,13 @@ def run_row(config: Config, version: str) -> dict[str, Any]:
     """
     if version != __version__:
         raise OtherVersionError(f"found version {__version__} of sixthsense, allowed: {version}")
+    from sixthsense.running.warmup import prepare
+
     with _turn:
         row = {**row_of(config), "host": socket.gethostname(), "version": version}
         began = time.perf_counter()
         try:
-            _warm_up()
+            prepare(lambda _: None)  # so that no run's time has the compilation
             began = time.perf_counter()
             row |= _metrics(config)
         except Exception as error:
@@ -71,15 +72,7 @@ def one_line(error: BaseException) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())[:500]
 
 
-@cache
-def _warm_up() -> None:
-    """Load the hot loops, once per process, so that no run's time has it."""
-    from sixthsense.loop import warm_up
-
-    warm_up()
-
-
 def _metrics(config: Config) -> dict[str, Any]:
-    from sixthsense.loop import run
+    from sixthsense.running.runs import simulate
 
-    return run(config).metrics
+    return simulate(config).metrics

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from sixthsense.cli.common import Common, announce_compilation, parse_command, show_help, wants_help
+from sixthsense.cli.common import Common, announce, parse_command, show_help, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 
@@ -41,14 +41,13 @@ def command(args: list[str]) -> int:
 
     from sixthsense.evaluation.calibrate import calibrate, check_output, summary
     from sixthsense.figures.calibration import write_calibration
-    from sixthsense.loop import warm_up
+    from sixthsense.running.warmup import prepare
 
     config = options.settings
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
     check_output(options.out, options.overwrite)
-    announce_compilation()
-    warm_up()
+    prepare(announce)
     with tqdm(total=options.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:
         found = calibrate(config, options.samples, bar.update)
     write_calibration(

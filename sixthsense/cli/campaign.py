@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from sixthsense.cli.common import announce_compilation, wants_help
+from sixthsense.cli.common import announce, wants_help
 from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import Table, UsageError, parse
 from sixthsense.config import is_of_replay, load_config, preset
@@ -95,8 +95,10 @@ def _execute(
     from sixthsense.campaign import connect, execute
     from sixthsense.campaign.cluster import check_workers
     from sixthsense.campaign.folder import save_folder
+    from sixthsense.running.warmup import COMPILING, is_compiled
 
-    announce_compilation()
+    if not is_compiled():
+        announce(COMPILING)
     with connect(given.get("scheduler"), given.get("workers")) as client:
         workers = check_workers(client, campaign.scenes)
         save_folder(out, campaign, saved)

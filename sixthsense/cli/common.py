@@ -15,13 +15,12 @@ import tyro
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import OrAlone, Table, parse
 from sixthsense.config import Config, load_config, merge, preset
-from sixthsense.running.progress import COMPILING, is_compiled
 from sixthsense.view.viewer import PLACES, is_place
 
 if TYPE_CHECKING:
+    from sixthsense.figures.run import Run
     from sixthsense.navigation.unseen_places import UnseenPlace
     from sixthsense.record.folder import RunFolder
-    from sixthsense.record.trace import Trace
 
 C = TypeVar("C", bound="Common")
 
@@ -94,24 +93,21 @@ def numbered(stem: str) -> Path:
     return out
 
 
-def announce_compilation() -> None:
-    """Say in one line why a first run does not start at once."""
-    if not is_compiled():
-        print(COMPILING, file=sys.stderr)
+def announce(line: str) -> None:
+    """Say why a first run does not start at once."""
+    print(line, file=sys.stderr)
 
 
-def finish(folder: RunFolder, trace: Trace, title: str) -> int:
-    """Write the folder, print the table, and say how it ended."""
-    from sixthsense.api import keep
-
-    metrics = keep(folder, trace, title)
+def show_end(run: Run) -> int:
+    """Print the table of a run's metrics, what it has left unseen, and its folder; returns the exit code."""
+    metrics = run.metrics
     width = max(map(len, metrics))
     for key, value in metrics.items():
         print(f"{key:{width}}  {value:.4g}" if isinstance(value, float) else f"{key:{width}}  {value}")
-    if trace.left:
-        print(f"left unseen: {'; '.join(map(_described, trace.left))}")
-    print(f"written to {folder.out}/")
-    return EXIT_CODES.get(trace.outcome, FAILED)
+    if run.trace.left:
+        print(f"left unseen: {'; '.join(map(_described, run.trace.left))}")
+    print(f"written to {run.folder}/")
+    return EXIT_CODES.get(run.outcome, FAILED)
 
 
 def _described(place: UnseenPlace) -> str:

@@ -1,7 +1,8 @@
 """Words of a command line as values: a command's own options, and every field of the Config tree as a flag.
 
 Values are only read here; whether they are allowed is for the validator of `config` to say, as it does for a file, so
-that both complain alike. (tyro prints the help, but answers a mistake with a framed page.)
+that both complain alike. The parser is our own because tyro, which prints the help, answers a mistake with a framed
+page and exits, where our commands print one line that names what is allowed.
 """
 
 from __future__ import annotations

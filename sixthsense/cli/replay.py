@@ -9,18 +9,9 @@ from typing import Annotated
 
 import tyro
 
-from sixthsense.cli.common import (
-    Common,
-    announce_compilation,
-    finish,
-    parse_command,
-    run_folder,
-    show_help,
-    wants_help,
-)
+from sixthsense.cli.common import Common, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
-from sixthsense.running.progress import Progress, each
 
 
 @dataclass(frozen=True)
@@ -52,20 +43,12 @@ def command(args: list[str]) -> int:
     if options.log is None:
         raise UsageError("log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run or of MRCLAM")
     check_out(options.log, options.out)
-    from sixthsense.loop import replay, warm_up
-    from sixthsense.record.bag import BagWriter
+    from sixthsense.running.runs import Watch, replay_log
 
     topics = options.topic.split(",") if options.topic else ()
     found = open_recorded(options.log, options.settings, options.relations, topics, options.robot)
-    config, log, name = found.config, found.log, found.name
     for note in found.notes:
-        print(f"note: {name}: {note}", file=sys.stderr)
-    with (
-        run_folder(options, config, f"{name.split('.')[0]}-{config.estimator}", found.files) as folder,
-        live_view(options) as shown,
-    ):
-        announce_compilation()
-        warm_up()
-        with BagWriter(folder.partial) as bag, Progress(name, log.duration_s) as progress:
-            trace = replay(log, config, found.relations, each(bag, progress, *shown))
-        return finish(folder, trace, f"{name} · {config.estimator}: {trace.outcome}")
+        print(f"note: {found.name}: {note}", file=sys.stderr)
+    stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
+    with run_folder(options, found.config, stem, found.files) as folder, live_view(options) as hooks:
+        return show_end(replay_log(found, folder, Watch(hooks, say=announce)))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sixthsense.cli.common import announce_compilation, numbered, wants_help
+from sixthsense.cli.common import announce, numbered, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 
 if TYPE_CHECKING:
-    from sixthsense.figures.report import FinishedRun
+    from sixthsense.figures.run import Run
 
 USAGE = """\
 usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|FILE.gif]]
@@ -46,7 +47,8 @@ def command(args: list[str]) -> int:
     if out is not None and out.exists() and not given.get("overwrite", False):
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
     from sixthsense.figures.animation import check_film
-    from sixthsense.figures.report import as_form, check_folders, compact, load_run, report, table
+    from sixthsense.figures.report import as_form, compact, report, table
+    from sixthsense.figures.run import check_folders, load
 
     form = as_form(given.get("figures", "png"))
     if "animate" in given:
@@ -54,12 +56,14 @@ def command(args: list[str]) -> int:
         if len(folders) > 1:
             raise UsageError(f"--animate: found {len(folders)} runs, allowed: with one")
     check_folders(folders)
-    announce_compilation()
-    runs = [load_run(folder) for folder in folders]
+    runs = [load(folder) for folder in folders]
     if out is None:
         out = Path(folders[0]) / "figures" if len(runs) == 1 else numbered("report")
     files = report(runs, out, form)
     print(compact(table(runs)))
+    for run in runs:
+        for part in run.missing:
+            print(f"note: {run.folder}: found no record of {part}", file=sys.stderr)
     print(f"written to {out}/: {', '.join(file.name for file in files)}")
     if "animate" in given:
         file = out / _FILM if given["animate"] is None else Path(given["animate"])
@@ -73,11 +77,13 @@ def _is_film(word: str) -> bool:
     return bool(Path(word).suffix) and not Path(word).is_dir()
 
 
-def _animate(run: FinishedRun, folder: str, film: Path) -> None:
+def _animate(run: Run, folder: str, film: Path) -> None:
     from tqdm import tqdm
 
     from sixthsense.figures.animation import MOST_FRAMES, animate
+    from sixthsense.running.warmup import prepare
 
+    prepare(announce)
     frames = min(MOST_FRAMES, len(run.trace.stamps_ns))
     with tqdm(total=frames, desc=film.name, disable=None, leave=False) as bar:
         animate(folder, run.trace, film, run.title, frames, bar.update)

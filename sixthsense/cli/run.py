@@ -8,19 +8,10 @@ from typing import Annotated
 
 import tyro
 
-from sixthsense.cli.common import (
-    Common,
-    announce_compilation,
-    finish,
-    parse_command,
-    run_folder,
-    show_help,
-    wants_help,
-)
+from sixthsense.cli.common import Common, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
-from sixthsense.running.progress import Progress, each
 
 
 @dataclass(frozen=True)
@@ -46,22 +37,16 @@ def command(args: list[str]) -> int:
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
     from sixthsense.api import with_task
-    from sixthsense.loop import run, warm_up
-    from sixthsense.record.bag import BagWriter
+    from sixthsense.running.runs import Watch, simulate
     from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
     config = with_task(config, flags, "--")
     scene = load_scene(config.scene)
     mission(scene, config)
-    label = f"{scene.name}, {config.task}"
     with (
         run_folder(options, config, f"{scene.name}-{config.estimator}") as folder,
-        live_view(options) as shown,
+        live_view(options) as hooks,
     ):
-        announce_compilation()
-        warm_up()
-        with BagWriter(folder.partial) as bag, Progress(label, config.max_time, options.realtime) as progress:
-            trace = run(config, each(bag, progress, *shown))
-        title = f"{scene.name} · {config.estimator} · {config.preset} · seed {config.seed}: {trace.outcome}"
-        return finish(folder, trace, title)
+        watch = Watch(hooks, realtime=options.realtime, say=announce)
+        return show_end(simulate(config, scene, folder, watch))

@@ -79,7 +79,7 @@ def _quantities() -> dict[str, Quantity]:
 
 
 QUANTITIES = _quantities()
-"""meaning of every key of `Trace.metrics`, in display order"""
+"""meaning of every key of `Run.metrics`, in display order"""
 
 _OTHER = Quantity("Other", "", "")
 

@@ -11,9 +11,9 @@ from sixthsense.config import Config, as_table
 from sixthsense.config.errors import InputError
 from sixthsense.config.extras import pandas
 from sixthsense.config.section import shown
-from sixthsense.evaluation.finished import FinishedRun, as_finished, distinct, load_run
 from sixthsense.evaluation.results import digits, html_table
 from sixthsense.figures.panels import figure
+from sixthsense.figures.run import Run, distinct, load
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
     from sixthsense.figures.picture import Picture
 
-Run = Trace | str | Path
+Compared = Run | Trace | str | Path
+"""a run, its record, or its folder"""
 
 _KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
 
@@ -33,7 +34,7 @@ class ComparisonError(InputError):
 class Comparison:
     """Runs side by side; `ss.compare` makes one."""
 
-    def __init__(self, runs: Sequence[FinishedRun]) -> None:
+    def __init__(self, runs: Sequence[Run]) -> None:
         """Take at least one run, in the order in which they are shown."""
         self.runs = tuple(runs)
         self.names = distinct(self.runs)
@@ -45,14 +46,14 @@ class Comparison:
         return frame
 
     def plot(self, what: str = "map") -> Picture:
-        """Their figures side by side, by the names of `Trace.plot`, which says what is raised; of 12 runs at most."""
+        """Their figures side by side, by the names of `Run.plot`, which says what is raised; of 12 runs at most."""
         return figure(what, self.runs)
 
     def __len__(self) -> int:
         return len(self.runs)
 
-    def __iter__(self) -> Iterator[Trace]:
-        return iter(run.trace for run in self.runs)
+    def __iter__(self) -> Iterator[Run]:
+        return iter(self.runs)
 
     def __repr__(self) -> str:
         rows = [["run", *_KEYS]]
@@ -70,7 +71,7 @@ class Comparison:
         return f"<div>{title}<details><summary>what they are</summary>{titles}</details>{table}</div>"
 
 
-def compare(runs: Iterable[Run] | Mapping[str, Run]) -> Comparison:
+def compare(runs: Iterable[Compared] | Mapping[str, Compared]) -> Comparison:
     """Put runs side by side, whatever their scenes: a table (`.frame()`), and figures (`.plot("error")`).
 
         ss.compare({name: ss.run("office", estimator=name) for name in ("ekf", "isam2")})
@@ -87,7 +88,7 @@ def compare(runs: Iterable[Run] | Mapping[str, Run]) -> Comparison:
         For no run at all, for what is none, and for a folder that is no run's.
 
     """
-    if isinstance(runs, (Trace, str, Path)):
+    if isinstance(runs, (Run, Trace, str, Path)):
         raise ComparisonError(f"runs: found {shown(runs)}, allowed: a list of runs or folders, or a mapping of them")
     if isinstance(runs, Mapping):
         given = [(str(name), run) for name, run in runs.items()]
@@ -96,30 +97,31 @@ def compare(runs: Iterable[Run] | Mapping[str, Run]) -> Comparison:
         given = list(zip(_names(found), found, strict=True))
     if not given:
         raise ComparisonError("runs: found none, allowed: one or more")
-    return Comparison([_finished(name, run) for name, run in given])
+    return Comparison([_renamed(name, run) for name, run in given])
 
 
-def _finished(name: str, run: Run) -> FinishedRun:
+def _renamed(name: str, run: Compared) -> Run:
+    """The run under the name that it shall have; without one under its own."""
     if isinstance(run, Trace):
-        return as_finished(run, name)
-    if not isinstance(run, (str, Path)):
+        return Run(name or run.name or "run", run)
+    if isinstance(run, (str, Path)):
+        run = load(run)
+    if not isinstance(run, Run):
         raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, or folders of runs")
-    loaded = load_run(run)
-    return FinishedRun(name or loaded.name, loaded.trace, loaded.metrics)
+    return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
 
 
-def _names(runs: Sequence[Run]) -> list[str]:
+def _names(runs: Sequence[Compared]) -> list[str]:
     """Of each run what tells it from the others; of folders nothing, since they have names."""
-    tables = []
-    for run in runs:
-        tables.append(_leaves(run.config) | {"name": run.name} if isinstance(run, Trace) else {})
-    traces = [table for table in tables if table]
+    traces = [run.trace if isinstance(run, Run) else run if isinstance(run, Trace) else None for run in runs]
+    tables = [_leaves(trace.config) | {"name": trace.name} if trace is not None else {} for trace in traces]
+    filled = [table for table in tables if table]
     # Where the name tells them apart, so does the scene's, which is the same.
-    keys = [key for key in dict.fromkeys(key for table in traces for key in table) if key != "scene"]
-    differing = [key for key in keys if len({repr(table.get(key)) for table in traces}) > 1]
+    keys = [key for key in dict.fromkeys(key for table in filled for key in table) if key != "scene"]
+    differing = [key for key in keys if len({repr(table.get(key)) for table in filled}) > 1]
     words = [" · ".join(_word(key, table.get(key)) for key in differing[:4]) if table else "" for table in tables]
     return [
-        word or (run.name or "run" if isinstance(run, Trace) else "") for word, run in zip(words, runs, strict=True)
+        word or (trace.name or "run" if trace is not None else "") for word, trace in zip(words, traces, strict=True)
     ]
 
 

@@ -9,12 +9,13 @@ from typing import Any
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.evaluation.finished import MOST_RUNS, FinishedRun, ReportError, distinct
 from sixthsense.evaluation.results import Metrics, html_table
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height, new_figure
+from sixthsense.figures.run import MOST_RUNS, ReportError, Run, distinct
+from sixthsense.record.load import Part
 from sixthsense.record.trace import Trace
 
 _WIDTH_IN = 11.0
@@ -34,6 +35,8 @@ _NEEDS = {
     "coverage": "the truth and its scene",
     "exploration": "an exploration",
 }
+_PARTS = {"nis": Part.KEY_SCANS, "stages": Part.KEY_SCANS, "exploration": Part.GRID}
+"""what of the record a figure cannot do without"""
 _CARD = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",
     "path_length_m", "sim_time_s", "wall_time_s",
@@ -44,7 +47,7 @@ class FigureError(InputError):
     """One line that names the figure, what was found and what is allowed."""
 
 
-def figure(what: str, runs: Sequence[FinishedRun]) -> Picture:
+def figure(what: str, runs: Sequence[Run]) -> Picture:
     """The figure of that name, of 1 to 12 runs.
 
     Raises FigureError for a name that is none of `KINDS` and for a figure that none of the runs can fill, ReportError
@@ -53,12 +56,15 @@ def figure(what: str, runs: Sequence[FinishedRun]) -> Picture:
     if what not in KINDS:
         raise FigureError(f"what: found {shown(what)}, allowed: {', '.join(KINDS)}")
     made = figure_if_any(what, runs)
-    if made is None:
-        raise FigureError(f"{what}: found a run without {_NEEDS[what]}, allowed: a run that has it")
-    return made
+    if made is not None:
+        return made
+    part = _PARTS.get(what)
+    if part is not None and any(part.value in run.missing for run in runs):
+        raise FigureError(f"{what}: found a folder without {part.value}, allowed: ss.replay, which makes it anew")
+    raise FigureError(f"{what}: found a run without {_NEEDS[what]}, allowed: a run that has it")
 
 
-def figure_if_any(what: str, runs: Sequence[FinishedRun]) -> Picture | None:
+def figure_if_any(what: str, runs: Sequence[Run]) -> Picture | None:
     """The same of a name in `KINDS`, None where no run can fill it."""
     if not 1 <= len(runs) <= MOST_RUNS:
         raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MOST_RUNS}")
@@ -73,7 +79,7 @@ def figure_if_any(what: str, runs: Sequence[FinishedRun]) -> Picture | None:
     return made
 
 
-def card(run: FinishedRun) -> str:
+def card(run: Run) -> str:
     """A run in HTML: what it was, a small map, and the metrics that matter most."""
     picture = base64.b64encode(map_figure(run.trace, "", 5.0, legend=False).png(dpi=70.0)).decode()
     shown_keys = Metrics({key: run.metrics[key] for key in _CARD if key in run.metrics})
@@ -85,7 +91,7 @@ def card(run: FinishedRun) -> str:
     )
 
 
-def _with_truth(runs: Sequence[FinishedRun]) -> list[int]:
+def _with_truth(runs: Sequence[Run]) -> list[int]:
     return [k for k, run in enumerate(runs) if run.trace.key_truths]
 
 
@@ -93,18 +99,19 @@ def _color(k: int) -> str:
     return CYCLE[k % len(CYCLE)]
 
 
-def _maps(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture:
+def _maps(runs: Sequence[Run], names: Sequence[str]) -> Picture:
     return _planes(runs, names, draw_map)
 
 
-def _exploration(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
-    shown = [k for k, run in enumerate(runs) if run.trace.config.task == "explore" and run.trace.plans]
+def _exploration(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+    traces = [run.trace for run in runs]
+    shown = [k for k, t in enumerate(traces) if t.config.task == "explore" and t.plans and t.grid is not None]
     if not shown:
         return None
     return _planes([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
 
 
-def _planes(runs: Sequence[FinishedRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
+def _planes(runs: Sequence[Run], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
     """One panel a run, drawn by `draw`, with one legend."""
     columns = min(len(runs), 3)
     rows = -(-len(runs) // columns)
@@ -126,7 +133,7 @@ def _planes(runs: Sequence[FinishedRun], names: Sequence[str], draw: Callable[[A
     return figure
 
 
-def _errors(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+def _errors(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     shown = _with_truth(runs)
     if not shown:
         return None
@@ -144,7 +151,7 @@ def _errors(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None
     return figure
 
 
-def _nees(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+def _nees(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     shown = _with_truth(runs)
     if not shown:
         return None
@@ -160,7 +167,7 @@ def _nees(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _nis(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+def _nis(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     shown = [k for k, run in enumerate(runs) if any(association.dof for association in run.trace.associations)]
     if not shown:
         return None
@@ -174,7 +181,7 @@ def _nis(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _stages(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+def _stages(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     shown = [k for k, run in enumerate(runs) if any(key.startswith("stage_ms_mean.") for key in run.metrics)]
     if not shown:
         return None
@@ -186,7 +193,7 @@ def _stages(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None
     return figure
 
 
-def _coverage(runs: Sequence[FinishedRun], names: Sequence[str]) -> Picture | None:
+def _coverage(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     shown = [k for k in _with_truth(runs) if runs[k].trace.scene is not None]
     if not shown:
         return None
@@ -205,7 +212,7 @@ def _legend_above(ax: Any) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2)
 
 
-_MAKERS: dict[str, Callable[[Sequence[FinishedRun], Sequence[str]], Picture | None]] = {
+_MAKERS: dict[str, Callable[[Sequence[Run], Sequence[str]], Picture | None]] = {
     "map": _maps,
     "error": _errors,
     "nees": _nees,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.figures.run import Run
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
@@ -42,8 +43,9 @@ def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
 
 
 def draw_grid(ax: Any, trace: Trace) -> None:
-    """Draw the grid: seen cells light, obstacles dark."""
-    assert trace.grid is not None
+    """Draw the grid, if the trace has one: seen cells light, obstacles dark."""
+    if trace.grid is None:
+        return
     occupancy = trace.grid.occupancy()
     known = occupancy >= 0
     if not known.any():
@@ -169,8 +171,9 @@ def map_height(ax: Any, width_in: float) -> float:
     return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LEAST_HEIGHT_IN), _MOST_HEIGHT_IN) + _FRAME_IN)
 
 
-def save_map(trace: Trace, file: Path | str, title: str | None = None) -> None:
+def save_map(run: Run | Trace, file: Path | str, title: str | None = None) -> None:
     """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made."""
+    trace = run.trace if isinstance(run, Run) else run
     save(map_figure(trace, title if title is not None else trace.outcome), file)
 
 

@@ -7,7 +7,7 @@ import itertools
 import math
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -66,8 +66,8 @@ class BagWriter:
     Raises OSError, naming the file, when it cannot be written.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Begin a bag in the run's `folder`."""
+    def __init__(self, folder: Path, before_flush: Callable[[], object] = lambda: None) -> None:
+        """Begin a bag in the run's `folder`; `before_flush` is called before each flush, for a file beside it."""
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_typestore
 
@@ -87,6 +87,7 @@ class BagWriter:
         self._pending = self._key_scans = self._plans = 0
         self._flushed = -math.inf  # the first tick is flushed at once
         self._failed = False
+        self._before_flush = before_flush
 
     def __enter__(self) -> BagWriter:
         return self
@@ -121,10 +122,11 @@ class BagWriter:
 
     def _fail(self, error: OSError) -> None:
         self._failed = True
-        error.filename = str(self._file)
+        error.filename = error.filename or str(self._file)  # a full disk names none
         raise error
 
     def _flush(self) -> None:
+        self._before_flush()
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._pending = 0
         self._flushed = time.monotonic()

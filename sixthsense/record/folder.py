@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.record.ending import write_arrays, write_grid
 from sixthsense.record.factors import factor_graph, write_graph
+from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
 
 
@@ -64,18 +66,18 @@ class RunFolder:
             for parent in self._made:
                 parent.rmdir()
 
-    def write(self, trace: Trace) -> dict[str, Any]:
-        """Write everything of a finished run but its figures; returns the metrics.
+    def write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
+        """Write everything of a run that is over, but its figures; a record that was not streamed is written whole.
 
         Raises OSError, naming a file or the folder, when it cannot be written.
         """
         try:
-            return self._write(trace)
+            self._write(trace, metrics)
         except OSError as error:
             error.filename = error.filename or str(self.partial)  # a full disk names none
             raise
 
-    def _write(self, trace: Trace) -> dict[str, Any]:
+    def _write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
         origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
         write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
         write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
@@ -83,13 +85,14 @@ class RunFolder:
             write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
         write_landmarks(self.partial, trace)
         write_graph(self.partial, factor_graph(trace))
+        write_arrays(self.partial, trace)
         if trace.grid is not None:
+            write_grid(self.partial, trace.grid)
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
         if trace.outcome.startswith("explored"):
             write_places_left(self.partial / "places_left.csv", trace)
-        values = trace.metrics
-        (self.partial / "metrics.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-        return values
+        (self.partial / "metrics.json").write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        write_end(self.partial, trace)
 
     def finish(self) -> None:
         """Give the folder its name."""

@@ -1,12 +1,8 @@
-"""The record of a run: what the loop saw, believed and did, tick by tick, and how it shows itself."""
+"""The record of a run: what the loop saw, estimated and did, tick by tick."""
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
-from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.results import Metrics
-from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
+from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Association, Record
@@ -27,18 +21,14 @@ from sixthsense.slam.slam import KeyScan, Step
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import Scene
 
-if TYPE_CHECKING:
-    from sixthsense.figures.picture import Picture
-
 NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
 
 
 @dataclass(slots=True, repr=False)
 class Trace:
-    """Everything a run leaves behind; rows are appended by the loop. `ss.run`, `ss.replay` and `load` make one.
+    """The record of a run, to which the loop appends; `Run.trace` of what `ss.run`, `ss.replay` and `ss.load` return.
 
-    Poses are (x, y, theta), world frame, metres and radians; stamps are nanoseconds. In a notebook it shows its map and
-    the metrics that matter most.
+    Poses are (x, y, theta), world frame, metres and radians; stamps are nanoseconds.
     """
 
     config: Config
@@ -114,30 +104,6 @@ class Trace:
     """what the loop works with, while it runs"""
     last_position: Array | None = None
     """(2,) of the robot at the last tick, world frame: true, or by odometry in a log"""
-    _measured: Metrics | None = field(default=None, init=False, repr=False, compare=False)
-
-    @classmethod
-    def load(cls, folder: str | Path) -> Trace:
-        """Read the folder of a run, or the `.partial` that a killed run has left, back into a Trace.
-
-        The estimates are made anew from the recorded evidence with the folder's configuration, which repeats the run
-        exactly; plans are read from the bag, the outcome from `metrics.json` ("interrupted" without one), what was left
-        unseen from `places_left.csv`. The times are those of the repetition. Raises InputError for a folder that is no
-        run's, or has recorded nothing.
-        """
-        from sixthsense.config import load_config
-        from sixthsense.loop import replay
-        from sixthsense.sources.logs.runfolder import read_run
-
-        path = Path(folder)
-        config = load_config(path / "config.toml")
-        log = read_run(path, config.laser)
-        trace = replay(log, config)
-        trace.name = path.resolve().name.removesuffix(".partial")
-        trace.plans = list(log.plans)
-        trace.outcome = _outcome(path / "metrics.json")
-        trace.left = _places_left(path / "places_left.csv")
-        return trace
 
     def add_tick(self, tick: Tick, odometry: Pose) -> None:
         """Record the way made; `odometry` is the dead-reckoned pose in the world frame."""
@@ -175,56 +141,6 @@ class Trace:
         ]
         return np.array(rows).reshape(-1, 3)
 
-    @property
-    def metrics(self) -> Metrics:
-        """Errors, consistency, coverage and timing by flat keys, with units; what cannot be measured is left out.
-
-        A dictionary that shows itself as a table; `metrics.frame()` is one of pandas. Of a run that has ended they are
-        computed once.
-        """
-        measured = self._measured or measure(self)
-        if self.outcome:
-            self._measured = measured
-        return Metrics(measured)
-
-    def plot(self, what: str = "map") -> Picture:
-        """A figure of the run: "map", "error", "nees", "nis", "stages", "coverage" or "exploration".
-
-        It is one of matplotlib's, shows itself at the end of a notebook's cell, and is written by `.savefig(file)`.
-        Raises FigureError, listing what there is, for any other name, and for a figure that this run cannot fill, as
-        errors without truth.
-        """
-        from sixthsense.evaluation.finished import as_finished
-        from sixthsense.figures.panels import figure
-
-        return figure(what, [as_finished(self)])
-
     def __repr__(self) -> str:
         of = f"{self.name or 'a run'}, {self.config.estimator}, {self.config.preset}, seed {self.config.seed}"
         return f"<Trace of {of}: {self.outcome or 'running'}, {len(self.stamps_ns)} scans>"
-
-    def _repr_html_(self) -> str:
-        from sixthsense.evaluation.finished import as_finished
-        from sixthsense.figures.panels import card
-
-        return card(as_finished(self))
-
-
-def _outcome(file: Path) -> str:
-    """Why a run ended, from its metrics; a run without them was stopped."""
-    try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["outcome"])
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return "interrupted"
-
-
-def _places_left(file: Path) -> list[UnseenPlace]:
-    """What an exploration left unseen, from its table; nothing of a run without one."""
-    try:
-        with file.open(newline="", encoding="utf-8") as rows:
-            return [
-                UnseenPlace(float(row["x"]), float(row["y"]), float(row["area_m2"]), as_reason(row["reason"]))
-                for row in csv.DictReader(rows)
-            ]
-    except (OSError, ValueError, LookupError, TypeError):
-        return []

@@ -6,15 +6,12 @@ import os
 import sys
 import time
 import warnings
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
     from sixthsense.loop import OnTick
     from sixthsense.record.trace import Trace
-
-COMPILING = "compiling the hot loops, once; this takes about half a minute ..."
 
 _FORM = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far"
 
@@ -27,15 +24,6 @@ def each(*hooks: OnTick) -> OnTick:
             hook(tick, trace)
 
     return call
-
-
-def is_compiled() -> bool:
-    """Whether the hot loops have been compiled before, so that a run begins at once."""
-    import numba
-
-    cache: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
-    folder = Path(cache) if cache else Path(__file__).parents[1]
-    return any(folder.rglob("*.nbi"))
 
 
 def in_notebook() -> bool:

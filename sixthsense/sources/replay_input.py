@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, load_config, preset
 from sixthsense.sources.logs import LogError, is_bag, is_graph, is_mrclam, is_run_folder
+from sixthsense.sources.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log
@@ -36,6 +37,16 @@ class Recorded:
     """inputs by role: `log`, and if given `relations`, `topic` and `robot`"""
     notes: tuple[str, ...]
     """one-line remarks on the log for the user"""
+
+
+def recorded_scene(log: Log, config: Config) -> Scene | None:
+    """The scene of a recorded simulated run; None for a log without truth, and where the scene's file is gone."""
+    if log.ticks[0].truth is None or not log.scans:
+        return None
+    try:
+        return load_scene(config.scene)
+    except SceneError:
+        return None  # the record outlives the file
 
 
 def base_of(log: str | Path | None) -> str | Config:

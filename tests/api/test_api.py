@@ -24,9 +24,9 @@ def test_a_run_is_a_function_whoever_imported_the_loop_first():
 
 
 def test_five_lines_are_enough(tmp_path):
-    trace = ss.run(ss.preset("worn", scene="rectangle", task="tour", max_time=20.0, seed=3))
-    assert trace.outcome == "tour ended" and trace.metrics["ate_rmse_m"] < 0.05
-    ss.save_map(trace, tmp_path / "map.png")
+    run = ss.run(ss.preset("worn", scene="rectangle", task="tour", max_time=20.0, seed=3))
+    assert run.outcome == "tour ended" and run.metrics["ate_rmse_m"] < 0.05
+    ss.save_map(run, tmp_path / "map.png")
     assert (tmp_path / "map.png").is_file()
 
 

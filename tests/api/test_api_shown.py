@@ -18,12 +18,12 @@ from sixthsense.loop import run as simulated
 
 
 @pytest.fixture
-def run(explored) -> ss.Trace:
-    return explored
+def run(explored) -> ss.Run:
+    return ss.Run("rectangle", explored)
 
 
 @pytest.fixture(scope="module")
-def other() -> ss.Trace:
+def other() -> ss.Run:
     return ss.run("rectangle", seed=1, estimator="isam2", task="tour", max_time=10.0)
 
 
@@ -67,7 +67,7 @@ def test_metrics_are_a_dictionary_that_json_and_pickle_take(run):
 
 def test_metrics_are_measured_once_and_handed_out_as_copies(run, monkeypatch):
     before = run.metrics
-    monkeypatch.setattr("sixthsense.record.trace.measure", None)
+    monkeypatch.setattr("sixthsense.figures.run.measure", None)
     run.metrics["outcome"] = "changed"
     assert run.metrics == before
 
@@ -81,11 +81,11 @@ def test_metrics_of_a_run_that_goes_on_are_those_of_now():
 
     def look(tick, trace):
         if len(traces) < 40:
-            traces.append(trace.metrics["path_length_m"])
+            traces.append(ss.Run("so far", trace).metrics["path_length_m"])
 
     run = simulated(ss.preset(scene="rectangle", task="tour", max_time=2.0), look)
     assert traces == seen[:40]
-    assert run.metrics["path_length_m"] == seen[-1]
+    assert ss.Run("all", run).metrics["path_length_m"] == seen[-1]
 
 
 def test_metrics_are_printed_in_groups_with_units(run):
@@ -126,7 +126,7 @@ def test_a_run_draws_each_kind_of_figure_and_two_side_by_side(run, other, what):
 
 
 def test_a_figure_that_there_is_not_is_refused_in_one_line(run):
-    blind = dataclasses.replace(run, scene=None, truths=[], key_truths=[])
+    blind = ss.Run("blind", dataclasses.replace(run.trace, scene=None, truths=[], key_truths=[]))
     with pytest.raises(ss.InputError, match="what: found 'maps', allowed: map, error, nees, nis, stages, coverage"):
         run.plot("maps")
     with pytest.raises(ss.InputError, match="nees: found a run without the truth at key scans, allowed: a run that"):
@@ -144,11 +144,11 @@ def test_a_run_is_shown_as_a_card_with_its_map_and_what_matters_most(run):
     assert "rectangle: ekf · default · seed 1 · explored" in words
     assert {"ate_rmse_m", f"{run.metrics['ate_rmse_m']:.4g} m"} <= set(words)
     assert 'src="data:image/png;base64,' in page
-    assert repr(run) == f"<Trace of rectangle, ekf, default, seed 1: explored, {len(run.stamps_ns)} scans>"
+    assert repr(run) == f"<Run of rectangle, ekf, default, seed 1: explored, {len(run.trace.stamps_ns)} scans>"
 
 
 def test_what_a_card_says_is_escaped(run):
-    named = dataclasses.replace(run, name="<script>")
+    named = ss.Run("<script>", run.trace)
     assert "<script>" not in named._repr_html_() and "&lt;script&gt;" in named._repr_html_()
 
 
@@ -157,7 +157,7 @@ def test_runs_are_compared_under_what_tells_them_apart(run, other):
     assert both.names == ["ekf · explore · max_time 1800.0", "isam2 · tour · max_time 10.0"]
     assert ss.compare([run, run]).names == ["rectangle (1)", "rectangle (2)"]
     assert ss.compare({"one": run, "two": other}).names == ["one", "two"]
-    assert list(both) == [run, other] and len(both) == 2
+    assert [one.trace for one in both] == [run.trace, other.trace] and len(both) == 2
 
 
 def test_a_comparison_is_a_table_for_people_and_a_frame_for_pandas(run, other):

@@ -20,7 +20,7 @@ from sixthsense import cli
 from sixthsense.campaign import Campaign, CampaignError, Rows, cluster, folder, worker
 from sixthsense.campaign.plan import config_hash, plan, ranges, seed_range, shared_fields
 from sixthsense.campaign.summary import mean_band, mean_interval, summary
-from sixthsense.loop import warm_up
+from sixthsense.running.warmup import warm_up
 
 SHORT = ("--task", "tour", "--max-time", "4")
 FIELDS = {"task": "tour", "max_time": 4.0}

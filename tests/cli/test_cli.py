@@ -12,7 +12,7 @@ from sixthsense import cli
 from sixthsense.cli.common import parse_command
 from sixthsense.cli.run import Run
 from sixthsense.config import Config, load_config, preset
-from sixthsense.loop import warm_up
+from sixthsense.running.warmup import warm_up
 
 # A room of 4 x 4 m with a closet of 1 x 1 m that has no door.
 CLOSET = """\

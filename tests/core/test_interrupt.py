@@ -8,6 +8,7 @@ import pytest
 from sixthsense.config import preset
 from sixthsense.core import interrupt
 from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 
 
@@ -23,7 +24,7 @@ def test_an_interrupted_run_ends_in_order_with_its_results():
 
     trace = run(preset(task="tour", max_time=100.0), press)
     assert trace.outcome == "interrupted" and len(trace.stamps_ns) == 20
-    assert trace.metrics["ate_rmse_m"] < 0.05 and len(trace.trajectory) == len(trace.key_stamps_ns)
+    assert measure(trace)["ate_rmse_m"] < 0.05 and len(trace.trajectory) == len(trace.key_stamps_ns)
 
 
 def test_the_previous_handler_is_restored_and_a_second_press_is_not_deferred():

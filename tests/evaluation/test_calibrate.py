@@ -12,9 +12,11 @@ from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import point_segment_distance, wrap_angle
 from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import PERIOD_S, Calibration, calibrate, check_output, drive_samples
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.noise import CalibrationError, LandmarkErrors
 from sixthsense.figures.calibration import save_calibration, write_calibration
-from sixthsense.loop import run, warm_up
+from sixthsense.loop import run
+from sixthsense.running.warmup import warm_up
 from sixthsense.sources.scene import load_scene
 
 # Fewer ticks a second than usual, for speed.
@@ -138,8 +140,8 @@ def test_errors_beyond_the_range_noise_go_into_the_landmark_floor() -> None:
 def test_a_calibrated_robot_is_consistent(found) -> None:
     for seed, one in enumerate(found["laser"]):
         config = dataclasses.replace(WORLDS["laser"], task="tour", max_time=40.0, seed=seed)
-        before = run(config).metrics["pose_nees_world_mean"]
-        after = run(dataclasses.replace(config, assumed=one.assumed)).metrics["pose_nees_world_mean"]
+        before = measure(run(config))["pose_nees_world_mean"]
+        after = measure(run(dataclasses.replace(config, assumed=one.assumed)))["pose_nees_world_mean"]
         assert after < 0.5 * before
         assert after < 8.0
 

@@ -9,6 +9,7 @@ from PIL import Image
 from sixthsense.cli import main
 from sixthsense.figures.animation import AnimationError, animate
 from sixthsense.figures.animation import _CellImage as CellImage
+from sixthsense.figures.run import load
 from sixthsense.record.trace import Trace
 
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
@@ -23,7 +24,7 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def ended(folder) -> Trace:
-    return Trace.load(folder)
+    return load(folder).trace
 
 
 def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, ended, tmp_path):

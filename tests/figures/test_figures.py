@@ -12,6 +12,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import LaserConfig, Scan, beam_bearings, cast_rays
 from sixthsense.evaluation.coverage import coverage, coverage_over_time, visible_area
+from sixthsense.evaluation.measure import measure
 from sixthsense.record.trace import Trace
 from sixthsense.slam.features import Features, extract
 
@@ -62,7 +63,7 @@ def test_a_heading_error_is_wrapped_at_pi(ax, trace):
 @pytest.mark.parametrize("frame", ["world", "invariant"])
 def test_the_nees_drawn_has_the_mean_of_the_metrics(ax, trace, frame):
     figures.draw_nees(ax, trace, frame)
-    mean = trace.metrics[f"pose_nees_{frame}_mean"]
+    mean = measure(trace)[f"pose_nees_{frame}_mean"]
     assert line(ax, "mean").get_ydata().mean() == pytest.approx(mean)
     assert ax.get_ylabel() == f"pose NEES, {frame} [1]"
 
@@ -81,7 +82,7 @@ def test_the_seen_area_ends_at_the_coverage_of_the_metrics_and_never_shrinks(ax,
     figures.draw_coverage(ax, trace)
     (drawn,) = (np.asarray(one.get_ydata()) for one in ax.get_lines())
     assert (np.diff(drawn) >= 0.0).all()
-    assert drawn[-1] == pytest.approx(100.0 * trace.metrics["coverage"])
+    assert drawn[-1] == pytest.approx(100.0 * measure(trace)["coverage"])
 
 
 @pytest.mark.parametrize("upto", [1, 2, 7, 20])

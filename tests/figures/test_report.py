@@ -8,15 +8,16 @@ import pytest
 from PIL import Image
 
 from sixthsense.cli import main
-from sixthsense.figures.report import FinishedRun, ReportError, check_folders, compact, load_run, report, table
+from sixthsense.figures.report import compact, report, table
+from sixthsense.figures.run import ReportError, Run, check_folders, load
 
 PAGE = "report.html"
 KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
 
 
 @pytest.fixture
-def finished(explored) -> FinishedRun:
-    return FinishedRun("rectangle-1", explored, explored.metrics)
+def finished(explored) -> Run:
+    return Run("rectangle-1", explored)
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +27,9 @@ def folder(tmp_path_factory) -> Path:
     return out
 
 
-def without_truth(run: FinishedRun) -> FinishedRun:
+def without_truth(run: Run) -> Run:
     trace = dataclasses.replace(run.trace, scene=None, truths=[], key_truths=[])
-    return FinishedRun("log", trace, trace.metrics)
+    return Run("log", trace)
 
 
 def test_one_run_has_a_figure_of_each_kind(finished, tmp_path):
@@ -81,7 +82,7 @@ def test_too_few_or_too_many_runs_are_refused(finished, tmp_path, count):
 
 
 def test_a_folder_is_read_with_the_metrics_of_its_run(folder):
-    loaded = load_run(folder)
+    loaded = load(folder)
     assert loaded.metrics == json.loads((folder / "metrics.json").read_text())
     assert loaded.name == "one"
     assert "rectangle" in loaded.title
@@ -95,7 +96,7 @@ def test_a_killed_run_is_reported_without_times(folder, tmp_path):
     (killed / "bag").mkdir()
     bag = (folder / "bag" / "bag_0.mcap").read_bytes()
     (killed / "bag" / "bag_0.mcap").write_bytes(bag)
-    loaded = load_run(killed)
+    loaded = load(killed)
     assert loaded.name == "two"
     assert loaded.metrics["outcome"] == "interrupted"
     assert not any("_ms" in key or key == "wall_time_s" for key in loaded.metrics)

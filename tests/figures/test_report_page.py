@@ -9,8 +9,9 @@ import pytest
 from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
-from sixthsense.figures.report import FinishedRun, load_run, report
+from sixthsense.figures.report import report
 from sixthsense.figures.report_page import page
+from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 
 VOID = {"meta", "img", "br", "link", "input", "hr"}
@@ -59,9 +60,9 @@ def text(folder) -> str:
     return (folder / "figures" / "report.html").read_text(encoding="utf-8")
 
 
-def shown(name: str = "a", metrics=None, folder: Path | None = None, **fields) -> FinishedRun:
+def shown(name: str = "a", metrics=None, folder: Path | None = None, **fields) -> Run:
     trace = Trace(preset(**fields), None, 0.2, outcome="explored")
-    return FinishedRun(name, trace, Metrics(metrics or {"ate_rmse_m": 1.0}), folder)
+    return Run(name, trace, Metrics(metrics or {"ate_rmse_m": 1.0}), folder)
 
 
 def noted(folder: Path, notes: str) -> Path:
@@ -88,7 +89,7 @@ def test_the_page_contains_each_figure(folder, text):
 
 def test_the_page_has_every_metric_the_configuration_the_versions_and_the_command_that_repeats_the_run(folder, text):
     said = Page(text).text
-    for key in load_run(folder).metrics:
+    for key in load(folder).metrics:
         assert key in said
     assert f"sixthsense run --config {folder}/config.toml" in said
     assert "estimatorekf-fejekf" in said  # what differs, here, by default
@@ -149,7 +150,7 @@ def test_the_page_of_a_killed_run_says_so(folder, tmp_path, capsys):
 
 @pytest.mark.parametrize("form", ["svg", "pdf"])
 def test_vector_figures_are_the_same_each_time(folder, tmp_path, form):
-    run = load_run(folder)
+    run = load(folder)
     first = {file.name: file.read_bytes() for file in report([run], tmp_path / "a", form)}
     again = {file.name: file.read_bytes() for file in report([run], tmp_path / "b", form)}
     vectors = {name for name in first if name.endswith(form)}
@@ -160,8 +161,8 @@ def test_vector_figures_are_the_same_each_time(folder, tmp_path, form):
 
 
 def test_a_run_without_a_folder_has_a_page(tmp_path, folder):
-    run = load_run(folder)
-    report([FinishedRun("here", run.trace, run.metrics)], tmp_path)
+    run = load(folder)
+    report([Run("here", run.trace, run.metrics)], tmp_path)
     assert "--config" not in Page((tmp_path / "report.html").read_text(encoding="utf-8")).text
 
 

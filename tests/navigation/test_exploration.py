@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sixthsense import cli, preset, run
+from sixthsense import Run, cli, load, preset, run
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.exploration import Exploration
 from sixthsense.navigation.exploration_states import TRANSITIONS, Event, State
-from sixthsense.record.trace import Trace
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> str:
@@ -71,7 +70,7 @@ SEEN_WHOLE = {
 }
 
 
-def explored(folder: Path, scene: str, **changes: Any) -> Trace:
+def explored(folder: Path, scene: str, **changes: Any) -> Run:
     file = folder / "scene.toml"
     file.write_text(scene)
     given = {"estimator": "ekf-invariant", "features": {"landmarks": "both"}, "max_time": 400.0} | changes
@@ -120,51 +119,51 @@ def test_all_visible_area_is_seen_and_the_robot_returns_home(name: str, tmp_path
 
 def test_an_enclosed_robot_sees_its_enclosure_and_is_done(tmp_path: Path) -> None:
     scene = "start = [0.0, 0.0, 0.0]\nradius = 0.2\nregion = [-5, -5, 5, 5]\n" + box(-0.3, -0.3, 0.3, 0.3)
-    trace = explored(tmp_path, scene)
-    assert trace.outcome == "explored"
-    assert trace.metrics["sim_time_s"] < 60.0
+    made = explored(tmp_path, scene)
+    assert made.outcome == "explored"
+    assert made.metrics["sim_time_s"] < 60.0
 
 
 def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tmp_path: Path) -> None:
-    trace = explored(tmp_path, two_rooms(0.48))
-    assert trace.outcome == "explored in part"
-    assert trace.left[0].reason == "cut off by inflation only"
-    assert trace.left[0].x > 4.0 - 0.3
+    made = explored(tmp_path, two_rooms(0.48))
+    assert made.outcome == "explored in part"
+    assert made.trace.left[0].reason == "cut off by inflation only"
+    assert made.trace.left[0].x > 4.0 - 0.3
 
 
 def test_a_door_that_noise_has_closed_is_approached_for_another_view(tmp_path: Path, visited: Visited) -> None:
-    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
-    assert trace.outcome == "explored"
-    assert trace.metrics["coverage"] >= 0.995
+    made = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", explore={"method": "random", "return_home": False})
+    assert made.outcome == "explored"
+    assert made.metrics["coverage"] >= 0.995
     assert visited.occluded_targets > 0
 
 
 def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path: Path) -> None:
-    trace = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
-    assert trace.outcome == "explored"
-    assert trace.metrics["home_error_m"] <= 0.2
+    made = explored(tmp_path, SIX_ROOMS, seed=3, estimator="ekf", laser={"beams": 30})
+    assert made.outcome == "explored"
+    assert made.metrics["home_error_m"] <= 0.2
 
 
 def test_when_the_path_home_stays_closed_the_robot_retraces_its_own_path(tmp_path: Path, visited: Visited) -> None:
     rooms = "start = [0.5, 0.5, 0.0]\nradius = 0.1\nwalls = [[1.0, 0.0, 1.0, 0.35], [1.0, 0.7, 1.0, 1.5],"
     rooms += "[2.0, 0.0, 2.0, 0.9], [2.0, 1.2, 2.0, 1.5]]\n"
-    trace = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5))
-    assert np.array(trace.truths)[:, 0].max() > 1.2
+    made = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5))
+    assert np.array(made.trace.truths)[:, 0].max() > 1.2
     assert visited.retraced
-    assert trace.outcome == "explored in part" and trace.left[0].reason == "cut off by inflation only"
-    assert trace.metrics["home_error_m"] <= 0.2 and trace.metrics["collisions"] == 0
+    assert made.outcome == "explored in part" and made.trace.left[0].reason == "cut off by inflation only"
+    assert made.metrics["home_error_m"] <= 0.2 and made.metrics["collisions"] == 0
 
 
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
-    trace = explored(tmp_path, two_rooms(0.3))
-    assert trace.outcome == "explored in part"
-    assert trace.left[0].reason == "unreachable"
-    assert trace.left[0].x > 4.0
+    made = explored(tmp_path, two_rooms(0.3))
+    assert made.outcome == "explored in part"
+    assert made.trace.left[0].reason == "unreachable"
+    assert made.trace.left[0].x > 4.0
 
 
 def test_a_scene_that_is_not_closed_is_explored_within_the_region_and_its_margin(tmp_path: Path) -> None:
-    trace = explored(tmp_path, OPEN, explore={"margin_m": 0.5})
-    positions = np.array(trace.truths)[:, :2]
+    made = explored(tmp_path, OPEN, explore={"margin_m": 0.5})
+    positions = np.array(made.trace.truths)[:, :2]
     assert (positions > [-3.5, -2.5]).all() and (positions < [3.5, 3.0]).all()
 
 
@@ -172,35 +171,35 @@ def test_only_the_region_asked_for_is_explored(tmp_path: Path) -> None:
     whole = explored(tmp_path, two_rooms(1.0))
     part = explored(tmp_path, two_rooms(1.0), region=(0.0, 0.0, 3.5, 3.0))
     assert part.outcome == whole.outcome == "explored"
-    assert part.path_length_m < 0.6 * whole.path_length_m
-    assert np.array(part.truths)[:, 0].max() < 4.5
+    assert part.trace.path_length_m < 0.6 * whole.trace.path_length_m
+    assert np.array(part.trace.truths)[:, 0].max() < 4.5
 
 
 def test_the_part_of_a_region_that_is_visible_only_from_outside_is_seen(tmp_path: Path) -> None:
     # Two rooms side by side whose doors lead to a corridor behind; the region holds the near half of both.
     rooms = "start = [1.0, 1.0, 0.0]\nradius = 0.2\nregion = [0.0, 0.0, 6.0, 1.7]\n"
     rooms += "walls = [[3.0, 0.0, 3.0, 3.5], [0.0, 3.5, 1.0, 3.5], [2.0, 3.5, 4.0, 3.5], [5.0, 3.5, 6.0, 3.5]]\n"
-    trace = explored(tmp_path, rooms + box(0.0, 0.0, 6.0, 5.0))
-    assert trace.outcome == "explored" and trace.metrics["coverage"] > 0.995
-    assert np.array(trace.truths)[:, 1].max() > 3.5
+    made = explored(tmp_path, rooms + box(0.0, 0.0, 6.0, 5.0))
+    assert made.outcome == "explored" and made.metrics["coverage"] > 0.995
+    assert np.array(made.trace.truths)[:, 1].max() > 3.5
 
 
 def test_the_random_method_explores_the_whole_scene(tmp_path: Path) -> None:
-    trace = explored(tmp_path, L_SHAPE, explore={"method": "random"})
-    assert trace.outcome == "explored"
-    assert trace.metrics["coverage"] >= 0.995
+    made = explored(tmp_path, L_SHAPE, explore={"method": "random"})
+    assert made.outcome == "explored"
+    assert made.metrics["coverage"] >= 0.995
 
 
 def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
-    truths = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).truths) for _ in range(2)]
+    truths = [np.array(explored(tmp_path, PILLARS, explore={"method": "random"}).trace.truths) for _ in range(2)]
     np.testing.assert_array_equal(*truths)
 
 
 def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> None:
-    trace = explored(tmp_path, L_SHAPE, explore={"return_home": False})
-    assert trace.outcome == "explored"
-    assert "home_error_m" not in trace.metrics
-    assert math.dist(trace.truths[-1][:2], trace.truths[0][:2]) > 0.5
+    made = explored(tmp_path, L_SHAPE, explore={"return_home": False})
+    assert made.outcome == "explored"
+    assert "home_error_m" not in made.metrics
+    assert math.dist(made.trace.truths[-1][:2], made.trace.truths[0][:2]) > 0.5
 
 
 def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path) -> None:
@@ -229,7 +228,7 @@ def test_the_command_explores_by_default_and_records_unseen_places(
         rows = list(csv.DictReader(file))
     assert len(rows) == metrics["places_left"] >= 1
     assert rows[0]["reason"] == "unreachable"
-    again = Trace.load("run")
+    again = load("run").trace
     assert [place.reason for place in again.left] == [row["reason"] for row in rows]
 
 

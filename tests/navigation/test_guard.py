@@ -11,6 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import GoalNavigator
@@ -214,4 +215,4 @@ NOISY = [
 @pytest.mark.parametrize(("name", "changes"), NOISY)
 def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
     config = merge(dataclasses.replace(preset(name), seed=seed, max_time=60.0), changes)
-    assert driven(config, SuddenWall).metrics["collisions"] == 0
+    assert measure(driven(config, SuddenWall))["collisions"] == 0

@@ -9,9 +9,11 @@ import pytest
 from sixthsense import cli
 from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
-from sixthsense.loop import run, warm_up
+from sixthsense.figures.run import load
+from sixthsense.loop import replay, run
 from sixthsense.record import bag, folder
-from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
+from sixthsense.sources.logs.runfolder import read_run
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
@@ -39,7 +41,7 @@ def kills(tmp_path_factory):
 
 
 def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kills):
-    traces = [Trace.load(kill.partial) for kill in kills]
+    traces = [load(kill.partial).trace for kill in kills]
     longest = max(trace.stamps_ns[-1] for trace in traces)
     whole = run(preset(task="tour", max_time=max(1e-9 * longest, 0.1)))  # on a busy machine one tick may be all
     for kill, trace in zip(kills, traces, strict=True):
@@ -49,6 +51,9 @@ def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kills):
         assert trace.outcome == "interrupted"
         assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
         assert np.array_equal(np.array(trace.truths), np.array(whole.truths[:count]))
+        again = replay(read_run(kill.partial, trace.config.laser), trace.config)
+        assert again.stamps_ns[-1] + 100_000_000 > kill.flushed_ns
+        assert np.array_equal(np.array(again.estimates), np.array(whole.estimates[: len(again.estimates)]))
 
 
 def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path, capsys):
@@ -57,7 +62,7 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
     out, err = capsys.readouterr()
     assert "ate_rmse_m" in out
     assert "the recording is incomplete" in err and err.count("\n") == 1
-    save_map(Trace.load(partial), tmp_path / "map.png", "a killed run")
+    save_map(load(partial), tmp_path / "map.png", "a killed run")
     assert (tmp_path / "map.png").is_file()
 
 
@@ -83,9 +88,9 @@ def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, t
     (file.parent / "metadata.yaml").unlink()
     if share == 0.0:
         with pytest.raises(ValueError, match=r"bag_0.mcap: is no MCAP file"):
-            Trace.load(whole_folder.partial)
+            read_run(whole_folder.partial, config.laser)
         return
-    trace = Trace.load(whole_folder.partial)
+    trace = replay(read_run(whole_folder.partial, config.laser), config)
     count = len(trace.estimates)
     assert 1 <= count <= len(whole.estimates)
     assert np.array_equal(np.array(trace.estimates), np.array(whole.estimates[:count]))
@@ -105,7 +110,7 @@ def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, capsys, m
     monkeypatch.setattr(folder, "write_landmarks", full)
     said = complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
     assert "x.partial: No space left on device" in said
-    assert len(Trace.load(tmp_path / "x.partial").estimates) > 20
+    assert len(load(tmp_path / "x.partial").trace.estimates) > 20
 
 
 def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
@@ -116,6 +121,6 @@ def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
 def test_a_folder_without_a_bag_is_named(tmp_path):
     kept = folder.RunFolder(tmp_path / "run", preset())
     with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: the folder of a run"):
-        Trace.load(kept.partial)
-    with pytest.raises(ValueError, match=r"config.toml: cannot be read"):
-        Trace.load(tmp_path)
+        load(kept.partial)
+    with pytest.raises(ValueError, match=r"found no config.toml in it, allowed: the folder of a run"):
+        load(tmp_path)

@@ -10,6 +10,7 @@ import pytest
 
 from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import Array, point_segment_distance, wrap_angle
+from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
 from sixthsense.loop import run
 from sixthsense.record.folder import FolderError, RunFolder, write_map, write_tum
@@ -19,8 +20,9 @@ from sixthsense.sources.ros_map import read_map
 CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
 FILES = [
-    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz",
-    "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "smoothed.tum", "truth.tum",
+    "config.toml", "estimate.tum", "figures", "figures/map.png", "graph.g2o", "graph.npz", "grid.npz",
+    "landmarks.csv", "landmarks.npz", "map.pgm", "map.yaml", "metrics.json", "record.jsonl", "record.npz",
+    "smoothed.tum", "truth.tum",
 ]  # fmt: skip
 KEYS = {
     "outcome", "collisions", "coverage", "ate_rmse_m", "ate_max_m", "dead_reckoning_ate_rmse_m", "heading_rmse_rad",
@@ -42,7 +44,7 @@ def trace() -> Trace:
 def out(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A finished run's folder."""
     folder = RunFolder(tmp_path_factory.mktemp("runs") / "some", CONFIG)
-    folder.write(trace)
+    folder.write(trace, measure(trace))
     save_map(trace, folder.partial / "figures" / "map.png", "a title")
     folder.finish()
     yield folder.out
@@ -187,7 +189,7 @@ def test_a_failure_leaves_the_old_folder_whole(tmp_path: Path, trace: Trace) -> 
     folder = RunFolder(tmp_path / "run", Config(seed=2), overwrite=True)
     broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
     with pytest.raises(ValueError):
-        folder.write(broken)
+        folder.write(broken, {})
     assert entries(tmp_path / "run") == ["config.toml"]
     assert load_config(tmp_path / "run" / "config.toml").seed == 1
 

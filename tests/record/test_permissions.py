@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sixthsense import cli
-from sixthsense.loop import warm_up
+from sixthsense.running.warmup import warm_up
 
 NOBODY = 65534
 ROOM = "start = [1, 1, 0]\nradius = 0.2\nwalls = [[0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 0, 2], [0, 2, 0, 0]]\n"
@@ -107,7 +107,11 @@ def test_output_into_a_read_only_folder_ends_in_one_line_and_leaves_nothing(comm
         ("replay good", "good/config.toml"),
         ("replay good", "good/bag/bag_0.mcap"),
         ("report good", "good/config.toml"),
-        ("report good", "good/bag/bag_0.mcap"),
+        ("report good", "good/record.jsonl"),
+        ("report good", "good/record.npz"),
+        ("report good", "good/landmarks.npz"),
+        ("report good", "good/grid.npz"),
+        ("report good", "good/metrics.json"),
         ("run inside/s.toml", "inside"),
         (f"replay inside/x.log {LASER}", "inside"),
         ("replay good", "good"),

@@ -25,13 +25,15 @@ def folder(tmp_path_factory):
 
 
 def same(one, two):
-    return np.array_equal(one.estimates, two.estimates) and np.array_equal(one.joint_cov, two.joint_cov)
+    return np.array_equal(one.trace.estimates, two.trace.estimates) and np.array_equal(
+        one.trace.joint_cov, two.trace.joint_cov
+    )
 
 
 def test_fields_are_given_by_name_and_sections_as_mappings():
     run = ss.run("rectangle", preset="worn", estimator="ekf-fej", seed=3, features={"landmarks": "corners"}, **SHORT)
     assert run.outcome == "tour ended"
-    config = run.config
+    config = run.trace.config
     assert (config.preset, config.estimator, config.seed, config.scene) == ("worn", "ekf-fej", 3, "rectangle")
     assert config.features.landmarks == "corners"
     assert config.world.wheel_scale_error == 0.02
@@ -44,12 +46,12 @@ def test_a_whole_configuration_is_run_as_it_is_or_with_fields_over_it():
     plain = ss.run(config, lambda tick, trace: ticks.append(tick))
     assert same(plain, ss.run("rectangle", **SHORT))
     assert len(ticks) > 100
-    assert ss.run(config, seed=5).config.seed == 5
+    assert ss.run(config, seed=5).trace.config.seed == 5
 
 
 def test_a_goal_is_a_goal_tasks():
     run = ss.run("rectangle", goal=(1.0, 0.5), max_time=1.0)
-    assert run.config.task == "goal"
+    assert run.trace.config.task == "goal"
 
 
 @pytest.mark.parametrize(
@@ -80,7 +82,7 @@ def test_what_will_not_do_is_told_in_one_line(call, complaint):
 def test_a_runs_folder_is_what_the_command_writes_and_loads_as_the_run_it_was(folder):
     out, run = folder
     assert {"config.toml", "bag", "metrics.json", "estimate.tum", "figures"} <= {entry.name for entry in out.iterdir()}
-    loaded = ss.Trace.load(out)
+    loaded = ss.load(out)
     assert same(loaded, run)
     assert loaded.name == "one"
     assert loaded.plot("error").png()[:4] == b"\x89PNG"
@@ -98,9 +100,9 @@ def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(fold
     out, run = folder
     assert same(ss.replay(out), run)
     other = ss.replay(str(out), estimator="ekf-invariant")
-    assert other.config.estimator == "ekf-invariant"
-    assert other.config.seed == 2
-    assert other.odometry[-1] == pytest.approx(run.odometry[-1])
+    assert other.trace.config.estimator == "ekf-invariant"
+    assert other.trace.config.seed == 2
+    assert other.trace.odometry[-1] == pytest.approx(run.trace.odometry[-1])
 
 
 def test_the_preset_follows_the_kind_of_log(tmp_path):
@@ -109,13 +111,13 @@ def test_the_preset_follows_the_kind_of_log(tmp_path):
     log.write_text("".join(line.format(x=0.1 * k, stamp=float(k)) for k in range(5)))
     laser = {"beams": 4, "fov": 1.5}
     run = ss.replay(log, laser=laser)
-    assert run.config.preset == "intel"
+    assert run.trace.config.preset == "intel"
     assert run.outcome == "log ended"
     assert run.name == "some.log"
-    assert ss.replay(log, preset="worn", laser=laser).config.preset == "worn"
-    assert ss.replay(log, ss.preset(laser=laser)).config.preset == "default"
-    opened = ss.open_log(log, run.config.laser)
-    assert len(ss.replay(opened, run.config).stamps_ns) == 5
+    assert ss.replay(log, preset="worn", laser=laser).trace.config.preset == "worn"
+    assert ss.replay(log, ss.preset(laser=laser)).trace.config.preset == "default"
+    opened = ss.open_log(log, run.trace.config.laser)
+    assert len(ss.replay(opened, run.trace.config).trace.stamps_ns) == 5
     with pytest.raises(ss.ConfigError, match="config: found none beside a log that is open"):
         ss.replay(opened)
 
@@ -129,7 +131,7 @@ def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tm
 
     run = ss.run("rectangle", press, task="tour", max_time=100.0, out=tmp_path / "cut")
     assert run.outcome == "interrupted"
-    assert len(run.stamps_ns) == 20
+    assert len(run.trace.stamps_ns) == 20
     assert run.plot().png()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["outcome"] == "interrupted"
 
@@ -146,11 +148,11 @@ def straight(rng):
 
 def test_an_estimator_and_a_planner_of_ones_own_are_used_by_their_names(tmp_path):
     own = ss.run("rectangle", estimator=Renamed, planner=straight, out=tmp_path / "own", **SHORT)
-    assert (own.config.estimator, own.config.planner) == ("Renamed", "straight")
+    assert (own.trace.config.estimator, own.trace.config.planner) == ("Renamed", "straight")
     assert same(own, ss.run("rectangle", **SHORT))
-    assert same(ss.Trace.load(tmp_path / "own"), own)
+    assert same(ss.load(tmp_path / "own"), own)
     ss.register_estimator("mine", Renamed)
-    assert ss.run("rectangle", estimator="mine", max_time=1.0, task="tour").config.estimator == "mine"
+    assert ss.run("rectangle", estimator="mine", max_time=1.0, task="tour").trace.config.estimator == "mine"
     for name in ("ekf", "", "two words", "x" * 99):
         with pytest.raises(ValueError, match="name: found"):
             ss.register_estimator(name, Renamed)

@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam.key_scans import KeyScans
@@ -56,7 +57,7 @@ def test_another_seed_gives_another_run() -> None:
 @pytest.mark.parametrize("scene", ["rectangle", "block"])
 def test_without_noise_the_estimate_is_the_truth(scene: str) -> None:
     trace = run(preset("noiseless", scene=scene, task="goal", features={"landmarks": "corners"}))
-    values = trace.metrics
+    values = measure(trace)
     assert values["outcome"] == "goal reached"
     assert values["ate_rmse_m"] < 0.02
     assert values["dead_reckoning_ate_rmse_m"] < 1e-9
@@ -66,7 +67,7 @@ def test_without_noise_the_estimate_is_the_truth(scene: str) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_on_worn_wheels_the_estimate_beats_dead_reckoning(seed: int) -> None:
     trace = run(dataclasses.replace(preset("worn"), scene="apartment", seed=seed, task="tour", max_time=60.0))
-    values = trace.metrics
+    values = measure(trace)
     assert values["collisions"] == 0
     assert values["ate_rmse_m"] < 0.3 * values["dead_reckoning_ate_rmse_m"]
 
@@ -94,7 +95,7 @@ def test_a_collision_ends_the_run_with_that_outcome() -> None:
     config = merge(SHORT, {"laser": {"max_range": 0.05}, "world": {"drift_rad_per_m": 1.0}})
     trace = run(config)
     assert trace.outcome == "collided"
-    assert trace.metrics["collisions"] == 1
+    assert measure(trace)["collisions"] == 1
 
 
 def test_a_robot_that_grazes_no_wall_does_not_collide() -> None:
@@ -230,4 +231,4 @@ def test_a_mission_is_the_configurations_or_else_the_scenes() -> None:
 
 def test_scans_of_a_narrow_laser_drive_the_same_loop() -> None:
     config = dataclasses.replace(SHORT, laser=LaserConfig(beams=180, fov=math.pi, mount=(0.05, 0.0, 0.0)))
-    assert run(config).metrics["ate_rmse_m"] < 0.1
+    assert measure(run(config))["ate_rmse_m"] < 0.1

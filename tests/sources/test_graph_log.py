@@ -12,6 +12,7 @@ import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay
 from sixthsense.sources.logs import LogError, open_log
 from sixthsense.sources.logs.graph import read_graph
@@ -227,7 +228,7 @@ def test_victoria_park_has_its_published_size():
 
 def test_the_columns_of_victoria_park_are_covariances():
     """Innovations are as large as they say: taken as information they would be two hundred times as large, or small."""
-    figures = replay(victoria_park(), preset("victoria", estimator="ekf-invariant")).metrics
+    figures = measure(replay(victoria_park(), preset("victoria", estimator="ekf-invariant")))
     assert 0.5 < figures["nis_mean_per_dof"] < 1.5
 
 

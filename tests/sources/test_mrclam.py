@@ -12,6 +12,7 @@ import pytest
 
 from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Pose
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay
 from sixthsense.sources.logs import LogError, open_log
 from sixthsense.sources.logs.mrclam import MrclamLog, polar_sighting, read_mrclam
@@ -158,7 +159,7 @@ def test_a_replay_is_reproducible_for_any_order_of_the_measurements(tmp_path, es
 
 
 def test_a_log_without_scans_has_no_metrics_of_a_scene(tmp_path):
-    figures = replay(read_mrclam(folder(tmp_path), ASSUMED), preset("mrclam")).metrics
+    figures = measure(replay(read_mrclam(folder(tmp_path), ASSUMED), preset("mrclam")))
     assert "coverage" not in figures and "goal_error_m" not in figures and figures["outcome"] == "log ended"
 
 

@@ -21,12 +21,21 @@ from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, BagLog
 from sixthsense.sources.logs.sighting_cloud import CLOUD, from_cloud
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-_TYPES = {"/odom": ODOMETRY, "/truth": TRUTH, "/scan": LASER_SCAN, "/plan": PLAN, "/sightings": CLOUD}
+ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_TYPES = {
+    "/odom": ODOMETRY,
+    "/truth": TRUTH,
+    "/scan": LASER_SCAN,
+    "/estimate": ESTIMATE,
+    "/plan": PLAN,
+    "/sightings": CLOUD,
+}
+_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
-    """Read the bag of a run folder, or of its `.partial`: odometry, scans, sightings, truth and plans.
+    """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses and plans.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
     its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or a sighting.
@@ -34,6 +43,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
     plans: list[tuple[int, Array]] = []
+    estimates: list[tuple[int, Pose, Array]] = []
     reader = _Chunks(file)
     place = Pose(*laser.mount)
     try:
@@ -47,6 +57,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
             elif topic == "/plan":
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 plans.append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
+            elif topic == "/estimate":
+                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+                estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
             elif ticks and topic == "/sightings":
@@ -66,7 +79,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         raise LogError(f"{file}: found no scan and no sighting{cut}, allowed: a bag of a run")
     log = BagLog(ticks, laser)
     log.plan_stamps_ns, log.plans = tuple(stamp for stamp, _ in plans), tuple(plan for _, plan in plans)
-    log.cut_short = reader.cut_short
+    log.estimates, log.cut_short = tuple(estimates), reader.cut_short
     return log
 
 

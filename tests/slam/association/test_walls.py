@@ -11,6 +11,7 @@ from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark, predict_walls, translated
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.core.motion import Odometry
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.wall_extents import ends, fused, joined, nearness
@@ -343,7 +344,7 @@ def test_duplicate_walls_are_merged():
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
 def test_walls_hold_the_block_where_corners_let_it_drift(kinds, estimator):
     given = {"scene": "block", "estimator": estimator, "task": "tour", "max_time": 100.0}
-    corners = run(preset(**given, features={"landmarks": "corners"})).metrics["ate_rmse_m"]
+    corners = measure(run(preset(**given, features={"landmarks": "corners"})))["ate_rmse_m"]
     trace = run(preset(**given, features={"landmarks": kinds}))
     assert trace.outcome == "tour ended" and trace.final.walls.sum() == 8
-    assert trace.metrics["ate_rmse_m"] < min(0.01, 0.5 * corners)
+    assert measure(trace)["ate_rmse_m"] < min(0.01, 0.5 * corners)

@@ -1,0 +1,172 @@
+"""What a run's folder keeps of its end, in arrays: `record.npz`, `landmarks.npz` and `grid.npz`."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.config.section import shown
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, LandmarkId
+from sixthsense.record.reading import RecordError
+from sixthsense.record.trace import Trace
+from sixthsense.slam.association.associator import Record
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.restore import restore_grid
+from sixthsense.sources.logs.relations import Relations
+
+END, LANDMARKS, GRID = "record.npz", "landmarks.npz", "grid.npz"
+
+
+def write_arrays(folder: Path, trace: Trace) -> None:
+    """Write `record.npz`: the final trajectory, what is known of each landmark, and the relations, if there are any."""
+    records = list(trace.records.values())
+    arrays: dict[str, Any] = {
+        "trajectory": trace.trajectory,
+        "ids": np.array(list(trace.records), dtype=np.int64),
+        "kinds": np.array([record.kind for record in records], dtype=np.int64),
+        "sightings": np.array([record.sightings for record in records], dtype=np.int64),
+        "first_scans": np.array([record.first_scan for record in records], dtype=np.int64),
+        "last_scans": np.array([record.last_scan for record in records], dtype=np.int64),
+        "sigmas_m": np.array([record.sigma_m for record in records], dtype=np.float64),
+        "extents": np.array([record.extent for record in records], dtype=np.float64).reshape(-1, 2, 2),
+    }
+    if trace.relations is not None:
+        arrays |= {"relation_stamps": trace.relations.stamps, "relation_poses": trace.relations.poses}
+    np.savez_compressed(folder / END, **arrays)
+
+
+def write_grid(folder: Path, grid: Grid) -> None:
+    """Write `grid.npz`: scans that hit and passed each cell, whether it was seen, and where the cells lie."""
+    np.savez_compressed(folder / GRID, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
+
+
+def read_arrays(file: Path, trace: Trace) -> None:
+    """Add to the trace what `record.npz` holds; raises RecordError for a file that is damaged."""
+    with _loaded(file) as arrays:
+        trajectory = _floats(arrays, "trajectory", (len(trace.key_stamps_ns), 3))
+        ids = _integers(arrays, "ids")
+        n = len(ids)
+        kinds, sightings = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "sightings", n).tolist()
+        first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
+        sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
+        if sigmas_m.shape != (n,):
+            raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
+        columns = zip(map(Kind, kinds), sightings, first, last, sigmas_m.tolist(), extents, strict=True)
+        trace.records = {i: Record(*row) for i, row in zip(ids.tolist(), columns, strict=True)}
+        trace.trajectory = trajectory
+        if "relation_stamps" in arrays:
+            stamps = _floats(arrays, "relation_stamps", (-1, 2))
+            trace.relations = Relations(stamps, _floats(arrays, "relation_poses", (len(stamps), 3)))
+
+
+def read_landmarks(file: Path, trace: Trace) -> None:
+    """Set the trace's final estimate to that in `landmarks.npz`; raises RecordError for a file that is damaged."""
+    with _loaded(file) as arrays:
+        ids = _integers(arrays, "ids")
+        walls = _integers(arrays, "kinds", len(ids)) == Kind.WALL
+        size = 3 + 2 * len(ids)
+        mean, cov = _floats(arrays, "mean", (size,)), _floats(arrays, "covariance", (size, size))
+        pose = Pose.from_array(mean[:3])
+        trace.final = Estimate(pose, cov[:3, :3].copy(), ids, mean[3:].reshape(-1, 2), walls)
+        trace.joint_cov = cov
+
+
+def read_grid(file: Path, config: Config, radius_m: float) -> Grid:
+    """The map that `grid.npz` holds; raises RecordError for a file that is damaged."""
+    with _loaded(file) as arrays:
+        hits, passes = arrays["hits"].astype(np.int32), arrays["passes"].astype(np.int32)
+        x, y = _floats(arrays, "origin", (2,)).tolist()
+        return restore_grid(config.grid, radius_m, (x, y), hits, passes, arrays["seen"].astype(np.bool_))
+
+
+def read_landmark_table(file: Path) -> dict[LandmarkId, Record]:
+    """What `landmarks.csv` tells of each landmark; of a folder that was written before there was a `record.npz`.
+
+    Raises RecordError, naming the line, for a table that is damaged.
+    """
+    found: dict[LandmarkId, Record] = {}
+    number = 1
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            rows = csv.DictReader(stream)
+            for row in rows:
+                number = rows.line_num
+                kind = Kind[row["kind"].upper()]
+                ends = [float(row[name] or 0.0) for name in ("from_x", "from_y", "to_x", "to_y")]
+                extent = np.array(ends).reshape(2, 2)
+                found[int(row["id"])] = Record(kind, int(row["sightings"]), 0, 0, extent=extent)
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
+    except (LookupError, TypeError, ValueError, AttributeError, csv.Error):
+        raise RecordError(f"{file}: line {number}: found no landmark, allowed: a table of landmarks") from None
+    return found
+
+
+def read_tum(file: Path, rows: int) -> Array:
+    """(rows, 3) poses of a TUM trajectory; raises RecordError, naming the line, for a file that is damaged."""
+    poses: list[list[float]] = []
+    try:
+        for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
+            try:
+                _, x, y, _, _, _, z, w = map(float, line.split())
+            except ValueError:
+                raise RecordError(f"{file}: line {number}: found {shown(line)}, allowed: 8 numbers") from None
+            poses.append(Pose(x, y, 2.0 * float(np.arctan2(z, w))).array().tolist())
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise RecordError(f"{file}: is not UTF-8 text, allowed: a TUM trajectory") from None
+    if len(poses) != rows:
+        raise RecordError(f"{file}: found {len(poses)} poses, allowed: {rows}")
+    return np.array(poses).reshape(-1, 3)
+
+
+@contextlib.contextmanager
+def _loaded(file: Path) -> Iterator[dict[str, Any]]:
+    """The arrays of an NPZ file; whatever is wrong with them within the block is a RecordError."""
+    try:
+        with np.load(file, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+        yield arrays
+    except RecordError:
+        raise
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror or 'damaged'})") from None
+    except KeyError as error:
+        raise RecordError(f"{file}: found no array {error.args[0]!r}, allowed: that of a run") from None
+    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError) as error:
+        raise _damaged(file, error) from None
+    except (RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error) as error:  # of a damaged ZIP
+        raise _damaged(file, error) from None
+
+
+def _damaged(file: Path, error: Exception) -> RecordError:
+    reason = " ".join(str(error).split()) or type(error).__name__
+    return RecordError(f"{file}: found {reason[:160]}, allowed: the arrays of a run")
+
+
+def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> Any:
+    array = arrays[name]
+    if array.dtype.kind != "i" or array.ndim != 1 or count not in (None, len(array)):
+        raise ValueError(f"{name} of shape {array.shape} and type {array.dtype}")
+    return array.astype(np.int64)
+
+
+def _floats(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+    """The finite numbers of that name in that shape, in which a first length of -1 is any."""
+    array = arrays[name]
+    expected = (*array.shape[:1], *shape[1:]) if shape[0] == -1 else shape
+    if array.dtype.kind != "f" or array.shape != expected or not np.isfinite(array).all():
+        raise ValueError(f"{name} of shape {array.shape} and type {array.dtype}")
+    return np.asarray(array, dtype=np.float64)

@@ -1,0 +1,137 @@
+"""The record of a run, read back from its folder without estimating again."""
+
+from __future__ import annotations
+
+import csv
+import enum
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.config import Config, load_config
+from sixthsense.config.section import shown
+from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
+from sixthsense.record.ending import (
+    END,
+    GRID,
+    LANDMARKS,
+    read_arrays,
+    read_grid,
+    read_landmark_table,
+    read_landmarks,
+    read_tum,
+)
+from sixthsense.record.older import trace_of_bag
+from sixthsense.record.reading import RecordError, read_stream
+from sixthsense.record.stream import FILE
+from sixthsense.record.trace import Trace
+
+
+class Part(enum.Enum):
+    """A part of the record that a folder may lack."""
+
+    KEY_SCANS = f"walls, innovations and times of key scans ({FILE})"
+    """of a folder that was written before there was such a file"""
+    END = f"what is known at the run's end ({FILE})"
+    """of a run that was killed"""
+    TRAJECTORY = f"the final trajectory ({END})"
+    """estimated poses of key scans are those of their moment"""
+    LANDMARKS = f"landmarks ({LANDMARKS})"
+    """their means, and the joint covariance"""
+    GRID = f"the grid ({GRID})"
+    """the map in cells"""
+
+
+@dataclass(frozen=True, slots=True)
+class LoadedRecord:
+    """A trace, and what its folder lacks."""
+
+    trace: Trace
+    """its lists are empty, and its grid None, where the folder has nothing to fill them"""
+    missing: tuple[Part, ...]
+    """in the order of `Part`"""
+
+
+def load_record(folder: Path | str) -> LoadedRecord:
+    """Read the record in the folder of a run, or in the `.partial` that a killed run has left.
+
+    The estimates at key scans are read without their landmarks, which no folder holds. The outcome of a killed run is
+    "interrupted". Raises an InputError, naming the file and its line, for a folder that is no run's, has recorded
+    nothing, or is damaged.
+    """
+    folder = Path(folder)
+    config = load_config(folder / "config.toml")
+    streamed = read_stream(folder / FILE, config) if (folder / FILE).exists() else None
+    if streamed is None:
+        trace, has_ended = trace_of_bag(folder, config), False
+        missing = {Part.KEY_SCANS, Part.END}
+        trace.outcome = _outcome(folder / "metrics.json")
+        trace.left = _places_left(folder / "places_left.csv")
+    else:
+        trace, has_ended = streamed
+        missing = set() if has_ended else {Part.END}
+        trace.outcome = trace.outcome or "interrupted"
+    trace.name = folder.resolve().name.removesuffix(".partial")
+    missing |= _read_end(folder, trace) | _read_grid(folder, config, trace)
+    return LoadedRecord(trace, tuple(part for part in Part if part in missing))
+
+
+def _read_end(folder: Path, trace: Trace) -> set[Part]:
+    """Add the final estimate and trajectory to the trace; what of them is missing."""
+    missing: set[Part] = set()
+    if (folder / LANDMARKS).exists():
+        read_landmarks(folder / LANDMARKS, trace)
+    else:
+        missing.add(Part.LANDMARKS)
+        if trace.key_estimates:
+            trace.final, trace.joint_cov = trace.key_estimates[-1], trace.key_estimates[-1].pose_cov
+    if (folder / END).exists():
+        read_arrays(folder / END, trace)
+    elif (folder / "smoothed.tum").exists():
+        trace.trajectory = read_tum(folder / "smoothed.tum", len(trace.key_stamps_ns))
+        trace.records = read_landmark_table(folder / "landmarks.csv")
+    else:
+        missing.add(Part.TRAJECTORY)
+        poses = [estimate.pose.array() for estimate in trace.key_estimates]
+        trace.trajectory = np.array(poses).reshape(-1, 3)
+    if not set(trace.final.ids.tolist()) <= set(trace.records):
+        raise RecordError(f"{folder / LANDMARKS}: found landmarks that {END} does not know, allowed: those of one run")
+    return missing
+
+
+def _read_grid(folder: Path, config: Config, trace: Trace) -> set[Part]:
+    if not (folder / GRID).exists():
+        return {Part.GRID}
+    trace.grid = read_grid(folder / GRID, config, trace.radius_m)
+    return set()
+
+
+def _outcome(file: Path) -> str:
+    """Why a run ended, from its metrics; a run without them was stopped."""
+    if not file.exists():
+        return "interrupted"
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["outcome"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return "interrupted"
+
+
+def _places_left(file: Path) -> list[UnseenPlace]:
+    """What an exploration left unseen, from its table; nothing of a run without one."""
+    if not file.exists():
+        return []
+    number = 1
+    try:
+        with file.open(newline="", encoding="utf-8") as stream:
+            places, rows = [], csv.DictReader(stream)
+            for row in rows:
+                number = rows.line_num
+                area_m2 = float(row["area_m2"])
+                places.append(UnseenPlace(float(row["x"]), float(row["y"]), area_m2, as_reason(row["reason"])))
+            return places
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
+    except (LookupError, TypeError, ValueError) as error:
+        raise RecordError(f"{file}: line {number}: found {shown(str(error))}, allowed: a place left") from None

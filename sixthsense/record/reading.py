@@ -1,0 +1,261 @@
+"""Reading `record.jsonl` back into a trace, line by line."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import shown
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.motion import Odometry
+from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
+from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.stream import FORMAT, Line
+from sixthsense.record.trace import Trace
+from sixthsense.slam.association.associator import Association
+from sixthsense.slam.estimators import Estimate
+from sixthsense.sources.scene import Scene
+
+_LARGEST = (1 << 63) - 1
+
+
+class RecordError(InputError):
+    """One line that names the file of a run's folder and its line, what was found and what is allowed."""
+
+
+def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
+    """The trace that a `record.jsonl` holds, and whether the run's end is in it; None for a file without a whole line.
+
+    The estimates at key scans are read without their landmarks, which the file does not hold. Raises RecordError for a
+    file that cannot be read, a line that is damaged, and a record without a scan.
+    """
+    trace: Trace | None = None
+    has_ended = False
+    try:
+        for number, line in enumerate(_whole_lines(file), start=1):
+            try:
+                if has_ended:
+                    raise ValueError("a line after the end")
+                table = _table(line)
+                if trace is None:
+                    trace = _begun(table, config)
+                else:
+                    has_ended = _take(table, trace)
+            except (LookupError, TypeError, ValueError, ArithmeticError, RecursionError) as error:
+                found = str(error) if isinstance(error, ValueError) else shown(line)
+                allowed = "allowed: a line of a run's record"
+                raise RecordError(f"{file}: line {number}: found {' '.join(found.split())}, {allowed}") from None
+    except OSError as error:
+        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
+    if trace is None:
+        return None
+    if not trace.stamps_ns:
+        raise RecordError(f"{file}: found no scan, allowed: the record of a run")
+    return trace, has_ended
+
+
+def _whole_lines(file: Path) -> Iterator[bytes]:
+    """The lines of a file but for the one that a killed writer has cut."""
+    with file.open("rb") as stream:
+        for line in stream:
+            if line.endswith(b"\n"):
+                yield line
+
+
+def _table(line: bytes) -> Line:
+    try:
+        table = json.loads(line)
+    except ValueError:
+        raise ValueError("no JSON") from None
+    if not isinstance(table, dict):
+        raise ValueError("no table")
+    return table
+
+
+def _begun(table: Line, config: Config) -> Trace:
+    """The trace of a run that has begun, from the first line."""
+    if table.get("format") != FORMAT:
+        raise ValueError(f"format {shown(table.get('format'))}, not {FORMAT}")
+    return Trace(config, _scene(table["scene"]), _number(table, "radius_m"))
+
+
+def _scene(table: Line | None) -> Scene | None:
+    if table is None:
+        return None
+    start, goal = table["start"], table["goal"]
+    x0, y0, x1, y1 = _array(table, "region", (4,)).tolist()
+    tour = _array(table, "tour", (-1, 2)).tolist()
+    return Scene(
+        str(table["name"]),
+        _array(table, "walls", (-1, 2, 2)),
+        None if start is None else _pose(table, "start"),
+        _number(table, "radius"),
+        None if goal is None else _point(_array(table, "goal", (2,))),
+        tuple((x, y) for x, y in tour),
+        (x0, y0, x1, y1),
+        table["solid_left"] is True,
+    )
+
+
+def _point(values: Array) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _take(table: Line, trace: Trace) -> bool:
+    """Add what a line tells to the trace; whether it was the run's end."""
+    for kind, take in _KINDS.items():
+        if kind in table:
+            take(table, trace)
+            return kind == "end"
+    raise ValueError(f"a line without any of {', '.join(_KINDS)}")
+
+
+def _take_scan(table: Line, trace: Trace) -> None:
+    last_key = _whole(table, "last_key", -1)
+    if last_key >= len(trace.key_stamps_ns):
+        raise ValueError(f"last_key {last_key} after {len(trace.key_stamps_ns)} key scans")
+    estimate, odometry = _array(table, "estimate", (3,)), _array(table, "odometry", (3,))
+    since_key, path_length_m = _array(table, "since_key", (3,)), _number(table, "path_length_m")
+    truth = _truth(table, bool(trace.stamps_ns), bool(trace.truths))
+    stamp_ns = _stamp(table, "scan", trace.stamps_ns)
+    log_stamp_s = np.nan if table["log_stamp_s"] is None else _number(table, "log_stamp_s")
+    trace.stamps_ns.append(stamp_ns)
+    trace.log_stamps_s.append(log_stamp_s)
+    trace.estimates.append(estimate)
+    trace.odometry.append(odometry)
+    if truth is not None:
+        trace.truths.append(truth)
+    trace.last_key.append(last_key)
+    trace.since_key.append(since_key)
+    trace.path_length_m = path_length_m
+    trace.last_position = (odometry if truth is None else truth)[:2]
+
+
+def _take_key_scan(table: Line, trace: Trace) -> None:
+    motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
+    estimate = pose_estimate(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
+    sightings = dict(map(_sighting, _unpacked(table, "sightings", (-1, 10)).tolist()))
+    association = Association(sightings, _whole(table, "discarded"), _number(table, "nis"), _whole(table, "dof"))
+    walls, row, totals = _unpacked(table, "walls", (-1, 2, 2)), _times(table, "ms"), _times(table, "total_ms")
+    truth = _truth(table, bool(trace.key_stamps_ns), bool(trace.key_truths))
+    trace.key_stamps_ns.append(_stamp(table, "key_scan", trace.key_stamps_ns))
+    trace.key_odometry.append(motion)
+    trace.key_estimates.append(estimate)
+    if truth is not None:
+        trace.key_truths.append(truth)
+    trace.associations.append(association)
+    trace.walls_found.append(walls)
+    trace.stopwatch.rows.append(row)
+    trace.stopwatch.totals |= totals
+
+
+def _take_plan(table: Line, trace: Trace) -> None:
+    trace.plans.append(_array(table, "plan", (-1, 2)))
+
+
+def _take_end(table: Line, trace: Trace) -> None:
+    if not isinstance(table["end"], str):
+        raise ValueError(f"end {shown(table['end'])}, not a word")
+    trace.outcome = table["end"]
+    trace.wall_time_s, trace.path_length_m = _number(table, "wall_time_s"), _number(table, "path_length_m")
+    if table["last_position"] is not None:
+        trace.last_position = _array(table, "last_position", (2,))
+    trace.stopwatch.totals |= _times(table, "total_ms")
+    trace.plans_below_margin = _count(table, "plans_below_margin")
+    trace.plans_by_astar, trace.guard_stops = _count(table, "plans_by_astar"), _count(table, "guard_stops")
+    trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
+    trace.culled, trace.walls_merged = _whole(table, "culled"), _whole(table, "walls_merged")
+    trace.rebuilds = _whole(table, "rebuilds")
+
+
+_KINDS: dict[str, Callable[[Line, Trace], None]] = {
+    "scan": _take_scan,
+    "key_scan": _take_key_scan,
+    "plan": _take_plan,
+    "end": _take_end,
+}
+
+
+def pose_estimate(pose: Pose, pose_cov: Array) -> Estimate:
+    """An estimate of which only the pose is known."""
+    return Estimate(pose, pose_cov, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+
+
+def _sighting(row: list[float]) -> tuple[LandmarkId, Sighting]:
+    landmark, kind, x, y, c00, c01, c10, c11, first, last = row
+    if not landmark.is_integer():
+        raise ValueError(f"a sighting of landmark {landmark}")
+    cov = np.array([[c00, c01], [c10, c11]])
+    return int(landmark), Sighting(Kind(int(kind)), np.array([x, y]), cov, (first, last))
+
+
+def _truth(table: Line, has_rows: bool, has_truth: bool) -> Array | None:
+    """The true pose, which all lines of a kind have, or none."""
+    if has_rows and has_truth != ("truth" in table):
+        raise ValueError("the truth in some lines and not in others")
+    return _array(table, "truth", (3,)) if "truth" in table else None
+
+
+def _stamp(table: Line, name: str, before: list[int]) -> int:
+    stamp_ns = _whole(table, name)
+    if before and stamp_ns <= before[-1]:
+        raise ValueError(f"{name} at {stamp_ns} ns after {before[-1]} ns")
+    return stamp_ns
+
+
+def _whole(table: Line, name: str, least: int = 0) -> int:
+    value = table[name]
+    if type(value) is not int or not least <= value <= _LARGEST:
+        raise ValueError(f"{name} {shown(value)}")
+    return value
+
+
+def _count(table: Line, name: str) -> int | None:
+    return None if table[name] is None else _whole(table, name)
+
+
+def _number(table: Line, name: str) -> float:
+    return float(_array(table, name, ()))
+
+
+def _pose(table: Line, name: str) -> Pose:
+    return Pose.from_array(_array(table, name, (3,)))
+
+
+def _times(table: Line, name: str) -> dict[str, float]:
+    times = table[name]
+    if not isinstance(times, dict) or not set(times) <= set(STAGES):
+        raise ValueError(f"{name} {shown(times)}")
+    return {stage: _number(times, stage) for stage in times}
+
+
+def _unpacked(table: Line, name: str, shape: tuple[int, ...]) -> Array:
+    """The finite numbers of that name, packed in base64, in a shape whose first length is any."""
+    try:
+        array = np.frombuffer(base64.b64decode(table[name], validate=True), dtype="<f8").reshape(shape)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} {shown(table[name])}") from None
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} with a number that is not finite")
+    return np.array(array, dtype=np.float64)
+
+
+def _array(table: Line, name: str, shape: tuple[int, ...]) -> Array:
+    """The finite numbers of that name in that shape, in which a first length of -1 is any."""
+    try:
+        array = np.array(table[name], dtype=np.float64)
+        if array.size == 0 and shape[:1] == (-1,):
+            array = array.reshape(0, *shape[1:])
+        expected = (len(array), *shape[1:]) if shape[:1] == (-1,) else shape
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} {shown(table[name])}") from None
+    if array.shape != expected or not np.isfinite(array).all():
+        raise ValueError(f"{name} {shown(table[name])}")
+    return array

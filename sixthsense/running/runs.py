@@ -1,0 +1,109 @@
+"""One run or replay with all that goes with it: folder, bag, record, progress bar, hooks. Every caller comes here."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sixthsense.config import Config
+from sixthsense.figures.run import Run
+from sixthsense.running.progress import Progress, each
+
+if TYPE_CHECKING:
+    from sixthsense.loop import OnTick
+    from sixthsense.record.folder import RunFolder
+    from sixthsense.record.trace import Trace
+    from sixthsense.sources.replay_input import Recorded
+    from sixthsense.sources.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Who watches a run as it goes."""
+
+    hooks: Sequence[OnTick] = ()
+    """called after every tick, in this order"""
+    progress: bool | None = None
+    """whether a bar shows how far it is; None: where somebody looks on"""
+    realtime: bool = False
+    """hold the source's clock back to the wall's"""
+    say: Callable[[str], object] | None = None
+    """takes the line on the hot loops' compilation; without one the bar shows it"""
+
+
+QUIET = Watch(progress=False)
+"""for runs that nobody watches"""
+
+
+def reserved(
+    out: str | Path | None, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+) -> AbstractContextManager[RunFolder | None]:
+    """The folder for a run, as `RunFolder` reserves it, or None where there is to be none."""
+    if out is None:
+        return contextlib.nullcontext()
+    from sixthsense.record.folder import RunFolder
+
+    return RunFolder(Path(out), config, overwrite, replayed)
+
+
+def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
+    """Simulate `config.scene`, which is `scene` if it is loaded already, and keep the run in `folder`, if there is one.
+
+    Raises SceneError for a scene, start or goal that will not do; OSError, naming the file, for one that cannot be
+    written.
+    """
+    from sixthsense import loop
+    from sixthsense.sources.scene import load_scene
+
+    there = scene or load_scene(config.scene)
+    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress)
+    return _watched(lambda hook: loop.run(config, hook, there), there.name, bar, folder, watch)
+
+
+def replay_log(recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
+    """Replay a log that has been opened, and keep the run in `folder`, if there is one; OSError as of `simulate`."""
+    from sixthsense import loop
+
+    log, config, relations = recorded.log, recorded.config, recorded.relations
+    bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
+    return _watched(lambda hook: loop.replay(log, config, relations, hook), recorded.name, bar, folder, watch)
+
+
+def _watched(go: Callable[[OnTick], Trace], name: str, bar: Progress, folder: RunFolder | None, watch: Watch) -> Run:
+    """What `go` makes of a run, called after each tick with the hooks that record, show and watch it."""
+    from sixthsense.running.warmup import prepare
+
+    if watch.say is not None:
+        prepare(watch.say)
+    with ExitStack() as open_hooks:
+        open_hooks.enter_context(bar)
+        if watch.say is None:
+            prepare(bar.say)
+            bar.say("")
+        hooks: list[OnTick] = [bar, *watch.hooks]
+        if folder is not None:
+            from sixthsense.record.bag import BagWriter
+            from sixthsense.record.stream import RecordWriter
+
+            record = open_hooks.enter_context(RecordWriter(folder.partial))
+            bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
+            hooks = [record, bag, *hooks]
+        trace = go(each(*hooks))
+    trace.name = name
+    run = Run(name, trace, folder=None if folder is None else folder.out)
+    if folder is not None:
+        _keep(folder, run)
+    return run
+
+
+def _keep(folder: RunFolder, run: Run) -> None:
+    """Write a run that is over into its folder, its map included, and give the folder its name."""
+    from sixthsense.figures.plot import save_map
+
+    folder.write(run.trace, run.metrics)
+    save_map(run, folder.partial / "figures" / "map.png", run.title)
+    folder.finish()

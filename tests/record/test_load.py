@@ -1,0 +1,287 @@
+"""A run's folder read back without estimating again: equal to the run, or a word on what is missing."""
+
+import io
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import sixthsense as ss
+from sixthsense.evaluation.measure import measure
+from sixthsense.figures.panels import KINDS, FigureError
+from sixthsense.figures.run import Run
+from sixthsense.record.stream import FILE, RecordWriter
+
+gtsam = pytest.importorskip("gtsam")
+
+DATA = Path(os.environ.get("SIXTHSENSE_DATA", "nowhere"))
+INTEL = DATA / "intel" / "intel.clf.bz2", DATA / "intel" / "intel.relations"
+ARRAYS = ("record.npz", "landmarks.npz", "grid.npz")
+
+
+@pytest.fixture(scope="module", params=["ekf-invariant", "isam2"])
+def simulated(request, tmp_path_factory) -> Run:
+    out = tmp_path_factory.mktemp("runs") / "one"
+    return ss.run("rectangle", estimator=request.param, preset="worn", seed=1, out=out)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A short tour's folder."""
+    out = tmp_path_factory.mktemp("runs") / "tour"
+    ss.run("rectangle", task="tour", max_time=6.0, seed=4, out=out)
+    return out
+
+
+def pixels(figure: Figure) -> bytes:
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=50)
+    return content.getvalue()
+
+
+def check_equal(run: Run) -> None:
+    """Metrics measured from the record read back, and all its figures, are those of the run in memory."""
+    assert run.folder is not None
+    loaded = ss.load(run.folder)
+    stated = json.loads((run.folder / "metrics.json").read_text())
+    assert loaded.missing == ()
+    assert loaded.metrics == stated
+    assert json.loads(json.dumps(measure(loaded.trace))) == stated
+    same_name = Run(run.name, loaded.trace, loaded.metrics)
+    for kind in KINDS:
+        try:
+            drawn = run.plot(kind)
+        except FigureError as error:
+            with pytest.raises(FigureError) as caught:
+                same_name.plot(kind)
+            assert str(caught.value) == str(error)
+        else:
+            assert pixels(same_name.plot(kind)) == pixels(drawn)
+
+
+def test_a_simulated_run_is_read_back_with_its_metrics_and_figures(simulated):
+    check_equal(simulated)
+
+
+def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
+    before, after = simulated.trace, ss.load(simulated.folder).trace
+    for name in ("estimates", "odometry", "truths", "since_key", "key_truths", "trajectory", "joint_cov"):
+        assert np.array_equal(getattr(before, name), getattr(after, name))
+    for name in ("stamps_ns", "key_stamps_ns", "last_key", "outcome", "path_length_m", "left", "culled", "rebuilds"):
+        assert getattr(before, name) == getattr(after, name)
+    assert before.stopwatch.rows == after.stopwatch.rows and before.stopwatch.totals == after.stopwatch.totals
+    assert all(np.array_equal(a, b) for a, b in zip(before.plans, after.plans, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(before.walls_found, after.walls_found, strict=True))
+    for one, two in zip(before.associations, after.associations, strict=True):
+        assert (one.nis, one.dof, one.discarded) == (two.nis, two.dof, two.discarded)
+        assert list(one.sightings) == list(two.sightings)
+        for a, b in zip(one.sightings.values(), two.sightings.values(), strict=True):
+            assert (a.kind, a.z.tolist(), a.cov.tolist(), a.extent) == (b.kind, b.z.tolist(), b.cov.tolist(), b.extent)
+    assert {i: (r.kind, r.sightings, r.sigma_m) for i, r in before.records.items()} == {
+        i: (r.kind, r.sightings, r.sigma_m) for i, r in after.records.items()
+    }
+
+
+def test_the_factor_graph_of_a_record_read_back_is_the_runs(simulated):
+    from sixthsense.record.factors import factor_graph
+
+    before, after = factor_graph(simulated.trace), factor_graph(ss.load(simulated.folder).trace)
+    for name in type(before).__slots__:
+        assert np.array_equal(getattr(before, name), getattr(after, name))
+
+
+def test_a_replay_of_landmarks_known_by_name_is_read_back(tmp_path):
+    park = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
+    check_equal(ss.replay(park, estimator="ekf-invariant", max_time=60.0, out=tmp_path / "park"))
+
+
+@pytest.mark.skipif(not all(file.is_file() for file in INTEL), reason="needs SIXTHSENSE_DATA with intel/")
+def test_a_replay_measured_by_relations_is_read_back(tmp_path):
+    run = ss.replay(INTEL[0], relations=INTEL[1], estimator="ekf", max_time=200.0, out=tmp_path / "intel")
+    assert "relations_trans_m_mean" in run.metrics
+    check_equal(run)
+
+
+def test_reading_a_folder_estimates_nothing(folder, monkeypatch):
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("an estimator was made")
+
+    monkeypatch.setattr("sixthsense.slam.slam.make_estimator", refuse)
+    ss.load(folder).plot()
+
+
+def test_the_map_read_back_takes_further_scans_as_the_runs_own(folder):
+    from sixthsense.figures.recording import Recording
+    from sixthsense.loop import run
+
+    kept = Recording()
+    trace = run(ss.load_config(folder / "config.toml"), kept.on_tick)
+    read = ss.load(folder).trace.grid
+    assert read is not None and trace.grid is not None
+    for grid in (read, trace.grid):
+        grid.add(ss.Pose(0.3, 0.1, 0.5), kept.scans[0], trace.walls_found[0])
+    for name in ("hits", "passes", "seen", "obstacles"):
+        assert np.array_equal(getattr(read, name), getattr(trace.grid, name))
+    assert np.array_equal(read.free_space().blocked, trace.grid.free_space().blocked)
+
+
+def copied(folder: Path, out: Path, *without: str) -> Path:
+    return Path(shutil.copytree(folder, out, ignore=lambda where, names: [name for name in names if name in without]))
+
+
+def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp_path):
+    whole = ss.load(folder)
+    written = ("metrics.json", "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", *ARRAYS)
+    killed = copied(folder, tmp_path / "cut.partial", *written)
+    lines = (killed / FILE).read_bytes().splitlines(keepends=True)
+    (killed / FILE).write_bytes(b"".join(lines[:30]) + lines[30][:20])
+    run = ss.load(killed)
+    count = len(run.trace.stamps_ns)
+    assert (run.name, run.outcome) == ("cut", "interrupted")
+    assert 0 < count < len(whole.trace.stamps_ns)
+    assert np.array_equal(run.trace.estimates, whole.trace.estimates[:count])
+    files = [part.rpartition("(")[2].rstrip(")") for part in run.missing]
+    assert files == [FILE, "record.npz", "landmarks.npz", "grid.npz", "metrics.json"]
+    assert "the run's end" in run.missing[0]
+    assert all(part in repr(run) for part in run.missing)
+    assert {"nis_mean_per_dof", "ate_rmse_m", "pose_nees_world_mean", "scan_ms_p50", "coverage"} <= set(run.metrics)
+    assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
+    for kind in ("map", "error", "nees", "nis", "stages", "coverage"):
+        assert pixels(run.plot(kind))
+
+
+def test_a_folder_of_an_earlier_version_has_what_its_bag_and_tables_say(simulated, tmp_path):
+    older = copied(simulated.folder, tmp_path / "older", FILE, "record.npz", "grid.npz")
+    run = ss.load(older)
+    before, after = simulated.trace, run.trace
+    assert run.metrics == json.loads((older / "metrics.json").read_text())
+    assert len(run.missing) == 3 and run.missing[-1] == "the grid (grid.npz)"
+    for name in ("estimates", "odometry", "truths", "key_truths"):
+        assert np.array_equal(getattr(before, name), getattr(after, name))
+    assert all(
+        np.array_equal(a.pose_cov, b.pose_cov) for a, b in zip(before.key_estimates, after.key_estimates, strict=True)
+    )
+    assert after.trajectory == pytest.approx(before.trajectory, abs=1e-12)
+    assert set(after.records) == set(before.records)
+    same_name = Run(simulated.name, after, simulated.metrics)
+    for kind in ("error", "nees", "coverage", "stages"):
+        assert pixels(same_name.plot(kind)) == pixels(simulated.plot(kind))
+    assert pixels(run.plot())
+    with pytest.raises(
+        FigureError, match=r"exploration: found a folder without the grid \(grid.npz\), allowed: ss.rep"
+    ):
+        run.plot("exploration")
+    with pytest.raises(FigureError, match=r"nis: found a folder without .*\(record.jsonl\)"):
+        run.plot("nis")
+
+
+def test_a_report_names_what_is_missing(simulated, tmp_path, capsys):
+    from sixthsense.cli import main
+
+    older = copied(simulated.folder, tmp_path / "older", "grid.npz")
+    assert main(["report", str(older)]) == 0
+    assert "found no record of the grid (grid.npz)" in capsys.readouterr().err
+    assert "no record of the grid (grid.npz)" in (older / "figures" / "report.html").read_text(encoding="utf-8")
+    assert not (older / "figures" / "exploration.png").exists()
+
+
+def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_left(tmp_path, monkeypatch):
+    from sixthsense.loop import run
+
+    def scans() -> int:
+        return sum(line.startswith(b'{"scan"') for line in (tmp_path / FILE).read_bytes().splitlines())
+
+    monkeypatch.setattr("sixthsense.record.stream._PERIOD_S", 0.0)
+    with RecordWriter(tmp_path) as writer:
+
+        def watch(tick, trace):
+            writer(tick, trace)
+            assert scans() == len(trace.stamps_ns)
+
+        run(ss.preset(scene="rectangle", task="tour", max_time=2.0), watch)
+    monkeypatch.setattr("sixthsense.record.stream._PERIOD_S", 1e9)
+    with RecordWriter(tmp_path) as writer:
+        trace = run(ss.preset(scene="rectangle", task="tour", max_time=2.0), writer)
+        assert scans() == 1
+    assert scans() == len(trace.stamps_ns)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"", b"{", b"[]", b"3", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"scan": 1}', b'{"plan": [[1]]}',
+        b'{"plan": [["x", 1]]}', b'{"plan": [[1e999, 0]]}', b'{"plan": {}}', b'{"end": 3}', b'{"end": "x"}',
+        b'{"key_scan": "x"}', b'{"key_scan": 1, "motion": null}', b'{"scan": 1' + b"0" * 400 + b"}",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("number", [1, 12])
+def test_a_damaged_line_is_named(folder, tmp_path, line, number):
+    damaged = copied(folder, tmp_path / "damaged")
+    lines = (damaged / FILE).read_bytes().splitlines()
+    lines[number - 1] = line
+    (damaged / FILE).write_bytes(b"\n".join(lines) + b"\n")
+    with pytest.raises(
+        ss.InputError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"
+    ) as told:
+        ss.load(damaged)
+    assert "\n" not in str(told.value) and len(str(told.value)) < 600
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_line_with_a_changed_byte_is_read_or_named(folder, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
+    content = bytearray((damaged / FILE).read_bytes())
+    content[rng.integers(len(content))] = rng.integers(256)
+    (damaged / FILE).write_bytes(content)
+    try:
+        ss.load(damaged)
+    except ss.InputError as error:
+        assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("name", [*ARRAYS, "metrics.json"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_a_file_that_was_cut_is_named(folder, tmp_path, name, share):
+    damaged = copied(folder, tmp_path / "damaged")
+    content = (damaged / name).read_bytes()
+    (damaged / name).write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ss.InputError, match=rf"{name}: ") as told:
+        ss.load(damaged)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("name", ARRAYS)
+def test_arrays_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
+    rng = np.random.default_rng(seed)
+    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
+    content = bytearray((damaged / name).read_bytes())
+    for place in rng.integers(len(content), size=3):
+        content[place] = rng.integers(256)
+    (damaged / name).write_bytes(content)
+    try:
+        ss.load(damaged)
+    except ss.InputError as error:
+        assert "\n" not in str(error) and name in str(error)
+
+
+def test_arrays_of_another_run_are_refused(simulated, folder, tmp_path):
+    mixed = copied(folder, tmp_path / "mixed")
+    shutil.copy(simulated.folder / "record.npz", mixed)
+    with pytest.raises(ss.InputError, match=r"record.npz: "):
+        ss.load(mixed)
+
+
+def test_the_records_attributes_are_the_runs_for_one_version_with_a_warning(folder):
+    run = ss.load(folder)
+    with pytest.warns(DeprecationWarning, match="run.estimates is deprecated, use run.trace.estimates"):
+        assert run.estimates is run.trace.estimates
+    with pytest.raises(AttributeError):
+        _ = run.nothing
+    with pytest.warns(DeprecationWarning, match="ss.Trace.load is deprecated, use ss.load"):
+        assert ss.Trace.load(folder).metrics == run.metrics
