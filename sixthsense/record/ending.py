@@ -25,7 +25,7 @@ from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.relations import Relations
 
-END, LANDMARKS, GRID = "record.npz", "landmarks.npz", "grid.npz"
+END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
 
 def write_arrays(folder: Path, trace: Trace) -> None:
@@ -43,12 +43,14 @@ def write_arrays(folder: Path, trace: Trace) -> None:
     }
     if trace.relations is not None:
         arrays |= {"relation_stamps": trace.relations.stamps, "relation_poses": trace.relations.poses}
-    np.savez_compressed(folder / END, **arrays)
+    np.savez_compressed(folder / END_FILE, **arrays)
 
 
 def write_grid(folder: Path, grid: Grid) -> None:
     """Write `grid.npz`: scans that hit and passed each cell, whether it was seen, and where the cells lie."""
-    np.savez_compressed(folder / GRID, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
+    np.savez_compressed(
+        folder / GRID_FILE, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin)
+    )
 
 
 def read_arrays(file: Path, trace: Trace) -> None:

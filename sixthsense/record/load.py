@@ -14,9 +14,9 @@ from sixthsense.config import Config, load_config
 from sixthsense.config.section import shown
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.ending import (
-    END,
-    GRID,
-    LANDMARKS,
+    END_FILE,
+    GRID_FILE,
+    LANDMARKS_FILE,
     read_arrays,
     read_grid,
     read_landmark_table,
@@ -36,11 +36,11 @@ class Part(enum.Enum):
     """of a folder that was written before there was such a file"""
     END = f"what is known at the run's end ({FILE})"
     """of a run that was killed"""
-    TRAJECTORY = f"the final trajectory ({END})"
+    TRAJECTORY = f"the final trajectory ({END_FILE})"
     """estimated poses of key scans are those of their moment"""
-    LANDMARKS = f"landmarks ({LANDMARKS})"
+    LANDMARKS = f"landmarks ({LANDMARKS_FILE})"
     """their means, and the joint covariance"""
-    GRID = f"the grid ({GRID})"
+    GRID = f"the grid ({GRID_FILE})"
     """the map in cells"""
 
 
@@ -81,14 +81,14 @@ def load_record(folder: Path | str) -> LoadedRecord:
 def _read_end(folder: Path, trace: Trace) -> set[Part]:
     """Add the final estimate and trajectory to the trace; what of them is missing."""
     missing: set[Part] = set()
-    if (folder / LANDMARKS).exists():
-        read_landmarks(folder / LANDMARKS, trace)
+    if (folder / LANDMARKS_FILE).exists():
+        read_landmarks(folder / LANDMARKS_FILE, trace)
     else:
         missing.add(Part.LANDMARKS)
         if trace.key_estimates:
             trace.final, trace.joint_cov = trace.key_estimates[-1], trace.key_estimates[-1].pose_cov
-    if (folder / END).exists():
-        read_arrays(folder / END, trace)
+    if (folder / END_FILE).exists():
+        read_arrays(folder / END_FILE, trace)
     elif (folder / "smoothed.tum").exists():
         trace.trajectory = read_tum(folder / "smoothed.tum", len(trace.key_stamps_ns))
         trace.records = read_landmark_table(folder / "landmarks.csv")
@@ -97,14 +97,16 @@ def _read_end(folder: Path, trace: Trace) -> set[Part]:
         poses = [estimate.pose.array() for estimate in trace.key_estimates]
         trace.trajectory = np.array(poses).reshape(-1, 3)
     if not set(trace.final.ids.tolist()) <= set(trace.records):
-        raise RecordError(f"{folder / LANDMARKS}: found landmarks that {END} does not know, allowed: those of one run")
+        raise RecordError(
+            f"{folder / LANDMARKS_FILE}: found landmarks that {END_FILE} does not know, allowed: those of one run"
+        )
     return missing
 
 
 def _read_grid(folder: Path, config: Config, trace: Trace) -> set[Part]:
-    if not (folder / GRID).exists():
+    if not (folder / GRID_FILE).exists():
         return {Part.GRID}
-    trace.grid = read_grid(folder / GRID, config, trace.radius_m)
+    trace.grid = read_grid(folder / GRID_FILE, config, trace.radius_m)
     return set()
 
 
