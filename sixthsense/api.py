@@ -42,31 +42,25 @@ def run(
         Called after every tick with it and the trace so far.
     progress
         Whether a bar shows how far it is; by default in a notebook and at a terminal.
-    out
-        Folder to write, as `sixthsense run --out` does, from which `ss.load` reads the run; none by default.
-    overwrite
-        Replace that folder if it exists.
+    out, overwrite
+        Folder to write, which `ss.load` reads back, none by default; whether to replace it if it exists.
     **fields
         Of the configuration, by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
-        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be a class or function of your own
-        (see `ss.register_estimator`), which is then known by its name.
+        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be your own class or function (see
+        `ss.register_estimator`).
 
     Returns
     -------
     Run
-        Its record (`run.trace`), metrics and figures. Where the interpreter is interrupted, Ctrl-C or the notebook's
-        stop button, the run so far, with the outcome "interrupted": what follows in the cell then goes on with it. A
-        second interrupt within two seconds raises KeyboardInterrupt, and so ends a loop over many runs.
+        Its record (`run.trace`), metrics and figures. Ctrl-C and the notebook's stop button return the run so far with
+        the outcome "interrupted". A second interrupt within two seconds raises KeyboardInterrupt.
 
     Raises
     ------
-    ConfigError
-        For a field that does not exist or a value that is not allowed, in one line.
-    SceneError
-        For a scene that cannot be read, and a start or goal outside it or in a wall.
-    FolderError
-        For a folder that exists, or cannot be written.
+    ConfigError, SceneError, FolderError
+        One line each: a field or value that is not allowed; a scene that cannot be read, a start or goal outside it or
+        in a wall; a folder that exists, or cannot be written.
 
     """
     from sixthsense.sources.mission import mission
@@ -99,7 +93,7 @@ def replay(
     overwrite: bool = False,
     **fields: Any,
 ) -> Run:
-    """Digest a recorded log with the code that drives the simulated robot; the robot goes where it went.
+    """Process a recorded log with the same loop as `ss.run`.
 
         run = ss.replay("intel.clf.bz2", relations="intel.relations", estimator="isam2")
 
@@ -113,32 +107,23 @@ def replay(
         ("intel", "victoria", "mrclam"; of a bag "default"). An opened log needs one.
     relations
         Hand-checked relations between poses, or their file, to measure the trajectory against.
-    on_tick
+    on_tick, progress, out, overwrite
         As of `ss.run`.
-    progress
-        As of `ss.run`.
-    out
-        As of `ss.run`.
-    overwrite
-        As of `ss.run`.
-    topics
-        Topics of a bag to use, where it has several of scans or of odometry.
-    robot
-        Robot of a MRCLAM folder to follow, where it has several.
+    topics, robot
+        Topics of a bag to use, where it has several of scans or of odometry; robot of a MRCLAM folder to follow.
     **fields
         Of the configuration, over all that, as of `ss.run`, but none of the simulated robot's.
 
     Returns
     -------
     Run
-        As of `ss.run`; with the outcome "interrupted" where it was (see `ss.run`).
+        As of `ss.run`.
 
     Raises
     ------
-    ConfigError
-        For a field that does not exist, a value that is not allowed, or one that this kind of log has no use for.
-    LogError
-        For a log or relations that cannot be read, naming file and line.
+    ConfigError, LogError
+        One line each: a field or value that is not allowed, for this kind of log; a log or relations that cannot be
+        read, with file and line.
 
     """
     given = _named(fields)

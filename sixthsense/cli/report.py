@@ -46,9 +46,10 @@ def command(args: list[str]) -> int:
     out: Path | None = given.get("out")
     if out is not None and out.exists() and not given.get("overwrite", False):
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
+    from sixthsense.evaluation.measured_run import check_folders
     from sixthsense.figures.animation import check_film
     from sixthsense.figures.report import as_form, compact, report, table
-    from sixthsense.figures.run import check_folders, load
+    from sixthsense.figures.run import load
 
     form = as_form(given.get("figures", "png"))
     if "animate" in given:

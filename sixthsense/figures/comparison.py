@@ -11,9 +11,10 @@ from sixthsense.config import Config, as_table
 from sixthsense.config.errors import InputError
 from sixthsense.config.extras import pandas
 from sixthsense.config.section import shown
+from sixthsense.evaluation.measured_run import distinct
 from sixthsense.evaluation.results import digits, html_table
 from sixthsense.figures.panels import figure
-from sixthsense.figures.run import Run, distinct, load
+from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:

@@ -9,12 +9,12 @@ from typing import Any
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, distinct
 from sixthsense.evaluation.results import Metrics, html_table
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height, new_figure
-from sixthsense.figures.run import MOST_RUNS, ReportError, Run, distinct
 from sixthsense.record.load import Part
 from sixthsense.record.trace import Trace
 
@@ -47,7 +47,7 @@ class FigureError(InputError):
     """One line that names the figure, what was found and what is allowed."""
 
 
-def figure(what: str, runs: Sequence[Run]) -> Picture:
+def figure(what: str, runs: Sequence[MeasuredRun]) -> Picture:
     """The figure of that name, of 1 to 12 runs.
 
     Raises FigureError for a name that is none of `KINDS` and for a figure that none of the runs can fill, ReportError
@@ -64,10 +64,10 @@ def figure(what: str, runs: Sequence[Run]) -> Picture:
     raise FigureError(f"{what}: found a run without {_NEEDS[what]}, allowed: a run that has it")
 
 
-def figure_if_any(what: str, runs: Sequence[Run]) -> Picture | None:
+def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
     """The same of a name in `KINDS`, None where no run can fill it."""
-    if not 1 <= len(runs) <= MOST_RUNS:
-        raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MOST_RUNS}")
+    if not 1 <= len(runs) <= MAX_RUNS:
+        raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
     if what == "map" and len(runs) == 1:
         return map_figure(runs[0].trace, runs[0].title)
     made = _MAKERS[what](runs, distinct(runs))
@@ -79,7 +79,7 @@ def figure_if_any(what: str, runs: Sequence[Run]) -> Picture | None:
     return made
 
 
-def card(run: Run) -> str:
+def card(run: MeasuredRun) -> str:
     """A run in HTML: what it was, a small map, and the metrics that matter most."""
     picture = base64.b64encode(map_figure(run.trace, "", 5.0, legend=False).png(dpi=70.0)).decode()
     shown_keys = Metrics({key: run.metrics[key] for key in _CARD if key in run.metrics})
@@ -91,7 +91,7 @@ def card(run: Run) -> str:
     )
 
 
-def _with_truth(runs: Sequence[Run]) -> list[int]:
+def _with_truth(runs: Sequence[MeasuredRun]) -> list[int]:
     return [k for k, run in enumerate(runs) if run.trace.key_truths]
 
 
@@ -99,11 +99,11 @@ def _color(k: int) -> str:
     return CYCLE[k % len(CYCLE)]
 
 
-def _maps(runs: Sequence[Run], names: Sequence[str]) -> Picture:
+def _maps(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture:
     return _planes(runs, names, draw_map)
 
 
-def _exploration(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _exploration(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     traces = [run.trace for run in runs]
     shown = [k for k, t in enumerate(traces) if t.config.task == "explore" and t.plans and t.grid is not None]
     if not shown:
@@ -111,7 +111,7 @@ def _exploration(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     return _planes([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
 
 
-def _planes(runs: Sequence[Run], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
+def _planes(runs: Sequence[MeasuredRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
     """One panel a run, drawn by `draw`, with one legend."""
     columns = min(len(runs), 3)
     rows = -(-len(runs) // columns)
@@ -133,7 +133,7 @@ def _planes(runs: Sequence[Run], names: Sequence[str], draw: Callable[[Any, Trac
     return figure
 
 
-def _errors(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _errors(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     shown = _with_truth(runs)
     if not shown:
         return None
@@ -151,7 +151,7 @@ def _errors(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _nees(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _nees(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     shown = _with_truth(runs)
     if not shown:
         return None
@@ -167,7 +167,7 @@ def _nees(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _nis(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _nis(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     shown = [k for k, run in enumerate(runs) if any(association.dof for association in run.trace.associations)]
     if not shown:
         return None
@@ -181,7 +181,7 @@ def _nis(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _stages(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _stages(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     shown = [k for k, run in enumerate(runs) if any(key.startswith("stage_ms_mean.") for key in run.metrics)]
     if not shown:
         return None
@@ -193,7 +193,7 @@ def _stages(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
     return figure
 
 
-def _coverage(runs: Sequence[Run], names: Sequence[str]) -> Picture | None:
+def _coverage(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     shown = [k for k in _with_truth(runs) if runs[k].trace.scene is not None]
     if not shown:
         return None
@@ -212,7 +212,7 @@ def _legend_above(ax: Any) -> None:
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2)
 
 
-_MAKERS: dict[str, Callable[[Sequence[Run], Sequence[str]], Picture | None]] = {
+_MAKERS: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str]], Picture | None]] = {
     "map": _maps,
     "error": _errors,
     "nees": _nees,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.figures.run import Run
+from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
@@ -171,9 +171,9 @@ def map_height(ax: Any, width_in: float) -> float:
     return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LEAST_HEIGHT_IN), _MOST_HEIGHT_IN) + _FRAME_IN)
 
 
-def save_map(run: Run | Trace, file: Path | str, title: str | None = None) -> None:
+def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = None) -> None:
     """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made."""
-    trace = run.trace if isinstance(run, Run) else run
+    trace = run.trace if isinstance(run, MeasuredRun) else run
     save(map_figure(trace, title if title is not None else trace.outcome), file)
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from sixthsense.config.section import shown
+from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, distinct
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
 from sixthsense.figures.report_page import page
-from sixthsense.figures.run import ReportError, Run, distinct
 from sixthsense.figures.vectors import save_vectors
 
 Form = Literal["png", "svg", "pdf"]
@@ -26,7 +26,7 @@ def as_form(text: str) -> Form:
     raise ReportError(f"--figures: found {shown(text)}, allowed: {', '.join(forms)}")
 
 
-def report(runs: Sequence[Run], out: Path | str, form: Form = "png") -> list[Path]:
+def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
     """Write the figures of one run, or of several side by side with `metrics.csv`, into `out`, made if missing.
 
     Beside them stands `report.html`, a page that holds them all. `form` "svg" or "pdf" adds each figure as vectors.
@@ -53,7 +53,7 @@ def report(runs: Sequence[Run], out: Path | str, form: Form = "png") -> list[Pat
     return pictures + files
 
 
-def table(runs: Sequence[Run]) -> list[list[str]]:
+def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:
     """A head and one row per metric, one column per run, all digits; empty where a run has not measured it."""
     keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
     rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]

@@ -15,8 +15,8 @@ from sixthsense.config.files import NOTES
 from sixthsense.config.section import as_table
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.version import __version__
+from sixthsense.evaluation.measured_run import MeasuredRun, distinct
 from sixthsense.evaluation.results import QUANTITIES, Metrics, digits
-from sixthsense.figures.run import Run, distinct
 
 _CAPTIONS = {
     "map": "Map: the true walls, what was found of them, landmarks with 95 % ellipses, ways planned and driven.",
@@ -58,7 +58,7 @@ summary { cursor: pointer; margin: .6rem 0; }
 """
 
 
-def page(runs: Sequence[Run], figures: Sequence[Path]) -> str:
+def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
     """The HTML of a report on one run, or on several side by side, with PNG `figures` in it; every value is escaped."""
     shown = [_Shown(run, name, len(runs) > 1) for run, name in zip(runs, distinct(runs), strict=True)]
     title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(one.name for one in shown)}"
@@ -88,7 +88,7 @@ def page(runs: Sequence[Run], figures: Sequence[Path]) -> str:
 class _Shown:
     """A run as the page tells of it."""
 
-    def __init__(self, run: Run, name: str, is_one_of_several: bool) -> None:
+    def __init__(self, run: MeasuredRun, name: str, is_one_of_several: bool) -> None:
         self.name, self.is_named = name, is_one_of_several
         self.outcome, self.metrics, self.config, self.folder = run.outcome, run.metrics, run.trace.config, run.folder
         self.missing = run.missing

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, load_config, preset
-from sixthsense.sources.logs import LogError, is_bag, is_graph, is_mrclam, is_run_folder
+from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:

@@ -8,8 +8,9 @@ import pytest
 from PIL import Image
 
 from sixthsense.cli import main
+from sixthsense.evaluation.measured_run import ReportError, check_folders
 from sixthsense.figures.report import compact, report, table
-from sixthsense.figures.run import ReportError, Run, check_folders, load
+from sixthsense.figures.run import Run, load
 
 PAGE = "report.html"
 KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}

@@ -8,8 +8,9 @@ import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.source import Command
-from sixthsense.sources.logs import LogError, open_log
+from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import read_relations
 

@@ -14,7 +14,8 @@ from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay
-from sixthsense.sources.logs import LogError, open_log
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run

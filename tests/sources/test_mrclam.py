@@ -14,7 +14,8 @@ from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay
-from sixthsense.sources.logs import LogError, open_log
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.mrclam import MrclamLog, polar_sighting, read_mrclam
 from sixthsense.sources.logs.runfolder import read_run
 

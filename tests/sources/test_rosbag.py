@@ -16,7 +16,8 @@ from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.loop import replay
-from sixthsense.sources.logs import LogError, open_log
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.rosbag import BagLog
 
 ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sixthsense.config.errors import InputError
+from sixthsense.sources.logs.errors import LogError
 
 if TYPE_CHECKING:
     from sixthsense.config import AssumedConfig, LaserConfig
@@ -16,10 +16,6 @@ _CARMEN = (".log", ".clf", ".carmen")
 _COMPRESSED = (".gz", ".bz2")
 _BAGS = (".bag", ".mcap", ".db3")
 _GRAPHS = (".graph", ".g2o", ".toro")
-
-
-class LogError(InputError):
-    """One line that names the file and line, what was found and what is allowed."""
 
 
 def open_log(

@@ -12,7 +12,7 @@ from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.text_lines import LARGEST, Record, lines, shown
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
 
-from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.errors import LogError
 
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
 _BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together

@@ -11,7 +11,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, polar_sighting
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.text_lines import Record, lines, shown
 

@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Sighting, polar_sighting
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.text_lines import Record, lines, shown
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.sources.logs import LogError
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.text_lines import Record, lines
 
 _STAMP_SLACK_S = 1e-6

@@ -18,8 +18,8 @@ from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.decompress import bounded, check_regular
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
 

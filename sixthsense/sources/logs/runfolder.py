@@ -14,8 +14,8 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.decompress import check_regular, decompressed
+from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
 from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, BagLog
 from sixthsense.sources.logs.sighting_cloud import CLOUD, from_cloud

@@ -15,8 +15,8 @@ from typing import IO, NoReturn, cast
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.sources.logs import LogError
 from sixthsense.sources.logs.decompress import check_regular
+from sixthsense.sources.logs.errors import LogError
 
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
