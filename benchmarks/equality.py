@@ -75,7 +75,9 @@ def perform(case: Case, tree: Tree, keep: bool) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     words = [sys.executable, "-m", "sixthsense.cli", *case.words, "--seed", str(SEED), "--out", str(out)]
     # The compiled kernels of one tree must not serve another, nor a later state of this one.
+    # One BLAS thread: with two the last bits of a large covariance differ, whatever the code.
     env = os.environ | {"PYTHONPATH": str(tree.code), "NUMBA_CACHE_DIR": str(tree.folder / "numba")}
+    env |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     code: int | None = None
     try:
         done = subprocess.run(words, cwd=elsewhere, env=env, capture_output=True, timeout=LONGEST_S)
