@@ -10,7 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 @pytest.fixture(scope="session")
-def explored() -> ss.Trace:
+def explored() -> ss.Run:
     """The exploration of the scene rectangle with seed 1, one for all tests that only read it."""
     return ss.run("rectangle", seed=1, progress=False)
 

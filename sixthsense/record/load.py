@@ -91,7 +91,8 @@ def _read_end(folder: Path, trace: Trace) -> set[Part]:
         read_arrays(folder / END_FILE, trace)
     elif (folder / "smoothed.tum").exists():
         trace.trajectory = read_tum(folder / "smoothed.tum", len(trace.key_stamps_ns))
-        trace.records = read_landmark_table(folder / "landmarks.csv")
+        if (folder / "landmarks.csv").exists():
+            trace.records = read_landmark_table(folder / "landmarks.csv")
     else:
         missing.add(Part.TRAJECTORY)
         poses = [estimate.pose.array() for estimate in trace.key_estimates]

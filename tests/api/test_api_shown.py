@@ -19,7 +19,7 @@ from sixthsense.loop import run as simulated
 
 @pytest.fixture
 def run(explored) -> ss.Run:
-    return ss.Run("rectangle", explored)
+    return explored
 
 
 @pytest.fixture(scope="module")

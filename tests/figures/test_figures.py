@@ -21,7 +21,7 @@ ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2
 
 @pytest.fixture
 def trace(explored) -> Trace:
-    return explored
+    return explored.trace
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,14 @@ from PIL import Image
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, point_segment_distance
 from sixthsense.figures.plot import draw_map, ellipse, save_map, walls_found
+from sixthsense.figures.run import Run
 from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 
 
 @pytest.fixture
-def trace(explored: Trace) -> Trace:
-    return explored
+def trace(explored: Run) -> Trace:
+    return explored.trace
 
 
 def random_cov(rng: np.random.Generator) -> Array:

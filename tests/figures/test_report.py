@@ -18,7 +18,7 @@ KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.
 
 @pytest.fixture
 def finished(explored) -> Run:
-    return Run("rectangle-1", explored)
+    return Run("rectangle-1", explored.trace)
 
 
 @pytest.fixture(scope="module")

@@ -87,7 +87,7 @@ def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, t
     file.write_bytes(content[: int(share * len(content))])
     (file.parent / "metadata.yaml").unlink()
     if share == 0.0:
-        with pytest.raises(ValueError, match=r"bag_0.mcap: is no MCAP file"):
+        with pytest.raises(ValueError, match=r"bag_0.mcap: is not an MCAP file"):
             read_run(whole_folder.partial, config.laser)
         return
     trace = replay(read_run(whole_folder.partial, config.laser), config)
@@ -120,7 +120,7 @@ def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
 
 def test_a_folder_without_a_bag_is_named(tmp_path):
     kept = folder.RunFolder(tmp_path / "run", preset())
-    with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: the folder of a run"):
+    with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: a run folder with a bag"):
         load(kept.partial)
     with pytest.raises(ValueError, match=r"found no config.toml in it, allowed: the folder of a run"):
         load(tmp_path)

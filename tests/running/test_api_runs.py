@@ -69,8 +69,8 @@ def test_a_goal_is_a_goal_tasks():
         (lambda: ss.run("rectangle", estimator=lambda start, cov: None), "estimator: name: found '<lambda>', allowed"),
         (lambda: ss.run("rectangle", seed=-1), "seed: found -1, allowed: at least 0"),
         (lambda: ss.replay("nowhere.log"), "nowhere.log: "),
-        (lambda: ss.replay("nowhere.log", planner="astar"), "planner: found on replay, allowed: options of what a log"),
-        (lambda: ss.replay("nowhere.log", topics=["/scan"]), "topic: found on a log that is no bag"),
+        (lambda: ss.replay("nowhere.log", planner="astar"), "planner: found on replay, allowed: options of the est"),
+        (lambda: ss.replay("nowhere.log", topics=["/scan"]), "topic: found on a log that is not a ROS bag"),
     ],
 )
 def test_what_will_not_do_is_told_in_one_line(call, complaint):
