@@ -24,7 +24,7 @@ notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritt
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
 
 kernels: $(VENV)/installed  ## compile the Numba kernels once, before two processes each do
-	$(BIN)/python -c "from sixthsense.loop import warm_up; warm_up()"
+	$(BIN)/python -c "from sixthsense.running.warmup import warm_up; warm_up()"
 
 check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/ruff check .
