@@ -100,10 +100,9 @@ def announce(line: str) -> None:
 
 def show_end(run: Run) -> int:
     """Print the table of a run's metrics, what it has left unseen, and its folder; returns the exit code."""
-    metrics = run.metrics
-    width = max(map(len, metrics))
-    for key, value in metrics.items():
-        print(f"{key:{width}}  {value:.4g}" if isinstance(value, float) else f"{key:{width}}  {value}")
+    from sixthsense.evaluation.tables import digits, text_table
+
+    print(text_table([[key, digits(value)] for key, value in run.metrics.items()]))
     if run.trace.left:
         print(f"left unseen: {'; '.join(map(_described, run.trace.left))}")
     print(f"written to {run.folder}/")

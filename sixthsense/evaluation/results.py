@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from sixthsense.config.extras import pandas
 from sixthsense.evaluation import tables
-from sixthsense.evaluation.tables import digits as digits
-from sixthsense.evaluation.tables import text_table
+from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.record.stopwatch import STAGES
 
 if TYPE_CHECKING:
@@ -131,10 +130,6 @@ def metrics_table(
             values = [f"{digits(run[key])} {_unit(key)}".rstrip() if key in run else "" for run in runs]
             rows.append([key, *values, *([] if last is None else [last(key)])])
     return tables.html_table(head, rows)
-
-
-html_table = metrics_table
-"""the name under which other modules import it"""
 
 
 def _of(key: str) -> Quantity:

@@ -12,7 +12,8 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.extras import pandas
 from sixthsense.config.section import shown
 from sixthsense.evaluation.measured_run import distinct
-from sixthsense.evaluation.results import digits, html_table
+from sixthsense.evaluation.results import metrics_table
+from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.figures.panels import figure
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
@@ -62,13 +63,12 @@ class Comparison:
             [name, *(digits(run.metrics.get(key, "")) for key in _KEYS)]
             for name, run in zip(self.names, self.runs, strict=True)
         ]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
+        return text_table(rows)
 
     def _repr_html_(self) -> str:
         title = f"<b>{len(self.runs)} run{'s' * (len(self.runs) > 1)}</b>"
         titles = "".join(f"<div>{html.escape(run.title)}</div>" for run in self.runs)
-        table = html_table(["metric", *self.names], [run.metrics for run in self.runs])
+        table = metrics_table(["metric", *self.names], [run.metrics for run in self.runs])
         return f"<div>{title}<details><summary>what they are</summary>{titles}</details>{table}</div>"
 
 

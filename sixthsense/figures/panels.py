@@ -10,7 +10,7 @@ from typing import Any
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, distinct
-from sixthsense.evaluation.results import Metrics, html_table
+from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
@@ -87,7 +87,7 @@ def card(run: MeasuredRun) -> str:
         f"<div><b>{html.escape(run.title)}</b><br>"
         f'<img alt="map" src="data:image/png;base64,{picture}" style="display:inline-block;vertical-align:top">'
         f'<div style="display:inline-block;vertical-align:top;padding-left:1em">'
-        f"{html_table(['metric', 'value'], [shown_keys])}</div></div>"
+        f"{metrics_table(['metric', 'value'], [shown_keys])}</div></div>"
     )
 
 

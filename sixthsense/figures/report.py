@@ -9,6 +9,7 @@ from typing import Literal, get_args
 
 from sixthsense.config.section import shown
 from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, distinct
+from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
 from sixthsense.figures.report_page import page
@@ -54,19 +55,16 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
 
 
 def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:
-    """A head and one row per metric, one column per run, all digits; empty where a run has not measured it."""
+    """Head, and a row per metric with a column per run, all digits; empty where a run did not measure it."""
     keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
     rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]
     return [["metric", *distinct(runs)], *rows]
 
 
 def compact(rows: Sequence[Sequence[str]]) -> str:
-    """A table's rows as lines with columns, numbers to four digits."""
+    """The rows of a table as aligned text, numbers with four digits."""
     short = [[row[0], *map(_four_digits, row[1:])] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*short, strict=True)]
-    return "\n".join(
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in short
-    )
+    return text_table(short)
 
 
 def _four_digits(cell: str) -> str:

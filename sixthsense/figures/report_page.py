@@ -16,7 +16,8 @@ from sixthsense.config.section import as_table
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.measured_run import MeasuredRun, distinct
-from sixthsense.evaluation.results import QUANTITIES, Metrics, digits
+from sixthsense.evaluation.results import QUANTITIES, Metrics
+from sixthsense.evaluation.tables import PAGE, digits, html_table
 
 _CAPTIONS = {
     "map": "Map: the true walls, what was found of them, landmarks with 95 % ellipses, ways planned and driven.",
@@ -133,19 +134,8 @@ def _figure(file: Path, title: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
-    """A table that scrolls sideways where it is too wide; a row of one cell is a heading.
-
-    So many columns after the first are `numbers`.
-    """
-    kinds = ["", *[' class="value"'] * numbers, *[""] * (len(head) - 1 - numbers)]
-    lines = [f"<tr>{''.join(f'<th{kind}>{_text(cell)}</th>' for kind, cell in zip(kinds, head, strict=True))}</tr>"]
-    for row in rows:
-        if len(row) == 1:
-            lines.append(f'<tr><th class="group" colspan="{len(head)}">{_text(row[0])}</th></tr>')
-            continue
-        cells = "".join(f"<td{kind}>{_text(cell)}</td>" for kind, cell in zip(kinds, row, strict=True))
-        lines.append(f"<tr>{cells}</tr>")
-    return f'<div class="wide"><table>\n{chr(10).join(lines)}\n</table></div>'
+    """A table that scrolls sideways where it is too wide; `numbers` as of `html_table`."""
+    return f'<div class="wide">{html_table(head, rows, numbers, PAGE)}</div>'
 
 
 def _metrics(runs: Sequence[_Shown]) -> str:
