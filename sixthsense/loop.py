@@ -1,4 +1,4 @@
-"""The loop, from evidence to command: a simulated world and a log drive the same `Slam` (CONTRIBUTING.md draws it)."""
+"""The loop, from sensor data to command: a simulated world and a log drive the same `Slam`."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
-"""A hook of the user's: called after every tick with it and the record so far."""
+"""Hook of a caller: called after every tick with it and the record so far."""
 
 Watcher = Callable[[Tick, Step, Command], str | None]
-"""Called after every turn of the loop; a word that it returns is the outcome, and ends the run."""
+"""Called after every tick; an outcome that it returns ends the run."""
 
 
 def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
-    """Turn the loop until the task is over, a watcher ends it, or the source has no more; returns the outcome."""
+    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
     sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
     command = Command()
     while (tick := sense(command)) is not None:
@@ -51,7 +51,7 @@ def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = Non
     """Simulate `config.scene` and drive its task.
 
     `scene` is that scene where it is loaded already; `on_tick` is called after every tick with it and the trace so far.
-    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for a scene, start or goal that will not do.
+    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal.
     """
     scene = scene or load_scene(config.scene)
     start, goals, radius_m = mission(scene, config)
@@ -63,7 +63,7 @@ def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = Non
 
 
 def replay(log: Log, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
-    """Digest a recorded log with the same loop; the robot goes where it went.
+    """Process a recorded log with the same loop; no command is used.
 
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
     scene, if that still loads, in `config`.
@@ -78,7 +78,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
 def recorded_drive(
     source: Source, start: Pose, navigator: Navigator, trace: Trace, on_tick: OnTick | None = None
 ) -> Trace:
-    """Drive the loop with all that watches it, and return its record."""
+    """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
     config, clock = trace.config, trace.stopwatch
     pilot = Pilot(navigator, Guard(config, trace.radius_m))
     with Slam(config, start, radius_m=trace.radius_m, timed=clock.timed) as slam:
@@ -95,7 +95,7 @@ def recorded_drive(
 
 
 class _Deadline:
-    """Ends a run when so much of the source's time is over."""
+    """Ends a run when `max_time_s` of source time has passed."""
 
     def __init__(self, max_time_s: float, outcome: str) -> None:
         self._max_ns, self._outcome = round(max_time_s * 1e9), outcome

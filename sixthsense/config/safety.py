@@ -22,6 +22,6 @@ class SafetyConfig(Section):
     guard: bool = True
     """Off: commands are not checked."""
     buffer_m: NonNegative = 0.01
-    """The guard stops the robot this far from a return, to allow for range noise."""
+    """Added to the robot's radius by the guard, to allow for range noise."""
     creep: Positive = 0.1
-    """Speed, m/s, that the guard always allows beside obstacles, however near."""
+    """Lowest speed, m/s, to which obstacles beside the robot's arc can slow it."""

@@ -1,4 +1,4 @@
-"""A run that is over, and what it is worth: its record and its metrics, in memory or from its folder."""
+"""A run that is over: its record and its metrics, in memory or from its folder."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sixthsense.evaluation.results import Metrics
 from sixthsense.record.load import Part, load_record
 from sixthsense.record.trace import Trace
 
-MAX_RUNS = 12  # more panels than that are too small to be read
+MAX_RUNS = 12  # with more the panels of a figure are illegible
 
 _UNKNOWN = {
     Part.KEY_SCANS: ("nis_mean_per_dof", "scan_ms", "stage_ms"),
     Part.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged"),
     Part.LANDMARKS: ("landmarks",),
 }
-"""what the metrics begin with that cannot be measured without a part of the record"""
+"""prefixes of metrics that need this part of the record"""
 
 
 class ReportError(InputError):
@@ -128,7 +128,7 @@ def check_folders(folders: Sequence[Path | str]) -> None:
             raise ReportError(f"{folder}: found {found}, allowed: the folder of a run")
 
 
-def distinct(runs: Sequence[MeasuredRun]) -> list[str]:
+def numbered_names(runs: Sequence[MeasuredRun]) -> list[str]:
     """The runs' names, numbered where several share one."""
     names = [run.name for run in runs]
     return [f"{name} ({k + 1})" if names.count(name) > 1 else name for k, name in enumerate(names)]

@@ -11,7 +11,7 @@ from sixthsense.config import Config, as_table
 from sixthsense.config.errors import InputError
 from sixthsense.config.extras import pandas
 from sixthsense.config.section import shown
-from sixthsense.evaluation.measured_run import distinct
+from sixthsense.evaluation.measured_run import numbered_names
 from sixthsense.evaluation.results import metrics_table
 from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.figures.panels import figure
@@ -39,7 +39,7 @@ class Comparison:
     def __init__(self, runs: Sequence[Run]) -> None:
         """Take at least one run, in the order in which they are shown."""
         self.runs = tuple(runs)
-        self.names = distinct(self.runs)
+        self.names = numbered_names(self.runs)
 
     def frame(self) -> pd.DataFrame:
         """A row per run, index `run`, a column per metric, NaN where it was not measured; ExtraError without pandas."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, distinct
+from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
@@ -70,7 +70,7 @@ def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
         raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
     if what == "map" and len(runs) == 1:
         return map_figure(runs[0].trace, runs[0].title)
-    made = _MAKERS[what](runs, distinct(runs))
+    made = _MAKERS[what](runs, numbered_names(runs))
     if made is not None and what != "map":
         if len(runs) > 1:
             made.suptitle(_TITLES[what])

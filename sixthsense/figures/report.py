@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from sixthsense.config.section import shown
-from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, distinct
+from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
@@ -58,7 +58,7 @@ def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:
     """Head, and a row per metric with a column per run, all digits; empty where a run did not measure it."""
     keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
     rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]
-    return [["metric", *distinct(runs)], *rows]
+    return [["metric", *numbered_names(runs)], *rows]
 
 
 def compact(rows: Sequence[Sequence[str]]) -> str:

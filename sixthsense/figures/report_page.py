@@ -15,7 +15,7 @@ from sixthsense.config.files import NOTES
 from sixthsense.config.section import as_table
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.version import __version__
-from sixthsense.evaluation.measured_run import MeasuredRun, distinct
+from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
 from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.tables import PAGE, digits, html_table
 
@@ -61,7 +61,7 @@ summary { cursor: pointer; margin: .6rem 0; }
 
 def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
     """The HTML of a report on one run, or on several side by side, with PNG `figures` in it; every value is escaped."""
-    shown = [_Shown(run, name, len(runs) > 1) for run, name in zip(runs, distinct(runs), strict=True)]
+    shown = [_Shown(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
     title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(one.name for one in shown)}"
     parts = [f"<h1>{_text(title)}</h1>", *map(_ending, shown)]
     first, rest = figures[:1], figures[1:]

@@ -126,7 +126,7 @@ class Exploration:
         if target is not None:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
             return "to viewpoint"
-        planner = self._view_planner(pose)
+        planner = self._make_view_planner(pose)
         self.left = unseen_places(planner)
         if self._task.config.explore.return_home:
             self.driver.head_for(self._task.home, pose)
@@ -178,7 +178,7 @@ class Exploration:
         self.driver.head_for(places[int(np.argmin(costs))], pose)
         return "revisiting"
 
-    def _resume(self, pose: Pose) -> State:
+    def _drop_target(self, pose: Pose) -> State:
         self._target = NO_TARGET
         return "selecting"
 
@@ -211,14 +211,14 @@ class Exploration:
     # Views.
 
     def _next_target(self, pose: Pose) -> Target | None:
-        return self._view_planner(pose).next_target(self._outside_m(), self._widening > 0, self._task.rng)
+        return self._make_view_planner(pose).next_target(self._outside_m(), self._widening > 0, self._task.rng)
 
     def _retry_unreachable(self, pose: Pose) -> bool:
         """Reset the failure count of unreachable cells that have become visible; whether there are any."""
         if self._retries == self._task.config.explore.tries:
             return False
         self._retries += 1
-        visible = self._view_planner(pose).visible_again()
+        visible = self._make_view_planner(pose).visible_again()
         self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
         return bool(visible.any())
 
@@ -235,8 +235,8 @@ class Exploration:
         self._update_window(pose)
         return None
 
-    def _view_planner(self, pose: Pose) -> ViewPlanner:
-        """The view planner for the present map; from here on its walls are closed."""
+    def _make_view_planner(self, pose: Pose) -> ViewPlanner:
+        """Close the walls of the map window, and make the view planner for it."""
         self._window = self._window.with_closed_walls(self._map.grid)
         task, failed_views = self._task, self._failed_views.within(self._window)
         cost, sigma_m = self._distances(pose), self._history.sigma_m
@@ -291,7 +291,7 @@ _ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
     "count failed view": Exploration._count_failed_view,
     "mark unreachable": Exploration._mark_unreachable,
     "revisit": Exploration._revisit,
-    "resume": Exploration._resume,
+    "drop target": Exploration._drop_target,
     "approach gap or retrace": Exploration._approach_gap_or_retrace,
     "finish": Exploration._finish,
     "give up": Exploration._give_up,

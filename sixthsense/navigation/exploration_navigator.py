@@ -76,7 +76,7 @@ class ExplorationNavigator:
             self._exploration = Exploration(self._task, grid, estimate)
         self._exploration.look(grid, estimate)
 
-    def blocked(self, pose: Pose) -> None:
+    def guard_stopped(self, pose: Pose) -> None:
         """Turn on the spot until another path is found."""
         if self._exploration is not None:
             self._exploration.driver.guard_stopped(pose)

@@ -32,7 +32,7 @@ Action = Literal[
     "count failed view",
     "mark unreachable",
     "revisit",
-    "resume",
+    "drop target",
     "approach gap or retrace",
     "finish",
     "give up",
@@ -86,7 +86,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, Transition]] = MappingProxyType(
             "stuck again": _give_up("at viewpoint"),
         },
         "revisiting": {
-            "pose certain": Transition("resume", ("selecting",)),
+            "pose certain": Transition("drop target", ("selecting",)),
             "path blocked": _replan("revisiting"),
             "arrived": _CHOOSE,
             "turned around": _CHOOSE,

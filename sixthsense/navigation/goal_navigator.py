@@ -70,7 +70,7 @@ class GoalNavigator:
         if not self._drive.driver.path_is_free(pose):
             self._drive.driver.plan(pose)
 
-    def blocked(self, pose: Pose) -> None:
+    def guard_stopped(self, pose: Pose) -> None:
         """Turn on the spot until another path is found."""
         if self._drive is not None:
             self._drive.driver.guard_stopped(pose)

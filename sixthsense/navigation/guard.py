@@ -114,7 +114,7 @@ class Guard:
         self._scan, self._since = scan, Pose()
 
     @property
-    def blocked(self) -> bool:
+    def stopped(self) -> bool:
         """Whether the latest command was stopped."""
         return self._stopped
 

@@ -17,7 +17,7 @@ Region = tuple[float, float, float, float]
 """x0, y0, x1, y1, world frame, metres."""
 
 UNREACHABLE = 255
-"""Failed-view count of a cell that no path led to: more than any number of views."""
+"""Failed-view count of a cell that no path led to; counting stops below it."""
 
 _WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
 
@@ -153,8 +153,9 @@ class FailedViewCounts:
         return self._all[row : row + shape[0], col : col + shape[1]]
 
     def count_failure(self, window: MapWindow, cells: Bools) -> None:
-        """Count one more failed view of (H, W) `cells`."""
-        self.within(window)[cells] += 1
+        """Count one more failed view of (H, W) `cells`, but of those that are `UNREACHABLE`."""
+        counts = self.within(window)
+        counts[cells & (counts < UNREACHABLE - 1)] += 1
 
     def mark_unreachable(self, window: MapWindow, cells: Bools) -> None:
         """Give (H, W) `cells` up as `UNREACHABLE`."""

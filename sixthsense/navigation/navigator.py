@@ -50,7 +50,7 @@ class Navigator(Protocol):
         """Take in a map that has changed, and the estimate of the robot's pose."""
         ...
 
-    def blocked(self, pose: Pose) -> None:
+    def guard_stopped(self, pose: Pose) -> None:
         """Take in that the guard has stopped the last command."""
         ...
 
@@ -73,7 +73,7 @@ class ReplayNavigator:
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Nothing to do."""
 
-    def blocked(self, pose: Pose) -> None:
+    def guard_stopped(self, pose: Pose) -> None:
         """Nothing to do."""
 
     def step(self, pose: Pose, stamp_ns: int) -> Command:

@@ -24,6 +24,6 @@ class Pilot:
         if step.key_scan is not None:
             self.navigator.look(step.grid, step.key_scan.estimate)
         command = self.guard.check(self.navigator.step(step.pose, step.stamp_ns))
-        if self.guard.blocked:
-            self.navigator.blocked(step.pose)
+        if self.guard.stopped:
+            self.navigator.guard_stopped(step.pose)
         return command

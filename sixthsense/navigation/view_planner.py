@@ -1,4 +1,7 @@
-"""Choosing the next view: which unseen cells to look at, and from where. Functions of map and pose, without state."""
+"""Choosing the next view: which unseen cells to look at, and from where.
+
+`ViewPlanner` holds one map and one pose and is never changed.
+"""
 
 from __future__ import annotations
 

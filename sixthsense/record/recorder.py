@@ -12,7 +12,7 @@ from sixthsense.slam.slam import Slam, Step
 
 
 class Recorder:
-    """Appends what each turn of the loop brought to a trace."""
+    """Appends what each tick brought to a trace."""
 
     def __init__(self, trace: Trace, slam: Slam, pilot: Pilot) -> None:
         """Record into `trace`, which shows the plans and the map from now on."""
@@ -22,9 +22,9 @@ class Recorder:
         self._began = time.perf_counter()
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:
-        """Record a turn."""
+        """Record one tick."""
         trace, key_scan = self._trace, step.key_scan
-        trace.stopwatch.end_turn(key_scan is not None)
+        trace.stopwatch.end_tick(key_scan is not None)
         assert trace.live is not None
         trace.live.scan = step.scan or trace.live.scan
         if key_scan is not None:
@@ -46,5 +46,5 @@ class Recorder:
             trace.plans_by_astar = navigator.plans_by_astar
         result = self._slam.finish()
         trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
-        trace.records = dict(result.landmarks)
+        trace.records = dict(result.landmark_records)
         trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds

@@ -38,8 +38,8 @@ class Stopwatch:
 
         return call
 
-    def end_turn(self, is_key_scan: bool) -> None:
-        """End a turn of the loop; the times of a key scan's turn are kept as a row."""
+    def end_tick(self, is_key_scan: bool) -> None:
+        """End a tick; the times of a tick with a key scan are kept as a row."""
         if is_key_scan:
             self.rows.append(self._row)
         self._row = {}

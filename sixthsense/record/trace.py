@@ -91,7 +91,7 @@ class Trace:
     culled: int = 0
     """landmarks removed"""
     walls_merged: int = 0
-    """walls that have turned out to be others"""
+    """walls merged into older duplicates"""
     relations: Relations | None = None
     """hand-checked relations to measure the trajectory against"""
     grid: Grid | None = None

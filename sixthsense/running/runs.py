@@ -1,4 +1,4 @@
-"""One run or replay with all that goes with it: folder, bag, record, progress bar, hooks. Every caller comes here."""
+"""One run or replay with its folder, bag, record, progress bar and hooks."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """Who watches a run as it goes."""
+    """How the progress of a run is shown, and the hooks that it calls."""
 
     hooks: Sequence[OnTick] = ()
     """called after every tick, in this order"""
     progress: bool | None = None
-    """whether a bar shows how far it is; None: where somebody looks on"""
+    """whether a progress bar is shown; None: in a notebook and at an interactive terminal"""
     realtime: bool = False
-    """hold the source's clock back to the wall's"""
+    """slow down to real time"""
     say: Callable[[str], object] | None = None
-    """takes the line on the hot loops' compilation; without one the bar shows it"""
+    """prints the message that kernels are being compiled; without one the bar shows it"""
 
 
 QUIET = Watch(progress=False)
-"""for runs that nobody watches"""
+"""no bar and no hook"""
 
 
 def reserved(

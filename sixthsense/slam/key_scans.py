@@ -10,7 +10,7 @@ from sixthsense.core.source import Tick
 
 
 class KeyScans:
-    """Selects the scans that are used: those after enough motion since the last one. Folds the odometry between."""
+    """Selects the first scan and those after enough motion since the last one, and folds the odometry between."""
 
     def __init__(self, config: KeyScanConfig) -> None:
         self._config = config

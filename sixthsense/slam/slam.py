@@ -1,13 +1,13 @@
 """SLAM, one tick at a time: from odometry and scans to an estimate and a map.
 
-`Slam` does not know who drives the robot or who watches: a simulated world, a log and a live robot feed it alike.
+`Slam` neither drives the robot nor records the run. A simulated world, a log and a live robot feed it alike.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,7 +28,8 @@ from sixthsense.slam.key_scans import KeyScans
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 
-F = TypeVar("F", bound=Callable[..., object])
+Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
+"""From the name of a stage and its function to the function that runs in its place."""
 
 DEFAULT_RADIUS_M = 0.2  # of a robot whose configuration states none
 
@@ -79,7 +80,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class SlamResult:
-    """What is left when the evidence has ended."""
+    """What is known after the last tick."""
 
     estimate: Estimate
     """at the last tick"""
@@ -87,8 +88,8 @@ class SlamResult:
     """(3 + 2n, 3 + 2n) of pose and landmarks, world frame"""
     trajectory: Array
     """(K, 3) final pose at each key scan"""
-    landmarks: Mapping[LandmarkId, Record]
-    """bookkeeping of each landmark of the estimate"""
+    landmark_records: Mapping[LandmarkId, Record]
+    """sightings, kind and extent of each landmark of the estimate"""
     culled: int
     """landmarks removed"""
     walls_merged: int
@@ -97,9 +98,20 @@ class SlamResult:
     """times the grid was drawn again because key poses had moved"""
 
 
-def untimed(stage: str, function: F) -> F:
-    """The function as it is: nobody times the stages."""
+def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function as it is, not timed."""
     return function
+
+
+class _Stages(NamedTuple):
+    """The stages of a tick, in order; all but the first on key scans only."""
+
+    fold_odometry: Callable[[Tick], tuple[Odometry | None, Scan | None]]
+    predict: Callable[[Odometry], None]
+    extract: Callable[[Scan], Features]
+    associate: Callable[[Features | None, Tick], Association]
+    update: Callable[[Association], Estimate]
+    map: Callable[[Scan, Features], None]
 
 
 class Slam:
@@ -121,12 +133,12 @@ class Slam:
         *,
         start_cov: Array | None = None,
         radius_m: float | None = None,
-        timed: Callable[[str, Callable[..., object]], Callable[..., object]] = untimed,
+        timed: Timed = untimed,
     ) -> None:
         """Begin at `start`, `T_world_robot`, of covariance `start_cov` (3, 3), exactly known by default.
 
         `radius_m` is of the disc that the robot is, by default the configuration's. `timed(stage, function)` returns
-        the function that runs in its place, for who measures the stages.
+        the function that runs in its place, to measure stage times.
         """
         self.config = config or Config()
         self._pose = start or Pose()
@@ -141,8 +153,14 @@ class Slam:
         self._stamp_ns = 0
         self._T_world_odom = Pose()
         self._result: SlamResult | None = None
-        for name, stage in _STAGES.items():
-            setattr(self, name, timed(stage, getattr(self, name)))
+        self._stages = _Stages(
+            fold_odometry=timed("predict", self._fold_odometry),
+            predict=timed("predict", self.estimator.predict),
+            extract=timed("extract", self._extract),
+            associate=timed("associate", self._associate),
+            update=timed("update", self._update),
+            map=timed("grid", self._map),
+        )
         self._blas = threadpool_limits(limits=1, user_api="blas")
 
     def __enter__(self) -> Slam:
@@ -156,21 +174,21 @@ class Slam:
         self._blas.restore_original_limits()
 
     def take(self, tick: Tick) -> Step:
-        """Digest a tick: its odometry always, its scan or sightings where the robot has moved enough."""
-        increment, scan = self._fold_odometry(tick)
+        """Process a tick: its odometry always, its sightings, and its scan if it is a key scan."""
+        increment, scan = self._stages.fold_odometry(tick)
         if not self._key_scans.due(tick):
             return self._step(tick, increment, scan, None)
         motion = self._key_scans.take()
-        self._predict(motion)
-        features = None if scan is None else self._extract(scan)
-        association = self._associate(features, tick)
-        estimate = self._update(association)
+        self._stages.predict(motion)
+        features = None if scan is None else self._stages.extract(scan)
+        association = self._stages.associate(features, tick)
+        estimate = self._stages.update(association)
         if scan is not None and features is not None:
-            self._map(scan, features)
+            self._stages.map(scan, features)
         return self._step(tick, increment, scan, KeyScan(motion, estimate, association, features))
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
-        """Digest a scan of the configured laser, for who has no `Tick`.
+        """Process a scan of the configured laser, for callers without a `Tick`.
 
         `ranges` (beams,) metres, counter-clockwise from `-laser.fov / 2`, inf or NaN where nothing was met; `odometry`
         is the robot's pose by its wheels, `T_odom_robot`, in any fixed frame; stamps ascend. Raises ValueError for
@@ -183,7 +201,7 @@ class Slam:
         return self.take(self._checked(Tick(stamp_ns, odometry, Scan.from_config(values, laser))))
 
     def odometry(self, stamp_ns: int, odometry: Pose) -> Step:
-        """Digest the robot's pose by its wheels between two scans, `T_odom_robot`; ValueError as of `scan`."""
+        """Process the robot's pose by its wheels between two scans, `T_odom_robot`; ValueError as of `scan`."""
         return self.take(self._checked(Tick(stamp_ns, odometry)))
 
     @property
@@ -197,7 +215,7 @@ class Slam:
         return self._mapper.grid
 
     def estimate(self) -> Estimate:
-        """Pose at the last key scan, its covariance, and the landmarks."""
+        """Pose at the last key scan (after `finish` at the last tick), its covariance, and the landmarks."""
         return self.estimator.estimate()
 
     def trajectory(self) -> Array:
@@ -205,7 +223,7 @@ class Slam:
         return self.estimator.trajectory()
 
     def finish(self) -> SlamResult:
-        """Predict up to the last tick, and return what is known then. Nothing more can be taken after it."""
+        """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
             self.estimator.predict(self._key_scans.take())
             estimate = self.estimate()
@@ -240,9 +258,6 @@ class Slam:
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
 
-    def _predict(self, motion: Odometry) -> None:
-        self.estimator.predict(motion)
-
     def _extract(self, scan: Scan) -> Features:
         return extract(scan, self.config.assumed, self.config.features, self._ransac_rng)
 
@@ -265,17 +280,6 @@ class Slam:
         dead_reckoned = self._T_world_odom @ tick.odometry
         since = self._key_scans.since.motion
         return Step(tick.stamp_ns, self._pose, dead_reckoned, increment, since, scan, key_scan, self.grid)
-
-
-_STAGES = {
-    "_fold_odometry": "predict",
-    "_predict": "predict",
-    "_extract": "extract",
-    "_associate": "associate",
-    "_update": "update",
-    "_map": "grid",
-}
-"""the stages that a clock wraps, and the names that metrics give them"""
 
 
 def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:

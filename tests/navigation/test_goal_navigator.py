@@ -241,7 +241,7 @@ def test_a_robot_that_the_guard_has_stopped_turns_on_the_spot_until_it_has_anoth
     navigator, grid = navigator_to((3.0, 0.0)), empty_grid()
     navigator.look(grid, believed(Pose()))
     assert navigator.step(Pose(), 0).speed > 0.0
-    navigator.blocked(Pose())
+    navigator.guard_stopped(Pose())
     command = navigator.step(Pose(), 20_000_000)
     assert command.speed == 0.0 and command.turn_rate != 0.0
     add_walls(grid, [[[0.5, -0.5], [0.5, 0.5]]])

@@ -121,9 +121,9 @@ def test_a_robot_that_obeys_the_guard_tick_by_tick_never_touches_what_it_has_see
 def test_a_robot_may_always_turn_on_the_spot() -> None:
     guard, _ = guard_before(np.array([[0.201, 0.0], [0.0, 0.201], [-0.201, 0.0], [0.0, -0.201]]))
     assert guard.check(Command(0.0, 1.0)) == Command(0.0, 1.0)
-    assert not guard.blocked
+    assert not guard.stopped
     assert guard.check(Command(0.3, 0.5)) == Command(0.0, 0.5)
-    assert guard.blocked and guard.stops == 1
+    assert guard.stopped and guard.stops == 1
 
 
 def test_a_robot_may_move_away_from_a_return_that_it_almost_touches() -> None:
