@@ -25,5 +25,9 @@ def data_dir() -> Path:
 
 
 pytest.register_assert_rewrite(
-    "sixthsense.testing.contract", "sixthsense.testing.edges", "sixthsense.testing.estimation"
+    "sixthsense.testing.contract",
+    "sixthsense.testing.edges",
+    "sixthsense.testing.estimation",
+    "sixthsense.testing.posterior",
+    "sixthsense.testing.walls",
 )

@@ -20,6 +20,8 @@ class Law:
     """a sentence, with _ between its words"""
     check: Callable[[str], None]
     """called with the name of an implementation; raises an exception if it violates the law"""
+    needs_walls: bool = False
+    """whether the check uses walls, which an estimator may refuse"""
 
 
 class Laws(list[Law]):
@@ -30,13 +32,26 @@ class Laws(list[Law]):
         self.append(Law(check.__name__, check))
         return check
 
-    def law_for(self, cases: Collection[Any]) -> Callable[[Check], Check]:
-        """Decorate a check, which is called with the name of an implementation and each of the cases."""
+    def wall_law(self, check: Check) -> Check:
+        """Decorate a check that uses walls."""
+        self.append(Law(check.__name__, check, needs_walls=True))
+        return check
+
+    def wall_law_for(self, cases: Collection[Any]) -> Callable[[Check], Check]:
+        """Decorate a check that uses walls in each of the cases."""
+        return self.law_for(cases, needs_walls=True)
+
+    def law_for(self, cases: Collection[Any], needs_walls: bool = False) -> Callable[[Check], Check]:
+        """Decorate a check, which is called with the name of an implementation and each of the cases.
+
+        A case may have the attributes `label`, for the law's name, and `needs_walls`.
+        """
 
         def add(check: Check) -> Check:
             for k, case in enumerate(cases):
-                label = case if isinstance(case, str) else case if isinstance(case, float) else k
-                self.append(Law(f"{check.__name__} [{label}]", partial(_check_case, check, case)))
+                label = case if isinstance(case, str | float) else getattr(case, "label", k)
+                walls = needs_walls or bool(getattr(case, "needs_walls", False))
+                self.append(Law(f"{check.__name__} [{label}]", partial(_check_case, check, case), walls))
             return check
 
         return add

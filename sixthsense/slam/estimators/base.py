@@ -43,6 +43,8 @@ class Estimator(Protocol):
     6. The same calls give the same bits.
     7. An invalid covariance (not finite, not symmetric, indefinite; of a sighting, not positive definite) raises a
        ValueError that names it and leaves the state unchanged. An odometry's and the start's may be zero.
+    8. Walls may be refused: `update` then raises a NotImplementedError at a wall's first sighting and leaves the state
+       unchanged. All built-in estimators use walls.
     """
 
     def predict(self, odometry: Odometry) -> None:

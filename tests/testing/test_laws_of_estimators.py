@@ -1,0 +1,290 @@
+"""The laws of estimators find errors: wrong covariances of sightings, wrong Jacobians, lost correlations, no walls."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from sixthsense.core import landmarks
+from sixthsense.slam.estimators import ekf, register_estimator
+from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.estimators.ekf_invariant import InvariantEKF
+from sixthsense.testing import check_estimator
+from sixthsense.testing.check import LAWS
+
+CHECKS = {law.name: law.check for law in LAWS}
+
+INITIALIZED = "new_landmarks_have_the_joint_covariance_of_batch_least_squares [{}]"
+UPDATED = "the_first_update_gives_the_posterior_of_batch_least_squares [{}]"
+DRIVEN = "a_drive_gives_the_posterior_of_batch_least_squares [{}]"
+ADDED = "an_update_adds_the_information_of_its_sightings [{}]"
+TWICE = "two_updates_with_one_sighting_equal_one_with_half_its_covariance [{}]"
+ORDER = "the_order_of_two_updates_makes_no_difference [{}]"
+KINDS = ("points", "walls")
+
+
+def breaks(cls, law):
+    """Whether an estimator violates the law, or fails numerically on the way, as with an indefinite covariance."""
+    register_estimator("sabotaged", cls)
+    try:
+        CHECKS[law]("sabotaged")
+    except (AssertionError, np.linalg.LinAlgError):
+        return True
+    return False
+
+
+def is_of(kind, sighting):
+    return sighting.is_wall == (kind == "walls")
+
+
+def with_scaled_covariance(kind, factor, only_known, base=EKF):
+    """Uses the sightings of one kind with `factor` times their covariance, in updates or at initialization too."""
+
+    class Sabotaged(base):
+        def update(self, sightings):
+            wrong = {
+                i: dataclasses.replace(s, cov=factor * s.cov)
+                for i, s in sightings.items()
+                if is_of(kind, s) and (i in self._slots or not only_known)
+            }
+            super().update({**sightings, **wrong})
+
+    return Sabotaged
+
+
+@pytest.mark.parametrize("base", [EKF, InvariantEKF])
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("law", [UPDATED, DRIVEN, ADDED])
+def test_an_update_with_a_quarter_of_the_covariance_is_found(base, kind, law):
+    sabotaged = with_scaled_covariance(kind, 0.25, only_known=True, base=base)
+    assert breaks(sabotaged, law.format(kind)) and breaks(sabotaged, law.format("points and walls"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("factor", [0.25, 0.9, 1.1, 4.0])
+def test_an_initialization_with_another_covariance_is_found(kind, factor):
+    assert breaks(with_scaled_covariance(kind, factor, only_known=False), INITIALIZED.format(kind))
+
+
+def with_wrong_jacobian(name, kind, change):
+    """Takes a Jacobian of the sighting model `predict` or of `initialize_landmark`, changed by `change`."""
+    honest = getattr(landmarks, name)
+
+    def wrong_prediction(pose, means, walls):
+        z, by_pose, by_landmark = honest(pose, means, walls)
+        for k in np.flatnonzero(walls == (kind == "walls")):
+            change(by_pose[k], by_landmark[k])
+        return z, by_pose, by_landmark
+
+    def wrong_initialization(pose, sighting):
+        mean, by_pose, by_z = honest(pose, sighting)
+        if is_of(kind, sighting):
+            change(by_pose, by_z)
+        return mean, by_pose, by_z
+
+    class Sabotaged(EKF):
+        def update(self, sightings):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(ekf, name, wrong_prediction if name == "predict" else wrong_initialization)
+                super().update(sightings)
+
+    return Sabotaged
+
+
+def times(factor, matrix, *entry):
+    """Multiplies one entry of the Jacobian by the pose (0) or by the landmark or sighting (1)."""
+
+    def change(*jacobians):
+        jacobians[matrix][entry] *= factor
+
+    return change
+
+
+WALL_ENTRIES = {
+    "angle by heading": (0, 0, 2),
+    "offset by x": (0, 1, 0),
+    "offset by y": (0, 1, 1),
+    "angle by angle": (1, 0, 0),
+    "offset by angle": (1, 1, 0),
+    "offset by offset": (1, 1, 1),
+}
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5])
+@pytest.mark.parametrize("entry", WALL_ENTRIES)
+def test_a_wrong_entry_of_a_walls_jacobian_is_found(entry, factor):
+    sabotaged = with_wrong_jacobian("predict", "walls", times(factor, *WALL_ENTRIES[entry]))
+    assert breaks(sabotaged, DRIVEN.format("walls")) and breaks(sabotaged, ADDED.format("walls"))
+    assert not breaks(sabotaged, DRIVEN.format("points"))
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5])
+@pytest.mark.parametrize("entry", [(0, 0, 0), (0, 1, 1), (0, 0, 2), (0, 1, 2), (1, 0, 1), (1, 1, 1)])
+def test_a_wrong_entry_of_a_points_jacobian_is_found(entry, factor):
+    sabotaged = with_wrong_jacobian("predict", "points", times(factor, *entry))
+    assert breaks(sabotaged, DRIVEN.format("points")) and breaks(sabotaged, ADDED.format("points"))
+    assert not breaks(sabotaged, DRIVEN.format("walls"))
+
+
+INITIALIZATION_ENTRIES = [
+    *(("walls", entry) for entry in ((0, 0, 2), (0, 1, 0), (0, 1, 1), (0, 1, 2), (1, 0, 0), (1, 1, 0), (1, 1, 1))),
+    *(("points", entry) for entry in ((0, 0, 0), (0, 1, 1), (0, 0, 2), (0, 1, 2), (1, 0, 0), (1, 0, 1), (1, 1, 1))),
+]
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.5])
+@pytest.mark.parametrize(("kind", "entry"), INITIALIZATION_ENTRIES)
+def test_a_wrong_entry_of_an_initializations_jacobian_is_found(kind, entry, factor):
+    sabotaged = with_wrong_jacobian("initialize_landmark", kind, times(factor, *entry))
+    assert breaks(sabotaged, INITIALIZED.format(kind))
+
+
+def without_correlations(part, factor, when):
+    """Multiplies the correlations of pose and landmarks, or between landmarks, after updates or at initialization."""
+
+    class Sabotaged(EKF):
+        def _scale(self):
+            if part == "pose and landmarks":
+                self._cov[3:, :3] *= factor
+                return
+            for k in range(len(self._means)):
+                self._cov[5 + 2 * k :, 3 + 2 * k : 5 + 2 * k] *= factor
+
+        def _apply_correction(self, slots, shift):
+            super()._apply_correction(slots, shift)
+            if when == "update":
+                self._scale()
+
+        def _on_added(self, sightings):
+            super()._on_added(sightings)
+            if when == "initialization":
+                self._scale()
+
+    return Sabotaged
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "points and walls"])
+@pytest.mark.parametrize("factor", [0.0, 0.5])
+@pytest.mark.parametrize("part", ["pose and landmarks", "landmarks"])
+@pytest.mark.parametrize(("when", "law"), [("update", UPDATED), ("update", ADDED), ("initialization", INITIALIZED)])
+def test_lost_correlations_are_found(part, factor, when, law, kind):
+    assert breaks(without_correlations(part, factor, when), law.format(kind))
+
+
+class CountsTwice(EKF):
+    """Uses the evidence of an update's sightings a second time, if they are of a landmark of the update before."""
+
+    last = ()
+
+    def update(self, sightings):
+        super().update(sightings)
+        repeated = {i: s for i, s in sightings.items() if i in self.last}
+        self.last = tuple(sightings)
+        if repeated:
+            rows = len(self._trajectory.rows())
+            super().update(repeated)
+            self._trajectory._count = rows
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("law", [ORDER, DRIVEN, ADDED])
+def test_evidence_that_counts_twice_is_found(kind, law):
+    assert breaks(CountsTwice, law.format(kind))
+
+
+class NoiseFloor(EKF):
+    """Adds a variance to that of each sighting."""
+
+    def update(self, sightings):
+        floor = 2.5e-8 * np.eye(2)
+        super().update({i: dataclasses.replace(s, cov=s.cov + floor) for i, s in sightings.items()})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("law", [INITIALIZED, UPDATED, TWICE])
+def test_a_floor_of_the_noise_is_found(kind, law):
+    assert breaks(NoiseFloor, law.format(kind))
+
+
+class WorldOffsets(EKF):
+    """Returns the offset of a wall without the effect of its angle on the way from the start to the world's origin."""
+
+    def joint_covariance(self, ids):
+        self._propagate()
+        slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
+        return self._symmetric(ekf._state_index(slots))
+
+
+class UnwrappedInnovation(EKF):
+    def _correct(self, slots, sightings):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ekf, "innovations", lambda z, predicted, walls: z - predicted)
+            return super()._correct(slots, sightings)
+
+
+class UnflaggedWalls(EKF):
+    def estimate(self):
+        estimate = super().estimate()
+        return dataclasses.replace(estimate, walls=np.zeros_like(estimate.walls))
+
+
+@pytest.mark.parametrize(
+    ("cls", "law"),
+    [
+        (WorldOffsets, INITIALIZED.format("walls")),
+        (WorldOffsets, "moving_the_world_moves_walls_with_it [1]"),
+        (WorldOffsets, "a_new_wall_is_initialized_from_its_sighting"),
+        (UnwrappedInnovation, "the_innovation_of_a_wall_is_wrapped"),
+        (UnflaggedWalls, "a_wall_is_returned_as_a_wall"),
+    ],
+)
+def test_an_error_with_walls_is_found(cls, law):
+    assert breaks(cls, law)
+
+
+class PointsOnly(EKF):
+    """Refuses walls as the contract says."""
+
+    def update(self, sightings):
+        if any(sighting.is_wall for sighting in sightings.values()):
+            raise NotImplementedError("walls are not supported")
+        super().update(sightings)
+
+
+class LateRefusal(PointsOnly):
+    """Refuses walls after the points of the same scan were used."""
+
+    def update(self, sightings):
+        EKF.update(self, {i: sighting for i, sighting in sightings.items() if not sighting.is_wall})
+        super().update({i: sighting for i, sighting in sightings.items() if sighting.is_wall})
+
+
+class TypeErrorForWalls(EKF):
+    def update(self, sightings):
+        if any(sighting.is_wall for sighting in sightings.values()):
+            raise TypeError("found a wall")
+        super().update(sightings)
+
+
+def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():
+    verdicts = check_estimator(PointsOnly)
+    of_walls = [law.name for law in LAWS if law.needs_walls]
+    assert verdicts.kept and list(verdicts.skipped) == of_walls and len(verdicts) == len(LAWS) - len(of_walls)
+    assert DRIVEN.format("points") in verdicts and DRIVEN.format("walls") in verdicts.skipped
+    reason = "NotImplementedError: walls are not supported"
+    assert repr(verdicts) == f"keeps all {len(verdicts)} laws; {len(of_walls)} laws of walls not tested: {reason}"
+    assert verdicts._repr_html_().count("not tested") == len(of_walls)
+
+
+def test_a_refusal_that_has_changed_the_state_is_found():
+    assert breaks(LateRefusal, "a_scan_with_a_wall_is_used_or_refused_as_a_whole")
+    assert not breaks(PointsOnly, "a_scan_with_a_wall_is_used_or_refused_as_a_whole")
+
+
+def test_another_error_for_a_wall_is_no_refusal():
+    verdicts = check_estimator(TypeErrorForWalls)
+    assert not verdicts.skipped and all(verdicts[law.name] for law in LAWS if law.needs_walls)
+
+
+def test_an_honest_estimator_keeps_the_laws_of_the_posterior():
+    assert not any(breaks(EKF, law.format(kind)) for law in (INITIALIZED, DRIVEN, ADDED, TWICE) for kind in KINDS)
