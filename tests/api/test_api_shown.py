@@ -67,7 +67,7 @@ def test_metrics_are_a_dictionary_that_json_and_pickle_take(run):
 
 def test_metrics_are_measured_once_and_handed_out_as_copies(run, monkeypatch):
     before = run.metrics
-    monkeypatch.setattr("sixthsense.figures.run.measure", None)
+    monkeypatch.setattr("sixthsense.evaluation.measured_run.measure", None)
     run.metrics["outcome"] = "changed"
     assert run.metrics == before
 

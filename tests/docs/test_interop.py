@@ -19,6 +19,7 @@ import yaml
 from PIL import Image
 
 from sixthsense.config import preset
+from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.record.bag import TOPICS, BagWriter
 from sixthsense.record.folder import RunFolder
@@ -64,7 +65,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Trace]:
     with RunFolder(folder, CONFIG) as out:
         with BagWriter(out.partial) as bag:
             trace = run(CONFIG, bag)
-        out.write(trace)
+        out.write(trace, measure(trace))
         out.finish()
     return folder, trace
 

@@ -72,7 +72,7 @@ def test_the_error_of_a_wall_is_its_distance_from_the_true_walls():
 
 def test_a_run_without_removed_landmarks_is_refused(run):
     if run.trace.culled == 0:
-        with pytest.raises(ValueError, match="run: found no landmark that was culled"):
+        with pytest.raises(ValueError, match="run: found no removed landmark, allowed: a run with one"):
             figures.worst_culled(run)
     else:
         assert figures.worst_culled(run).born < figures.worst_culled(run).gone

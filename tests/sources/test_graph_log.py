@@ -111,7 +111,7 @@ def test_initial_values_comments_and_late_landmarks_are_accepted(tmp_path):
         (MOTION.format(2, 2), "found pose 2 again"),
         (MOTION.format(0, 3), "found an edge from pose 0 to 3, allowed: from the newest pose, 2"),
         (MOTION.format(2, 5), "found pose 5, allowed: an id that no landmark has"),
-        (SEEN.format(3, 6, 1.0, 1.0), "found landmark 6 seen from pose 3, allowed: from a pose that an edge led to"),
+        (SEEN.format(3, 6, 1.0, 1.0), "found landmark 6 seen from pose 3, allowed: from a pose with an earlier edge"),
         (SEEN.format(2, 1, 1.0, 1.0), "found landmark 1, allowed: an id that no pose has"),
         (SEEN.format(2, 5, 1.0, 1.0), "found landmark 5 again from pose 2, allowed: once from each pose"),
         (SEEN.format(2, 6, "one", 1.0), "found 'one', allowed: a number"),
@@ -198,7 +198,7 @@ def test_the_command_replays_a_graph_and_then_its_own_record_to_the_same_estimat
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--assumed.floor-m", "1"], "--assumed.floor-m: found on a log that states its own noise"),
+        (["--assumed.floor-m", "1"], "--assumed.floor-m: found on a log that contains its own noise"),
         (["--grid.cell-m", "1"], "--grid.cell-m: found on a log that has landmarks and no scans"),
         (["--preset", "park"], "preset: found 'park', allowed: "),
     ],

@@ -190,7 +190,11 @@ def test_rare_unknown_barcodes_are_skipped_and_frequent_ones_are_an_error(tmp_pa
 @pytest.mark.parametrize(
     ("name", "line", "said"),
     [
-        ("Robot3_Measurement.dat", "1000.250 63 4.0 0.1", "line 2: found landmark 6 (barcode 63) again at its stamp"),
+        (
+            "Robot3_Measurement.dat",
+            "1000.250 63 4.0 0.1",
+            "found landmark 6 (barcode 63) again at the same stamp",
+        ),
         ("Robot3_Measurement.dat", "1000.250 63.5 4.0 0.1", "found barcode '63.5', allowed: a whole number"),
         ("Robot3_Measurement.dat", "1000.250 63 -4.0 0.1", "found range '-4.0', allowed: 0.001 to 1000"),
         ("Robot3_Measurement.dat", "1000.250 63 4.0 1.6", "found bearing '1.6', allowed: -1.5 to 1.5"),
@@ -198,7 +202,11 @@ def test_rare_unknown_barcodes_are_skipped_and_frequent_ones_are_an_error(tmp_pa
         ("Robot3_Odometry.dat", "1000.0 fast 0", "found 'fast', allowed: a number"),
         ("Robot3_Odometry.dat", "1000.0 nan 0", "found 'nan', allowed: a finite number"),
         ("Robot3_Odometry.dat", "1000.0 1e5 0", "found forward speed '1e5', allowed: -1000 to 1000"),
-        ("Robot3_Odometry.dat", "2000.0 0 0", "line 2: found stamp '1000.000', allowed: not before the line before"),
+        (
+            "Robot3_Odometry.dat",
+            "2000.0 0 0",
+            "found stamp '1000.000', allowed: not before that of the previous",
+        ),
         ("Robot3_Odometry.dat", "-1 0 0", "found stamp '-1', allowed: 0 to"),
         ("Robot3_Groundtruth.dat", "1000.0 1 2", "found 3 columns, allowed: 4 (stamp, x, y, orientation)"),
         ("Robot3_Groundtruth.dat", "1000.0 1e9 2 0", "found x '1e9', allowed: -1e+06 to 1e+06"),
@@ -271,7 +279,7 @@ def test_the_command_replays_a_folder_and_then_its_own_record_to_the_same_estima
         (["--robot", "4"], "found no odometry of robot 4, allowed: 3"),
         (["--laser.beams", "9"], "--laser.beams: found on a log that has landmarks and no scans"),
         (["--features.split.enabled", "false"], "--features.split: found on a log that has landmarks and no scans"),
-        (["--topic", "/scan"], "--topic: found on a log that is no bag"),
+        (["--topic", "/scan"], "--topic: found on a log that is not a ROS bag"),
         (["--assumed.laser.range-m", "0"], "assumed.laser.range_m 0"),
     ],
 )

@@ -295,7 +295,9 @@ def test_options_of_another_kind_of_log_are_refused(tmp_path, capsys):
     capsys.readouterr()
     more = ["--out", str(tmp_path / "more")]
     assert "--laser.beams: found on a bag" in complaint(["replay", file, *more, "--laser.beams", "9"], capsys)
-    assert "--topic: found on a log that is no bag" in complaint(["replay", out[1], *more, "--topic", "/a"], capsys)
+    assert "--topic: found on a log that is not a ROS bag" in complaint(
+        ["replay", out[1], *more, "--topic", "/a"], capsys
+    )
     assert "--preset: found on the folder of a run" in complaint(["replay", out[1], *more, "--preset", "intel"], capsys)
 
 

@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_di
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
 from sixthsense.core.source import Command
+from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world
 from sixthsense.loop import replay, run
 from sixthsense.record.bag import BagWriter
@@ -177,7 +178,7 @@ def folder_of(config: Config, path: Path) -> tuple[Trace, Path]:
     folder = RunFolder(path, config)
     with BagWriter(folder.partial) as bag:
         trace = run(config, bag)
-    folder.write(trace)
+    folder.write(trace, measure(trace))
     folder.finish()
     return trace, folder.out
 
