@@ -4,8 +4,10 @@
 consistent): for each second the mean over runs at the latest key scan, then the mean over time. `nees_position` (2) and
 `nees_heading` (1) are computed in the same way. `share_in_band` is the share of seconds at which the mean over runs
 lies in the 95 % band for that number of runs; successive seconds are correlated. `nees3_spread` is the standard
-deviation over runs of the mean over time. A wrong match is one that contradicts the truth
-(`sixthsense.evaluation.matches`).
+deviation over runs of the mean over time. A wrong match is of another wall or point than the landmark, by the walls
+that the sighting's returns hit (`sixthsense.evaluation.matches`). A spanning sighting is fitted to several walls. An
+unexplained one is of nothing in the scene. Left out are those whose fit does not distinguish the walls concerned.
+`discarded_share` is the share of all sightings that the gates dropped.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from collections.abc import Sequence
 import numpy as np
 from harness import Figures, arguments, machine, print_table, write_json
 from tours import (
+    MATCHES,
     NEES,
     InputError,
     Row,
@@ -41,7 +44,10 @@ COLUMNS = (
     ("of heading", "nees_heading", ".2f", "1"),
     ("NIS/dof", "nis_per_dof", ".3f", "0.9-1.1"),
     ("wrong/1000", "wrong_per_1000", ".3f", ""),
+    ("spanning/1000", "spanning_per_1000", ".2f", ""),
     ("unexplained/1000", "unexplained_per_1000", ".2f", ""),
+    ("left out/1000", "left_out_per_1000", ".2f", ""),
+    ("discarded", "discarded_share", ".4f", ""),
     ("ATE m, median", "ate_median_m", ".4f", ""),
     ("max", "ate_max_m", ".4f", ""),
     ("tour ended", "tour_ended", ".0f", "all"),
@@ -57,8 +63,9 @@ def pipeline_figures(found: Sequence[Row]) -> Figures:
     figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
     figures["nees3_spread"] = float(np.std([nees_of(row) for row in found], ddof=1)) if len(found) > 1 else 0.0
     figures["nis_per_dof"] = _ratio(found, "nis", "nis_dof")
-    figures["wrong_per_1000"] = 1e3 * _ratio(found, "wrong", "sightings")
-    figures["unexplained_per_1000"] = 1e3 * _ratio(found, "unexplained", "sightings")
+    for name in MATCHES:
+        figures[f"{name}_per_1000"] = 1e3 * _ratio(found, name, "sightings")
+    figures["discarded_share"] = float(np.mean([row["discarded_share"] for row in found]))
     ate = [row["ate_rmse_m"] for row in found]
     figures |= {"ate_median_m": float(np.median(ate)), "ate_max_m": float(np.max(ate))}
     return figures
@@ -85,11 +92,12 @@ def table(figures: Figures, estimators: Sequence[str]) -> list[list[str]]:
 
 def per_run(found: Sequence[Row]) -> list[list[str]]:
     """A row per run, to find outliers."""
-    lines = [["run", "NEES", "of position", "of heading", "NIS/dof", "wrong", "unexplained", "ATE m", "outcome"]]
+    heads = [name.replace("_", " ") for name in MATCHES]
+    lines = [["run", "NEES", "of position", "of heading", "NIS/dof", *heads, "discarded", "ATE m", "outcome"]]
     for row in found:
         nees = (f"{nees_of(row, name):.2f}" for name in ("nees3", "nees_position", "nees_heading"))
         nis = f"{row['nis'] / max(row['nis_dof'], 1):.3f}"
-        counts = str(row["wrong"]), str(row["unexplained"])
+        counts = *(str(row[name]) for name in MATCHES), f"{row['discarded_share']:.4f}"
         lines.append(
             [f"{row['estimator']} {row['seed']}", *nees, nis, *counts, f"{row['ate_rmse_m']:.4f}", row["outcome"]]
         )

@@ -21,15 +21,19 @@ from sixthsense.campaign.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.matches import judge_matches, true_identities
+from sixthsense.evaluation.matches import discarded_share, judge_matches
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
+from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.trace import Trace
 from sixthsense.running.warmup import warm_up
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import load_scene
 
 Row = dict[str, Any]
+
+MATCHES = ("wrong", "spanning", "unexplained", "left_out")
+"""what a match can be, beside right"""
 
 NEES = ("nees3", "nees3_invariant", "nees_position", "nees_heading")
 """NEES of the pose in world and right-invariant coordinates (3 if consistent), of position (2) and heading (1)"""
@@ -56,11 +60,14 @@ def judge(trace: Trace) -> Row:
     metrics = measure(trace)
     assert trace.scene is not None
     truths = np.array(trace.key_truths)
-    matches = judge_matches([a.sightings for a in trace.associations], truths, true_identities(trace.scene.walls))
+    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
+    scene = true_identities(trace.scene.walls)
+    matches = judge_matches([a.sightings for a in trace.associations], truths, scene, laser)
     row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor", "landmarks")}
     row |= {key: metrics[key] for key in ("ate_rmse_m", "ate_max_m", "heading_rmse_rad", "scan_ms_p99")}
     row |= {"nis": sum(a.nis for a in trace.associations), "nis_dof": sum(a.dof for a in trace.associations)}
-    row |= {"sightings": matches.sightings, "wrong": len(matches.wrong), "unexplained": len(matches.unexplained)}
+    row |= {"sightings": matches.sightings, "discarded_share": discarded_share(trace.associations)}
+    row |= {name: len(getattr(matches, name)) for name in MATCHES}
     row["key_scans"] = len(truths)
     stamps_s = 1e-9 * (np.array(trace.key_stamps_ns) - trace.key_stamps_ns[0])
     poses = np.array([e.pose.array() for e in trace.key_estimates])
@@ -160,6 +167,6 @@ def nees_of(row: Row, name: str = "nees3") -> float:
 
 
 __all__ = [
-    "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "make_row", "nees_of",
+    "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "make_row", "nees_of",
     "over_runs", "rows", "seeded", "tour",
 ]  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 
 LandmarkId = int
+
+_NO_BEARINGS = np.empty(0)
+_NO_BEARINGS.flags.writeable = False
 
 
 class Kind(enum.IntEnum):
@@ -40,6 +43,9 @@ class Sighting:
     """(2, 2) of z"""
     extent: tuple[float, float] = (0.0, 0.0)
     """of a wall: first and last place that was seen, m along (-sin alpha, cos alpha) from the robot"""
+    bearings: Array = field(default_factory=lambda: _NO_BEARINGS, repr=False, compare=False)
+    """(B,) rad in the laser's frame, not wrapped, of the returns that the sighting was fitted to; empty where they are
+    not known; for evaluation only, not recorded"""
 
     @property
     def is_wall(self) -> bool:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose
 
+_JOIN = 1e-9  # share of its length by which a wall is extended, so that two walls that join leave no gap
+
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
@@ -129,11 +131,11 @@ def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_ran
             continue
         across = ax * ey - ay * ex
         for i in range(ranges.shape[0]):
-            # x + t d = a + u e, by Cramer's rule. The tolerance closes the gap where two walls join.
+            # x + t d = a + u e, by Cramer's rule.
             inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
             t = across * inverse
             u = (ax * sin[i] - ay * cos[i]) * inverse
-            if t >= 0.0 and u >= -1e-9 and u <= 1.0 + 1e-9 and t < ranges[i]:
+            if t >= 0.0 and u >= -_JOIN and u <= 1.0 + _JOIN and t < ranges[i]:
                 ranges[i] = t
     for i in range(ranges.shape[0]):
         if ranges[i] >= max_range:
@@ -168,3 +170,27 @@ def cast_rays(T_world_laser: Pose, bearings: Array, walls: Array, max_range: flo
     flat = np.ascontiguousarray(walls.reshape(-1, 4))
     _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
     return ranges
+
+
+def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
+    """Ranges as `cast_rays` returns them, and (N,) the index of the wall that each beam hits, -1 for none.
+
+    Where two walls are hit at the same distance, the first is taken. It is slower than `cast_rays` and meant for
+    evaluation.
+    """
+    ranges, index = np.full(len(bearings), np.inf), np.full(len(bearings), -1, dtype=np.int64)
+    if not len(walls) or not len(bearings):
+        return ranges, index
+    angles = bearings + T_world_laser.theta
+    cos, sin = np.cos(angles), np.sin(angles)  # (N,)
+    ax, ay = (walls[:, 0] - T_world_laser.position).T[:, :, None]  # (M, 1)
+    ex, ey = (walls[:, 1] - walls[:, 0]).T[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # x + t d = a + u e, by Cramer's rule.
+        inverse = 1.0 / (cos * ey - sin * ex)  # (M, N)
+        t, u = (ax * ey - ay * ex) * inverse, (ax * sin - ay * cos) * inverse
+        t[~((t >= 0.0) & (u >= -_JOIN) & (u <= 1.0 + _JOIN) & (t < max_range))] = np.inf
+    nearest = t.argmin(axis=0)
+    ranges = t[nearest, np.arange(len(bearings))]
+    index = np.where(np.isfinite(ranges), nearest, index)
+    return ranges, index

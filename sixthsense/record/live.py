@@ -10,7 +10,7 @@ import numpy as np
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
-from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.associator import Associator, Record
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
 
@@ -23,6 +23,8 @@ class Live:
     """for the landmarks' covariances"""
     records: Mapping[LandmarkId, Record]
     """of the landmarks in the estimate"""
+    associator: Associator
+    """to observe what it is given"""
     scan: Scan | None = None
     """the last one, as if taken at an instant; robot's frame"""
     features: Features | None = None

@@ -18,7 +18,7 @@ class Recorder:
         """Record into `trace`, which shows the plans and the map from now on."""
         self._trace, self._slam, self._pilot = trace, slam, pilot
         trace.plans, trace.grid = pilot.navigator.plans, slam.grid
-        trace.live = Live(slam.estimator, slam.associator.records)
+        trace.live = Live(slam.estimator, slam.associator.records, slam.associator)
         self._began = time.perf_counter()
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:

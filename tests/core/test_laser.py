@@ -5,7 +5,7 @@ import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays, hit_walls
 
 
 def reference(pose, bearings, walls, max_range):
@@ -31,6 +31,28 @@ def test_rays_agree_with_a_plain_reference():
         found, expected = cast_rays(pose, bearings, walls, 5.0), reference(pose, bearings, walls, 5.0)
         assert np.array_equal(np.isinf(found), np.isinf(expected))
         assert np.allclose(found[np.isfinite(found)], expected[np.isfinite(found)], atol=1e-9, rtol=0)
+
+
+def test_the_wall_that_a_beam_hits_is_the_only_one_at_its_range():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        walls = rng.uniform(-6, 6, (12, 2, 2))
+        pose = Pose(*rng.uniform(-4, 4, 2), rng.uniform(-3, 3))
+        bearings = rng.uniform(-math.pi, math.pi, 40)
+        ranges, index = hit_walls(pose, bearings, walls, 5.0)
+        expected = cast_rays(pose, bearings, walls, 5.0)
+        assert np.array_equal(index < 0, np.isinf(expected))
+        assert np.array_equal(np.isinf(ranges), np.isinf(expected))
+        for i in np.flatnonzero(index >= 0):
+            alone = cast_rays(pose, bearings[i : i + 1], walls[index[i]][None], 5.0)
+            assert alone[0] == pytest.approx(expected[i], abs=1e-9)
+            assert ranges[i] == pytest.approx(expected[i], abs=1e-9)
+
+
+def test_without_walls_or_beams_nothing_is_hit():
+    ranges, index = hit_walls(Pose(), np.zeros(2), np.zeros((0, 2, 2)), 5.0)
+    assert np.isinf(ranges).all() and index.tolist() == [-1, -1]
+    assert len(hit_walls(Pose(), np.zeros(0), np.ones((1, 2, 2)), 5.0)[1]) == 0
 
 
 def test_rays_in_a_square_room_have_their_closed_form():

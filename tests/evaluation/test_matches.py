@@ -1,9 +1,25 @@
+"""Scenes in which a sighting can be of the wrong wall, or of two.
+
+A sighting here is an ideal one unless it is extracted from a simulated scan: its returns are given by where they hit.
+"""
+
+import dataclasses
+
 import numpy as np
 import pytest
 
+from sixthsense.config import Config, LaserConfig, LaserNoise
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting, predict_points, predict_walls
-from sixthsense.evaluation.matches import explained_by, judge_matches, true_identities
+from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.evaluation.matches import discarded_share, judge_matches
+from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
+from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.wall_extents import fused
+from sixthsense.slam.features import extract
+
+LASER = TrueLaser(LaserConfig(), LaserNoise())
+COV = np.diag([0.01**2, 0.005**2])
 
 # Two rooms side by side, 0.2 m of solid between them; a wall that stands free, thin; a wall in two pieces in line.
 WALLS = np.array(
@@ -16,20 +32,37 @@ WALLS = np.array(
     ]
 )
 SCENE = true_identities(WALLS)
-COV = np.diag([0.01**2, 0.005**2])
-
-
-def wall(pose, alpha, d, extent=(-0.5, 0.5), cov=COV):
-    """The exact sighting of the line (alpha, d), the normal towards the robot, from a pose."""
-    z = predict_walls(pose, np.array([[alpha, d]]))[0][0]
-    return Sighting(Kind.WALL, z, cov, extent)
-
-
-def point(pose, position, cov=COV):
-    return Sighting(Kind.END, predict_points(pose, np.array([position]))[0][0], cov)
-
-
 BELOW, ABOVE = Pose(1.5, 0.8, 0.4), Pose(1.5, 2.2, -0.3)
+
+
+def bearings_of(pose, places):
+    """Bearings from a pose to places (B, 2) in the world."""
+    seen, _, _ = predict_points(pose, np.asarray(places, dtype=float))
+    return np.arctan2(seen[:, 1], seen[:, 0])
+
+
+def between(a, b, count):
+    """Places (count, 2) spread evenly from a to b, without the ends."""
+    return np.linspace(a, b, count + 2)[1:-1]
+
+
+def wall(pose, places, cov=COV):
+    """A sighting of a wall by returns at places (B, 2); what it states of the wall is of no account."""
+    return Sighting(Kind.WALL, np.array([0.1, -1.0]), cov, (-0.5, 0.5), bearings_of(pose, places))
+
+
+def end(pose, position, inwards, cov=COV):
+    """A sighting of a free end at `position` by five returns beside it, up to `inwards`."""
+    z = predict_points(pose, np.array([position], dtype=float))[0][0]
+    return Sighting(Kind.END, z, cov, bearings=bearings_of(pose, between(position, inwards, 5)))
+
+
+def verdict(sighting, pose, scene=SCENE):
+    return identify([sighting], pose, scene, LASER)[0]
+
+
+def judged(scans, poses, scene=SCENE):
+    return judge_matches(scans, np.array([pose.array() for pose in poses]), scene, LASER)
 
 
 def test_collinear_walls_share_a_line_and_parallel_ones_do_not():
@@ -44,78 +77,178 @@ def test_a_line_does_not_depend_on_the_direction_of_its_wall():
 
 
 def test_the_sides_of_a_thin_wall_are_two_identities():
-    from_below = explained_by(wall(BELOW, -np.pi / 2, -1.5), BELOW, SCENE)
-    from_above = explained_by(wall(ABOVE, np.pi / 2, 1.5), ABOVE, SCENE)
-    assert len(from_below) == len(from_above) == 1
-    assert from_below.isdisjoint(from_above)
+    from_below = verdict(wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20)), BELOW)
+    from_above = verdict(wall(ABOVE, between([1.0, 1.5], [2.0, 1.5], 20)), ABOVE)
+    assert from_below.verdict == from_above.verdict == "single"
+    assert from_below.identity != from_above.identity
+    assert from_below.identity[1] == from_above.identity[1]
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_faces_of_a_thick_wall_are_distinguished(side):
-    pose = Pose(4.1 + side, 1.5, 0.2)
-    near = explained_by(wall(pose, 0.0 if side > 0 else np.pi, (4.1 + 0.1 * side) * side), pose, SCENE)
-    far = explained_by(wall(pose, 0.0 if side > 0 else np.pi, (4.1 - 0.1 * side) * side), pose, SCENE)
-    assert len(near) == len(far) == 1
-    assert near.isdisjoint(far)
+def test_a_match_of_the_other_side_of_a_thin_wall_is_wrong():
+    below, above = (wall(pose, between([1.0, 1.5], [2.0, 1.5], 20)) for pose in (BELOW, ABOVE))
+    assert judged([{3: below}, {3: above}, {3: below}], [BELOW, ABOVE, BELOW]).wrong == ((1, 3),)
 
 
-def test_a_line_explains_a_sighting_only_where_it_has_a_wall():
+def test_the_faces_of_a_thick_wall_are_distinguished():
+    left, right = Pose(3.0, 1.5, 0.2), Pose(5.2, 1.5, 0.2)
+    near = verdict(wall(left, between([4.0, 1.0], [4.0, 2.0], 20)), left)
+    far = verdict(wall(right, between([4.2, 1.0], [4.2, 2.0], 20)), right)
+    assert near.verdict == far.verdict == "single"
+    assert near.identity != far.identity
+
+
+def test_a_match_of_a_parallel_face_five_centimetres_away_is_wrong_whatever_covariance_it_states():
+    step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
+    scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
+    first = wall(pose, between([0.2, 0.0], [1.9, 0.0], 30))
+    places = between([2.1, 0.05], [3.8, 0.05], 30)
+    for scale in (1.0, 1e2, 1e4):
+        found = judged([{0: first}, {0: wall(pose, places, COV * scale)}], [pose, pose], scene)
+        assert found.wrong == ((1, 0),)
+        assert found.left_out == ()
+
+
+def test_a_sighting_over_two_faces_spans_and_is_not_right_whatever_covariance_it_states():
+    step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
+    scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
+    both = np.concatenate([between([0.5, 0.0], [2.0, 0.0], 20), between([2.0, 0.05], [3.5, 0.05], 20)])
+    one = wall(pose, between([0.5, 0.0], [1.9, 0.0], 20))
+    found = judged([{0: wall(pose, both, COV * 1e4)}, {0: one}, {0: wall(pose, both)}], [pose] * 3, scene)
+    assert found.spanning == ((0, 0), (2, 0))
+    assert found.wrong == ()
+    assert found.spanning_per_1000 == pytest.approx(2000.0 / 3.0)
+
+
+def test_a_sighting_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it():
+    turn = np.deg2rad(1.4)
+    tip = np.array([3.0, 0.0]) + 3.0 * np.array([np.cos(turn), np.sin(turn)])
+    scene, pose = true_identities(np.array([[[0.0, 0.0], [3.0, 0.0]], [[3.0, 0.0], tip]])), Pose(3.0, 2.0, 0.3)
+    assert len(scene.lines) == 2
+    long = np.concatenate([between([0.2, 0.0], [3.0, 0.0], 40), between([3.0, 0.0], tip, 40)])
+    near = np.array([3.0, 0.0]) + 0.3 * (tip - [3.0, 0.0]) / 3.0
+    short = np.concatenate([between([2.7, 0.0], [3.0, 0.0], 5), between([3.0, 0.0], near, 5)])
+    assert verdict(wall(pose, long), pose, scene).verdict == "spanning"
+    assert verdict(wall(pose, short), pose, scene).verdict == "left out"
+    beyond, before = wall(pose, between([3.0, 0.0], near, 8)), wall(pose, between([2.7, 0.0], [3.0, 0.0], 8))
+    found = judged([{0: before}, {0: beyond}], [pose] * 2, scene)
+    assert found.wrong == ()
+    assert found.left_out == ((1, 0),)
+
+
+def test_a_sighting_around_a_corner_spans_but_one_mixed_return_does_not_count():
+    scene, pose = true_identities(np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [4.0, 3.0]]])), Pose(2.0, 1.5, 0.0)
+    along, up = between([1.0, 0.0], [4.0, 0.0], 25), between([4.0, 0.0], [4.0, 1.0], 10)
+    assert verdict(wall(pose, np.concatenate([along, up])), pose, scene).verdict == "spanning"
+    assert verdict(wall(pose, np.concatenate([along, up[:2]])), pose, scene).verdict == "single"
+    many = between([1.0, 0.0], [4.0, 0.0], 40)
+    assert verdict(wall(pose, np.concatenate([many, up[:4]])), pose, scene).verdict == "single"
+    assert verdict(wall(pose, np.concatenate([many, up[:5]])), pose, scene).verdict == "spanning"
+
+
+def test_a_fused_sighting_has_the_returns_of_both_pieces():
+    pose = Pose(3.0, 1.0, 0.0)
+    first, second = wall(pose, between([1.0, 0.0], [2.0, 0.0], 9)), wall(pose, between([4.0, 1.0], [4.0, 2.0], 8))
+    both = fused(first, second)
+    assert len(both.bearings) == 17
+    assert verdict(both, pose).verdict == "spanning"
+
+
+def test_returns_that_hit_nothing_explain_nothing():
     pose = Pose(5.0, 1.0, 0.0)
-    # The extent of a wall whose normal points up runs along -x.
-    in_the_gap = wall(pose, np.pi / 2, 0.0, extent=(-0.4, 0.4))
-    assert not explained_by(in_the_gap, pose, SCENE)
-    assert explained_by(wall(pose, np.pi / 2, 0.0, extent=(-2.0, -1.5)), pose, SCENE)
+    assert verdict(wall(pose, between([4.4, 0.0], [5.6, 0.0], 10)), pose).verdict == "unexplained"
+    without = dataclasses.replace(wall(pose, [[1.0, 0.0]]), bearings=np.empty(0))
+    assert verdict(without, pose).verdict == "unexplained"
+    assert judged([{0: without}], [pose]).unexplained == ((0, 0),)
 
 
-def test_a_sighting_beyond_its_covariance_is_unexplained():
-    off = wall(BELOW, -np.pi / 2, -1.5 + 6 * 0.005)
-    assert not explained_by(off, BELOW, SCENE)
-    assert not explained_by(point(BELOW, (2.0, 1.7)), BELOW, SCENE)
-    assert explained_by(point(BELOW, (2.0, 1.52)), BELOW, SCENE)
+def test_the_identity_of_a_point_is_the_end_of_the_wall_that_its_returns_hit():
+    left, right = (verdict(end(BELOW, p, (1.5, 1.5)), BELOW) for p in ((1.0, 1.5), (2.0, 1.5)))
+    assert left.verdict == right.verdict == "single"
+    assert left.identity != right.identity
+    assert verdict(end(BELOW, (2.03, 1.5), (1.5, 1.5)), BELOW).identity == right.identity
 
 
-def test_a_door_leaf_a_few_degrees_open_is_distinguished_from_the_wall_behind_it():
-    ajar = np.array([[[0.0, 0.0], [4.0, 0.0]], [[1.0, 0.05], [1.9, 0.13]]])
-    scene = true_identities(ajar)
-    pose = Pose(1.5, 1.0)
-    alpha = float(np.arctan2(0.9, -0.08))
-    d = float(np.array([np.cos(alpha), np.sin(alpha)]) @ ajar[1, 0])
-    leaf = explained_by(wall(pose, alpha, d), pose, scene)
-    behind = explained_by(wall(pose, np.pi / 2, 0.0), pose, scene)
-    assert len(leaf) == len(behind) == 1
-    assert leaf.isdisjoint(behind)
+def test_a_point_away_from_the_ends_of_its_wall_is_unexplained_whatever_covariance_it_states():
+    for scale in (1.0, 1e4):
+        assert verdict(end(BELOW, (1.5, 1.5), (1.2, 1.5), COV * scale), BELOW).verdict == "unexplained"
 
 
-def test_a_sighting_of_another_wall_is_a_wrong_match():
-    thin, floor = wall(BELOW, -np.pi / 2, -1.5), wall(BELOW, np.pi / 2, 0.0)
-    truths = np.tile(BELOW.array(), (3, 1))
-    found = judge_matches([{7: thin, 8: floor}, {7: thin}, {7: floor, 8: thin}], truths, SCENE)
-    assert found.sightings == 5
-    assert found.wrong == ((2, 7), (2, 8))
-    assert found.unexplained == ()
-    assert found.wrong_per_1000 == pytest.approx(400.0)
+def test_the_end_of_another_wall_does_not_explain_a_point():
+    behind = np.array([[[0.0, 0.0], [2.0, 0.0]], [[1.0, 0.03], [1.0, 1.0]]])
+    pose = Pose(1.0, -1.0, 1.5)
+    assert verdict(end(pose, (1.0, 0.0), (0.5, 0.0)), pose, true_identities(behind)).verdict == "unexplained"
 
 
 def test_wrong_matches_do_not_change_the_identity_of_a_landmark():
-    left, right = point(BELOW, (1.0, 1.5)), point(BELOW, (2.0, 1.5))
-    found = judge_matches([{1: left}, {1: right}, {1: left}], np.tile(BELOW.array(), (3, 1)), SCENE)
-    assert found.wrong == ((1, 1),)
+    left, right = end(BELOW, (1.0, 1.5), (1.5, 1.5)), end(BELOW, (2.0, 1.5), (1.5, 1.5))
+    assert judged([{1: left}, {1: right}, {1: left}], [BELOW] * 3).wrong == ((1, 1),)
 
 
-def test_the_first_explained_sighting_gives_a_landmark_its_identity():
-    phantom, left, right = (point(BELOW, p) for p in ((3.0, 2.0), (1.0, 1.5), (2.0, 1.5)))
-    found = judge_matches([{1: phantom}, {1: left}, {1: right}], np.tile(BELOW.array(), (3, 1)), SCENE)
+def test_the_first_single_sighting_gives_a_landmark_its_identity():
+    nowhere, left, right = (end(BELOW, p, (1.5, 1.5)) for p in ((1.3, 1.5), (1.0, 1.5), (2.0, 1.5)))
+    found = judged([{1: nowhere}, {1: left}, {1: right}], [BELOW] * 3)
     assert found.unexplained == ((0, 1),)
     assert found.wrong == ((2, 1),)
 
 
-def test_an_ambiguous_sighting_is_correct_with_either_identity():
-    vague = point(BELOW, (1.5, 1.5), np.diag([0.5**2, 0.5**2]))
-    left, right = point(BELOW, (1.0, 1.5)), point(BELOW, (2.0, 1.5))
-    truths = np.tile(BELOW.array(), (3, 1))
-    assert judge_matches([{1: vague}, {1: left}, {1: vague}], truths, SCENE).wrong == ()
-    assert judge_matches([{1: vague}, {1: left}, {1: right}], truths, SCENE).wrong == ((2, 1),)
+def test_a_sighting_of_another_wall_is_a_wrong_match():
+    thin, floor = (wall(BELOW, between(*ends, 20)) for ends in (([1, 1.5], [2, 1.5]), ([1, 0], [2, 0])))
+    found = judged([{7: thin, 8: floor}, {7: thin}, {7: floor, 8: thin}], [BELOW] * 3)
+    assert found.sightings == 5
+    assert found.wrong == ((2, 7), (2, 8))
+    assert found.unexplained == found.spanning == found.left_out == ()
+    assert found.wrong_per_1000 == pytest.approx(400.0)
 
 
 def test_without_sightings_there_are_no_wrong_matches():
-    assert judge_matches([{}], BELOW.array()[None], SCENE).wrong_per_1000 == 0.0
+    found = judged([{}], [BELOW])
+    assert found.wrong_per_1000 == found.spanning_per_1000 == 0.0
+    assert found.unexplained_per_1000 == found.left_out_per_1000 == 0.0
+
+
+def test_the_share_of_discarded_sightings_counts_fused_ones_as_used():
+    one = wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20))
+    found = [Association({0: one, 1: one}, 1, 0.0, 0), Association({0: one}, 2, 0.0, 2, fused=4)]
+    assert discarded_share(found) == pytest.approx(0.3)
+    assert discarded_share([]) == 0.0
+
+
+def random_room(rng):
+    """A rectangle of 3 to 9 m, turned at random, its segments (4, 2, 2), and a pose at least 0.5 m from its walls."""
+    size, frame = rng.uniform(3.0, 9.0, 2), Pose(*rng.uniform(-5.0, 5.0, 2), rng.uniform(-np.pi, np.pi))
+    corners = frame @ (np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size)
+    inside = frame @ rng.uniform(0.5, size - 0.5)[None]
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), Pose(*inside[0], rng.uniform(-np.pi, np.pi))
+
+
+@pytest.mark.parametrize("landmarks", ["both", "corners"])
+def test_every_sighting_in_a_convex_room_with_right_angles_is_of_one_wall_or_corner(landmarks):
+    config = Config()
+    features = dataclasses.replace(config.features, landmarks=landmarks)
+    bearings, rng = beam_bearings(config.laser), np.random.default_rng(3)
+    sightings = 0
+    for _ in range(150):
+        walls, pose = random_room(rng)
+        ranges = cast_rays(pose, bearings, walls, config.laser.max_range)
+        scan = Scan.from_config(ranges + rng.normal(0.0, config.world.laser.range_m, len(ranges)), config.laser)
+        scene = true_identities(walls)
+        for one in identify(extract(scan, config.assumed, features, rng).sightings, pose, scene, LASER):
+            sightings += 1
+            assert one.verdict == "single"
+    assert sightings > 400
+
+
+def test_extracted_sightings_share_no_return_and_their_bearings_are_those_of_the_scan():
+    config, rng = Config(), np.random.default_rng(5)
+    pose = Pose(1.5, 0.8, 0.4)
+    ranges = cast_rays(pose, beam_bearings(config.laser), WALLS, config.laser.max_range)
+    scan = Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser)
+    for landmarks in ("both", "walls", "corners"):
+        features = dataclasses.replace(config.features, landmarks=landmarks)
+        found = extract(scan, config.assumed, features, rng).sightings
+        assert found
+        used = np.concatenate([one.bearings for one in found])
+        beams = (used - float(scan.angle_min)) / float(scan.angle_increment)
+        assert np.abs(beams - np.round(beams)).max() < 1e-6
+        assert len(np.unique(np.round(beams).astype(int) % config.laser.beams)) == len(used)
+        assert all(len(one.bearings) >= 3 for one in found)

@@ -6,7 +6,7 @@ It serves all estimators and calls only their `estimate` and `joint_covariance`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -35,6 +35,12 @@ class Association:
     """normalised innovation squared of all matches together, before the update"""
     dof: int
     """its degrees of freedom, 2 per match"""
+    fused: int = 0
+    """sightings that were fused with another one of the same wall"""
+
+
+Observer = Callable[[Sequence[Sighting], Estimator], None]
+"""Called with all sightings of a key scan and the estimator before its update; must not change either."""
 
 
 @dataclass(slots=True)
@@ -68,6 +74,8 @@ class Associator:
         """landmarks removed so far"""
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
+        self.observer: Observer | None = None
+        """called before the sightings of a key scan are matched; for evaluation"""
         if config.method == "chi2":
             self._match_gate = float(chi2.ppf(config.match_probability, 2))
             self._new_gate = float(chi2.ppf(config.new_probability, 2))
@@ -79,6 +87,8 @@ class Associator:
     def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what is far from all is a new landmark."""
         self._scan += 1
+        if self.observer is not None:
+            self.observer(sightings, estimator)
         estimate = estimator.estimate()
         if not sightings:
             return Association({}, 0, 0.0, 0)
@@ -116,7 +126,7 @@ class Associator:
         unmatched = np.flatnonzero(free & fits.apart.all(axis=1)).tolist()
         new, more = self._start_landmarks(sightings, unmatched, fits.sigmas, estimate)
         accepted, pieces = known | new, pieces + more
-        return Association(accepted, len(sightings) - len(accepted) - pieces, nis, dof)
+        return Association(accepted, len(sightings) - len(accepted) - pieces, nis, dof, pieces)
 
     def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
         """Take sightings that name their landmark, except where the name was misread; the NIS leaves out new ones."""

@@ -83,4 +83,5 @@ def fused(first: Sighting, second: Sighting) -> Sighting:
     gain = first.cov @ np.linalg.inv(first.cov + second.cov)
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
-    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent)
+    bearings = np.concatenate([first.bearings, second.bearings])
+    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent, bearings)

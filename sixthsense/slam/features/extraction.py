@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,13 +52,15 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
     mount = scan.T_robot_laser
     sightings: list[Sighting] = []
     if config.landmarks == "corners":
-        kinds, found = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
+        kinds, found, used, of_points = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
+        bearings = rolled.bearings[used]
     else:
         rules, reserved = _endpoint_rules(scan, config), config.walls.end_points
-        walls, found = find_walls(rolled, fitted, rules, sigmas, config.walls.min_length_m, reserved)
-        kinds = np.full(len(found), Kind.END)
-        sightings = _wall_sightings(walls, mount, assumed, config)
-    sightings += _point_sightings(kinds, found, mount, assumed, config)
+        least = config.walls.min_length_m
+        walls, found, used, of_walls, of_points = find_walls(rolled, fitted, rules, sigmas, least, reserved)
+        kinds, bearings = np.full(len(found), Kind.END), rolled.bearings[used]
+        sightings = _wall_sightings(walls, _slices(bearings, of_walls), mount, assumed, config)
+    sightings += _point_sightings(kinds, found, _slices(bearings, of_points), mount, assumed, config)
     n = len(scan.ranges)
     return Features(
         mount @ _clip(rolled.points, fitted),
@@ -129,25 +132,43 @@ def _endpoint_rules(scan: Scan, config: FeaturesConfig) -> EndpointRules:
     )
 
 
+def _slices(bearings: Array, spans: Indices) -> list[Array]:
+    """The parts of `bearings` (U,) that the rows of `spans` (K, 2), first and past-last place, select."""
+    return [bearings[a:b] for a, b in spans.tolist()]
+
+
 def _point_sightings(
-    kinds: Indices, found: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
+    kinds: Indices,
+    found: Array,
+    bearings: Sequence[Array],
+    mount: Pose,
+    assumed: AssumedConfig,
+    config: FeaturesConfig,
 ) -> list[Sighting]:
-    """Sightings in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit."""
+    """Sightings in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit.
+
+    `bearings` holds those of the returns of each point.
+    """
     turn = rotation(mount.theta)
     sightings = []
-    for kind, (x, y, xx, xy, yy) in zip(kinds, found, strict=True):
+    for kind, (x, y, xx, xy, yy), own in zip(kinds, found, bearings, strict=True):
         # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
         largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         if largest <= config.points.max_sigma_m**2:
             cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
-            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov))
+            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov, bearings=own))
     return sightings
 
 
-def _wall_sightings(walls: Array, mount: Pose, assumed: AssumedConfig, config: FeaturesConfig) -> list[Sighting]:
-    """Sightings in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser."""
+def _wall_sightings(
+    walls: Array, bearings: Sequence[Array], mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
+) -> list[Sighting]:
+    """Sightings in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser.
+
+    `bearings` holds those of the returns of each wall.
+    """
     sightings = []
-    for alpha, d, aa, ad, dd, low, high in walls.tolist():
+    for (alpha, d, aa, ad, dd, low, high), own in zip(walls.tolist(), bearings, strict=True):
         if not aa <= config.walls.max_sigma_rad**2:
             continue
         # A line turns about the middle of its returns, so an error of its angle lengthens d by d/2 times its square.
@@ -163,7 +184,7 @@ def _wall_sightings(walls: Array, mount: Pose, assumed: AssumedConfig, config: F
         floor = to_foot @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ to_foot.T
         cov = by_z @ (in_laser.cov + floor) @ by_z.T
         foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
-        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low)))
+        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low), own))
     return sightings
 
 

@@ -55,14 +55,15 @@ def _trim_ambiguous_ends(points: Array, index: Indices, at_first: bool, at_last:
 @numba.njit(cache=True, error_model="numpy")
 def find_walls(
     scan: RolledScan, lines: FittedLines, rules: EndpointRules, sigmas: LaserSigmas, min_length: float, reserved: int
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Indices, Indices, Indices]:
     """Walls and free ends of one scan, all in the laser's frame, metres and radians.
 
     A free end takes the last `reserved` returns on its side. Its wall takes all others, except those near a corner and,
     on a side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that
     of its wall. Walls shorter than `min_length` (m) are left out; `rules.corners` is ignored.
-    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; and
-    (E, 5) x, y, xx, xy, yy.
+    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; (E, 5) x, y, xx, xy,
+    yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall (W, 2) and
+    of each free end (E, 2).
     """
     count, spacing = len(lines.fits), mean_spacing(scan.bearings)
     corners = np.full((count, 2), UNDECIDED, np.int64)
@@ -72,7 +73,9 @@ def find_walls(
         mark_free_ends(scan, lines, rules, ends)
     points = scan.points
     walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
-    w = e = 0
+    used = np.empty(len(lines.owner), np.int64)
+    of_walls, of_ends = np.empty((count, 2), np.int64), np.empty((2 * count, 2), np.int64)
+    w = e = u = 0
     for j in range(count):
         owned = clear_of_corners(points, np.flatnonzero(lines.owner == j), j, lines.fits, corners, sigmas.range_m)
         at_first = ends[j, 0] == FREE_END and len(owned) >= 2 * reserved
@@ -92,6 +95,9 @@ def find_walls(
             if len(of_end):
                 across = parallel_line(points, of_end, fit, sigmas.range_m, sigmas.bearing_rad)
                 found[e] = free_end(across, scan.bearings[lines.ends[j, side]], step, sigmas.bearing_rad)
+                used[u : u + len(of_end)] = of_end
+                of_ends[e] = u, u + len(of_end)
+                u += len(of_end)
                 e += 1
         c, s = math.cos(fit[0]), math.sin(fit[0])
         first, last = points[lines.ends[j, 0]], points[lines.ends[j, 1]]
@@ -99,5 +105,8 @@ def find_walls(
         if abs(b - a) >= min_length:
             walls[w, :5] = fit
             walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
+            used[u : u + len(owned)] = owned
+            of_walls[w] = u, u + len(owned)
+            u += len(owned)
             w += 1
-    return walls[:w].copy(), found[:e].copy()
+    return walls[:w].copy(), found[:e].copy(), used[:u].copy(), of_walls[:w].copy(), of_ends[:e].copy()
