@@ -60,6 +60,9 @@ def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline,
     assert low < figures["nees3_invariant"] < high
     assert 0.9 < figures["nis_per_dof"] < 1.1
     assert figures["wrong_per_1000"] < 0.5
+    assert figures["spanning_per_1000"] < 0.5
+    assert figures["left_out_per_1000"] < 0.5
+    assert figures["discarded_share"] < 0.01
     assert figures["unexplained_per_1000"] < 2.0
     assert figures["ate_max_m"] < 0.03
 
@@ -70,7 +73,8 @@ def test_a_row_has_the_figures_of_a_run_and_is_reused(tours, pipeline, tmp_path,
     assert len(list(tmp_path.glob("*.json"))) == 2
     for row in found:
         assert row["outcome"] == "tour ended"
-        assert row["wrong"] == 0
+        assert row["wrong"] == row["spanning"] == row["left_out"] == 0
+        assert 0.0 <= row["discarded_share"] < 0.05
         assert row["sightings"] > 100
         assert len(row["nees3"]) == 12
         assert json.loads(json.dumps(row)) == row
