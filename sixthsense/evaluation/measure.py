@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sixthsense.core.geometry import Array
 from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage, visible_area
+from sixthsense.evaluation.matches import discarded_share
 from sixthsense.evaluation.results import Metrics
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.sources.scene import Scene
@@ -110,20 +112,36 @@ def _errors(trace: Trace) -> dict[str, float]:
 
 
 def _consistency(trace: Trace) -> dict[str, float]:
+    """NEES of the pose after each update and of its prediction before it; NIS and discarded sightings."""
     out: dict[str, float] = {}
-    covs = np.array([e.pose_cov for e in trace.key_estimates])
     if trace.key_truths:
+        truth = np.array(trace.key_truths)
+        poses = np.array([e.pose.array() for e in trace.key_estimates])
+        covs = np.array([e.pose_cov for e in trace.key_estimates])
         first = metrics.full_rank_from(covs)
-        poses = np.array([e.pose.array() for e in trace.key_estimates])[first:]
-        truth = np.array(trace.key_truths)[first:]
-        if len(poses):
-            errors = poses - truth
-            out["pose_nees_world_mean"] = float(np.mean(metrics.nees_world(errors, covs[first:])))
-            out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs[first:])))
+        if first < len(poses):
+            nees = metrics.nees_world(poses[first:] - truth[first:], covs[first:])
+            out["pose_nees_world_mean"] = float(np.mean(nees))
+            out["pose_nees_in_band"] = metrics.share_in_band(nees, metrics.nees_band(1))
+            invariant = metrics.nees_invariant(poses[first:], truth[first:], covs[first:])
+            out["pose_nees_invariant_mean"] = float(np.mean(invariant))
+        out |= _prediction_nees(trace, truth)
     dof = sum(a.dof for a in trace.associations)
     if dof:
         out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
+    if any(a.sightings or a.discarded for a in trace.associations):
+        out["discarded_share"] = discarded_share(trace.associations)
     return out
+
+
+def _prediction_nees(trace: Trace, truth: Array) -> dict[str, float]:
+    """NEES of the predicted pose just before each update, from the first full-rank covariance on."""
+    poses = np.array([a.predicted_pose.array() for a in trace.associations])
+    covs = np.array([a.predicted_cov for a in trace.associations])
+    first = metrics.full_rank_from(covs)
+    if first == len(poses):
+        return {}
+    return {"prediction_nees_world_mean": float(np.mean(metrics.nees_world((poses - truth)[first:], covs[first:])))}
 
 
 def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:

@@ -17,7 +17,7 @@ from sixthsense.record.trace import Trace
 MAX_RUNS = 12  # with more the panels of a figure are illegible
 
 _UNKNOWN = {
-    Part.KEY_SCANS: ("nis_mean_per_dof", "scan_ms", "stage_ms"),
+    Part.KEY_SCANS: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
     Part.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged"),
     Part.LANDMARKS: ("landmarks",),
 }

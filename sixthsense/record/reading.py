@@ -142,7 +142,15 @@ def _take_key_scan(table: Line, trace: Trace) -> None:
     motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
     estimate = pose_estimate(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
     sightings = dict(map(_sighting, _unpacked(table, "sightings", (-1, 10)).tolist()))
-    association = Association(sightings, _whole(table, "discarded"), _number(table, "nis"), _whole(table, "dof"))
+    association = Association(
+        sightings,
+        _whole(table, "discarded"),
+        _number(table, "nis"),
+        _whole(table, "dof"),
+        _whole(table, "fused"),
+        _pose(table, "predicted_pose"),
+        _array(table, "predicted_cov", (3, 3)),
+    )
     walls, row, totals = _unpacked(table, "walls", (-1, 2, 2)), _times(table, "ms"), _times(table, "total_ms")
     truth = _truth(table, bool(trace.key_stamps_ns), bool(trace.key_truths))
     trace.key_stamps_ns.append(_stamp(table, "key_scan", trace.key_stamps_ns))

@@ -193,7 +193,7 @@ def test_rare_unknown_barcodes_are_skipped_and_frequent_ones_are_an_error(tmp_pa
         (
             "Robot3_Measurement.dat",
             "1000.250 63 4.0 0.1",
-            "found landmark 6 (barcode 63) again at the same stamp",
+            "line 2: found landmark 6 (barcode 63) again at the same stamp",
         ),
         ("Robot3_Measurement.dat", "1000.250 63.5 4.0 0.1", "found barcode '63.5', allowed: a whole number"),
         ("Robot3_Measurement.dat", "1000.250 63 -4.0 0.1", "found range '-4.0', allowed: 0.001 to 1000"),
@@ -205,7 +205,7 @@ def test_rare_unknown_barcodes_are_skipped_and_frequent_ones_are_an_error(tmp_pa
         (
             "Robot3_Odometry.dat",
             "2000.0 0 0",
-            "found stamp '1000.000', allowed: not before that of the previous",
+            "line 2: found stamp '1000.000', allowed: not before that of the previous",
         ),
         ("Robot3_Odometry.dat", "-1 0 0", "found stamp '-1', allowed: 0 to"),
         ("Robot3_Groundtruth.dat", "1000.0 1 2", "found 3 columns, allowed: 4 (stamp, x, y, orientation)"),

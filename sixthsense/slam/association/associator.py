@@ -37,6 +37,10 @@ class Association:
     """its degrees of freedom, 2 per match"""
     fused: int = 0
     """sightings that were fused with another one of the same wall"""
+    predicted_pose: Pose = Pose()
+    """before the update"""
+    predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) of the predicted pose, world frame"""
 
 
 Observer = Callable[[Sequence[Sighting], Estimator], None]
@@ -91,7 +95,7 @@ class Associator:
             self.observer(sightings, estimator)
         estimate = estimator.estimate()
         if not sightings:
-            return Association({}, 0, 0.0, 0)
+            return Association({}, 0, 0.0, 0, 0, estimate.pose, estimate.pose_cov)
         records = [self.records[i] for i in estimate.ids.tolist()]
         sigmas = np.array([record.sigma_m for record in records])
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
@@ -126,7 +130,8 @@ class Associator:
         unmatched = np.flatnonzero(free & fits.apart.all(axis=1)).tolist()
         new, more = self._start_landmarks(sightings, unmatched, fits.sigmas, estimate)
         accepted, pieces = known | new, pieces + more
-        return Association(accepted, len(sightings) - len(accepted) - pieces, nis, dof, pieces)
+        discarded = len(sightings) - len(accepted) - pieces
+        return Association(accepted, discarded, nis, dof, pieces, estimate.pose, estimate.pose_cov)
 
     def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
         """Take sightings that name their landmark, except where the name was misread; the NIS leaves out new ones."""
@@ -147,7 +152,8 @@ class Associator:
         accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
         for i, sighting in accepted.items():
             self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
-        return Association(accepted, len(misread), nis, 2 * (len(old) - len(misread)))
+        dof = 2 * (len(old) - len(misread))
+        return Association(accepted, len(misread), nis, dof, 0, estimate.pose, estimate.pose_cov)
 
     def cull(self) -> list[LandmarkId]:
         """Landmarks to forget now: seen too rarely a period after their first sighting (report: bad landmarks)."""
