@@ -1,10 +1,11 @@
 """Consistency of the whole pipeline: closed-loop tours with unknown association, with NEES, NIS and wrong matches.
 
 `nees3` is the NEES of the pose in world coordinates, `nees3_invariant` the NEES of the right-invariant error (both 3 if
-consistent): for each second the mean over runs at the latest key scan, then the mean over time. `nees_position` (2) and
-`nees_heading` (1) are computed in the same way. `share_in_band` is the share of seconds at which the mean over runs
-lies in the 95 % band for that number of runs; successive seconds are correlated. `nees3_spread` is the standard
-deviation over runs of the mean over time. A wrong match is of another wall or point than the landmark, by the walls
+consistent): at every key scan after its update, from the first full-rank covariance on, the mean over the key scans of
+a run, then the mean over runs. `nees_position` (2) and `nees_heading` (1) are computed in the same way. `share_in_band`
+is the share of key scans, by their number in the run, at which the mean over runs lies in the 95 % band for that number
+of runs; successive key scans are correlated. `nees3_spread` is the standard deviation over runs of their means. A wrong
+match is of another wall or point than the landmark, by the walls
 that the sighting's returns hit (`sixthsense.evaluation.matches`). A spanning sighting is fitted to several walls. An
 unexplained one is of nothing in the scene. Left out are those whose fit does not distinguish the walls concerned.
 `discarded_share` is the share of all sightings that the gates dropped.
@@ -58,7 +59,7 @@ def pipeline_figures(found: Sequence[Row]) -> Figures:
     """Figures of runs that differ only in their seed."""
     figures: Figures = {"runs": len(found), "tour_ended": sum(row["outcome"] == "tour ended" for row in found)}
     for name in NEES:
-        figures[name] = float(np.nanmean(over_runs(found, name)))
+        figures[name] = float(np.mean([nees_of(row, name) for row in found]))
     steps = over_runs(found, "nees3")
     figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
     figures["nees3_spread"] = float(np.std([nees_of(row) for row in found], ddof=1)) if len(found) > 1 else 0.0
@@ -133,7 +134,7 @@ def main() -> None:
     low, high = nees_band(options.seeds)
     print(machine())
     print(f"{options.scene}, {options.preset}: {options.seeds} tours of {options.max_time:g} s")
-    print(f"95 % band of one second: {low:.2f}-{high:.2f}")
+    print(f"95 % band of the mean over runs at one key scan: {low:.2f}-{high:.2f}")
     print_table(per_run(found))
     print_table(table(figures, options.estimator))
     write_json(options.json, figures)

@@ -1,7 +1,7 @@
 """Shared by the benchmarks of tours: runs evaluated against the truth, one row each, resumable, in several processes.
 
-A campaign keeps the metrics of a run. These benchmarks need NEES over time and every match as well, which only the
-trace has.
+A campaign keeps the metrics of a run. These benchmarks need NEES at every key scan and every match as well, which only
+the trace has.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | Non
 
 
 def judge(trace: Trace) -> Row:
-    """Evaluate a run: errors, matches against the truth, NIS, and for each second the NEES of the latest key scan.
+    """Evaluate a run: errors, matches against the truth, NIS, and the NEES at each key scan after its update.
 
     NEES is None before the covariance has full rank.
     """
@@ -69,16 +69,10 @@ def judge(trace: Trace) -> Row:
     row |= {"sightings": matches.sightings, "discarded_share": discarded_share(trace.associations)}
     row |= {name: len(getattr(matches, name)) for name in MATCHES}
     row["key_scans"] = len(truths)
-    stamps_s = 1e-9 * (np.array(trace.key_stamps_ns) - trace.key_stamps_ns[0])
     poses = np.array([e.pose.array() for e in trace.key_estimates])
     covs = np.array([e.pose_cov for e in trace.key_estimates])
-    series = key_scan_nees(poses, truths, covs)
-    seconds = np.arange(1, math.floor(trace.config.max_time) + 1)
-    # A run that ended early has no values for the time after its end.
-    seconds = seconds[seconds <= metrics["sim_time_s"] + 1e-9]
-    last = np.searchsorted(stamps_s, seconds + 1e-9, side="right") - 1
-    for name, values in series.items():
-        row[name] = [None if math.isnan(v) else round(v, 5) for v in values[last].tolist()]
+    for name, values in key_scan_nees(poses, truths, covs).items():
+        row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
     return row
 
 
@@ -151,7 +145,7 @@ def seeded(configs: Sequence[Config], options: argparse.Namespace) -> list[Confi
 
 
 def over_runs(rows: Sequence[Row], name: str) -> Array:
-    """(T,) mean over runs of a kind of NEES for each second, NaN where no run has a value."""
+    """(K,) mean over runs of a kind of NEES at the k-th key scan of each, NaN where no run has a value."""
     longest = max(len(row[name]) for row in rows)
     values = np.full((len(rows), longest), math.nan)
     for k, row in enumerate(rows):
@@ -162,7 +156,7 @@ def over_runs(rows: Sequence[Row], name: str) -> Array:
 
 
 def nees_of(row: Row, name: str = "nees3") -> float:
-    """Mean over time of a kind of NEES of one run."""
+    """Mean over the key scans of one run of a kind of NEES."""
     return float(np.nanmean(np.array([math.nan if v is None else v for v in row[name]])))
 
 
