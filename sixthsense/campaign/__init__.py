@@ -1,4 +1,4 @@
-"""Monte Carlo: many runs on many machines, one row of a table for each (`sixthsense campaign`)."""
+"""Monte Carlo campaigns: many runs on many machines, one table row per run (`sixthsense campaign`)."""
 
 from sixthsense.campaign.cluster import connect, execute
 from sixthsense.campaign.errors import CampaignError

@@ -1,4 +1,4 @@
-"""The workers of a campaign: a local Dask cluster, or one behind a scheduler that was started by hand."""
+"""The workers of a campaign: a local Dask cluster, or the workers of a running Dask scheduler."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError, needed
+from sixthsense.campaign.errors import CampaignError, import_extra
 from sixthsense.campaign.plan import PlannedRun, scene_digest
 from sixthsense.campaign.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 
 REACH_S = 5.0
-"""how long a scheduler, and then its first worker, may take to answer"""
+"""timeout for the scheduler to answer, and for its first worker to connect"""
 
 _SETTINGS = {
     "distributed.comm.timeouts.connect": f"{REACH_S:g}s",
-    "distributed.worker.daemon": True,  # workers end with the process that has started them
+    "distributed.worker.daemon": True,  # workers end with the process that started them
 }
 
 
 @contextlib.contextmanager
 def connect(scheduler: str | None = None, workers: int | None = None, dashboard: int = 8787) -> Iterator[Any]:
-    """A client of the scheduler at an address, or else of a local cluster: processes of one thread each.
+    """Connect to the scheduler at an address, or start a local cluster of processes with one thread each.
 
-    `workers` is their number, by default the processors'; `dashboard` the port on this machine that the local cluster's
-    pages prefer. Raises CampaignError where Dask is missing, and for a scheduler that cannot be reached or has no
-    workers.
+    `workers` is the number of local processes, by default one per processor. `dashboard` is the preferred port of the
+    local cluster's dashboard. Raises CampaignError if Dask is missing, if the scheduler cannot be reached, and if it
+    has no workers.
     """
-    dask, distributed = needed("dask"), needed("distributed")
-    # Lost workers and closed connections are told by what becomes of the runs.
+    dask, distributed = import_extra("dask"), import_extra("distributed")
+    # Silence Dask's log: the runs' rows report lost workers, and CampaignError a lost scheduler.
     for name in ("distributed", *logging.root.manager.loggerDict):
         if name.split(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
@@ -44,7 +44,7 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
         warnings.simplefilter("ignore")
         stack.enter_context(dask.config.set(_SETTINGS))
         if scheduler is None:
-            with _deaf():
+            with _sigint_blocked():
                 cluster = distributed.LocalCluster(
                     n_workers=workers or dask.system.CPU_COUNT,
                     threads_per_worker=1,
@@ -53,30 +53,30 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
                     dashboard_address=f"127.0.0.1:{dashboard}",
                     silence_logs=logging.CRITICAL,
                 )
-                stack.callback(_quietly, cluster.close)
+                stack.callback(_close_quietly, cluster.close)
             client = distributed.Client(cluster)
         else:
             client = _reach(distributed, scheduler)
-        stack.callback(_quietly, client.close)
+        stack.callback(_close_quietly, client.close)
         if scheduler is not None and not _has_workers(client):
             raise CampaignError(
                 f"--scheduler: {shown(scheduler)} has no workers after {REACH_S:g} s, "
-                f"allowed: one with some, started with dask worker {scheduler}"
+                f"allowed: a scheduler with workers, started with dask worker {scheduler}"
             )
         yield client
 
 
 def _reach(distributed: Any, address: str) -> Any:
-    async def knock() -> None:
-        # A client waits for ever where something listens that does not answer.
+    async def try_connection() -> None:
+        # The client would wait without a timeout for a listener that does not answer.
         secrets = distributed.Security().get_connection_args("client")
         comm = await asyncio.wait_for(distributed.comm.connect(address, timeout=REACH_S, **secrets), REACH_S)
         comm.abort()
 
     try:
-        asyncio.run(knock())
+        asyncio.run(try_connection())
         return distributed.Client(address, timeout=REACH_S)
-    except Exception as error:  # of the address's form, of the network, or of what answers there
+    except Exception as error:  # malformed address, network error, or a listener that is not a scheduler
         cause: BaseException = error
         while cause.__cause__ is not None:
             cause = cause.__cause__
@@ -96,11 +96,12 @@ def _has_workers(client: Any) -> bool:
 
 
 def check_workers(client: Any, scenes: Sequence[str]) -> int:
-    """The number of workers; raises CampaignError, naming it, for one that would not make the same runs as another.
+    """Check that all workers produce the same runs, and return their number.
 
-    All must have this version of the package and of Python, down to the minor, and find the same content in the scenes.
+    Raises CampaignError that names the worker. Every worker must have this version of the package, this minor version
+    of Python, and scenes of the same content.
     """
-    # Nothing can be sent for execution before Python is known to be the same.
+    # Functions can be pickled between equal minor versions of Python only, so this check comes first.
     versions = client.get_versions()
     for address, found in {"scheduler": versions["scheduler"], **versions["workers"]}.items():
         minor = ".".join(found["host"]["python"].split(".")[:2])
@@ -111,8 +112,7 @@ def check_workers(client: Any, scenes: Sequence[str]) -> int:
     for address, answer in answers.items():
         if isinstance(answer, BaseException):
             raise CampaignError(
-                f"worker {address}: found no sixthsense that makes campaigns ({one_line(answer)}), "
-                f"allowed: version {__version__}"
+                f"worker {address}: found no usable sixthsense ({one_line(answer)}), allowed: version {__version__}"
             )
         if answer["sixthsense"] != __version__:
             raise CampaignError(
@@ -121,25 +121,25 @@ def check_workers(client: Any, scenes: Sequence[str]) -> int:
         for scene, digest in digests.items():
             if answer["scenes"][scene] != digest:
                 raise CampaignError(
-                    f"worker {address}: the scene {scene} is not the one that is here "
+                    f"worker {address}: found another scene {scene} than on this machine "
                     f"({answer['scenes'][scene]}), allowed: the same file at the same path"
                 )
     return len(answers)
 
 
 def execute(client: Any, runs: Mapping[str, PlannedRun], on_row: Callable[[dict[str, Any]], None]) -> None:
-    """Make the runs, by their hash, on the workers and hand each row over as it comes, every run once.
+    """Execute the runs, given by hash, on the workers, and call `on_row` once per run when its row arrives.
 
-    A run whose worker dies is made again elsewhere; when that has happened more often than the scheduler's
-    `allowed-failures` (3 by default) it is a row that says so. Raises CampaignError when the scheduler is lost or a
-    worker with another version of the package joins, and what `on_row` raises; runs under way are then given up.
+    A run whose worker dies is repeated on another worker. After more deaths than the scheduler's `allowed-failures`
+    (3 by default) its row has the outcome "error". Raises CampaignError when the scheduler is lost or a worker with
+    another version of the package joins, and any exception of `on_row`. Unfinished runs are then cancelled.
     """
     waiting = iter(runs.items())
     planned: dict[str, PlannedRun] = {}
-    futures = needed("distributed").as_completed(loop=client.loop)
+    futures = import_extra("distributed").as_completed(loop=client.loop)
 
-    def fill() -> None:
-        # One run per worker and none ahead: a worker that dies takes no other down with it.
+    def submit_next() -> None:
+        # One run per worker and no queue: a worker that dies loses one run only.
         for _ in range(max(1, len(client.nthreads())) - len(planned)):
             key, run = next(waiting, (None, None))
             if key is None or run is None:
@@ -148,36 +148,36 @@ def execute(client: Any, runs: Mapping[str, PlannedRun], on_row: Callable[[dict[
             planned[name] = run
             futures.add(client.submit(run_row, run.config, __version__, key=name))
 
-    with _connected():
-        fill()
+    with _scheduler_errors():
+        submit_next()
     for batch in futures.batches():
         for future in batch:
-            if future.status == "pending":  # its worker died with the row, and it is made again
+            if future.status == "pending":  # its worker died before the row was fetched; Dask repeats the run
                 futures.add(future)
                 continue
             run = planned.pop(future.key)
-            with _connected():
-                fill()
+            with _scheduler_errors():
+                submit_next()
                 row = _row(future, run)
             on_row(row)
             future.release()
 
 
 @contextlib.contextmanager
-def _connected() -> Iterator[None]:
-    """A scheduler that is lost within the block is a CampaignError."""
+def _scheduler_errors() -> Iterator[None]:
+    """Convert the loss of the scheduler within the block into a CampaignError."""
     from concurrent.futures import CancelledError
 
     try:
         yield
     except (OSError, CancelledError):
         raise CampaignError(
-            "scheduler: found the connection lost; the rows so far are kept, allowed: the same command again"
+            "scheduler: found the connection lost, the finished rows are kept, allowed: the same command again"
         ) from None
 
 
 def _row(future: Any, run: PlannedRun) -> dict[str, Any]:
-    """The row of a run that is over, whether or not a worker has lived to write it.
+    """The row of a finished run; a row with the outcome `FAILED` if the run or its worker failed.
 
     Raises OSError or CancelledError when the scheduler is lost.
     """
@@ -189,21 +189,21 @@ def _row(future: Any, run: PlannedRun) -> dict[str, Any]:
     except (OSError, CancelledError):
         raise
     except OtherVersionError as error:
-        raise CampaignError(f"worker: one that joined late {error}") from None
+        raise CampaignError(f"worker that joined late: {error}") from None
     except Exception as error:
-        # Its own text is a paragraph.
+        # The message of KilledWorker is several sentences long.
         killed = type(error).__name__ == "KilledWorker"
         reason = f"KilledWorker: {error.args[2] + 1} workers died in this run" if killed else one_line(error)
     return {**row_of(run.config), "version": __version__, "outcome": FAILED, "error": reason}
 
 
 @contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """Ctrl-C waits until the block is over; processes and threads that are started in it never hear it.
+def _sigint_blocked() -> Iterator[None]:
+    """Block SIGINT within the block; processes and threads that are started in it inherit the mask.
 
-    A terminal sends it to all of them, but it is for the driver alone to end the others.
+    A terminal sends SIGINT to all processes of the group, and only the driver may end the workers.
     """
-    resource_tracker.ensure_running()  # or else the first process to be started would be heard
+    resource_tracker.ensure_running()  # starting it with the first process would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -211,7 +211,7 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _quietly(close: Callable[[], Any]) -> None:
-    """Close what may already be gone; an impatient second Ctrl-C leaves no processes behind."""
-    with _deaf(), contextlib.suppress(Exception):
+def _close_quietly(close: Callable[[], Any]) -> None:
+    """Close a cluster or client, ignoring errors; SIGINT is blocked so that no processes are left behind."""
+    with _sigint_blocked(), contextlib.suppress(Exception):
         close()

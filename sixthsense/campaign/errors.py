@@ -1,4 +1,4 @@
-"""What can be wrong with a campaign, and the packages that only a campaign needs."""
+"""The errors of campaigns, and the import of the packages that only campaigns need."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ EXTRA = "pip install 'sixthsense[campaign]'"
 
 
 class CampaignError(InputError):
-    """One line that names the option, folder or worker, what was found and what is allowed."""
+    """An invalid option, folder or worker: one line with what was found and what is allowed."""
 
 
-def needed(module: str) -> Any:
-    """A module of the packages of the extra `campaign`; CampaignError that says how to install it where it is not."""
+def import_extra(module: str) -> Any:
+    """Import a module of the extra `campaign`; raises CampaignError with the command that installs it."""
     try:
         return import_module(module)
     except ImportError as error:

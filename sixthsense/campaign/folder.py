@@ -1,4 +1,4 @@
-"""The folder of a campaign: `campaign.toml`, which says what its runs share, beside `rows/` with one row for each."""
+"""The folder of a campaign: `campaign.toml` with the axes and shared fields, and `rows/` with one row per run."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ FILE = "campaign.toml"
 
 
 def check_folder(folder: Path, campaign: Campaign) -> Mapping[str, Any] | None:
-    """What `campaign.toml` says in a folder that is to be written; None in a new or an empty one.
+    """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
 
-    Raises CampaignError for a file, for the folder of a run or of anything else, and for that of a campaign whose runs
-    share other fields, or whose scenes have changed. More scenes, estimators, presets, planners and seeds are fine.
+    Raises CampaignError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
+    or changed scenes. The axes may have other values: scenes, estimators, presets, planners and seeds can be added.
     """
     allowed = "allowed: a new or empty folder, or that of this campaign"
     if folder.exists() and not folder.is_dir():
@@ -29,37 +29,37 @@ def check_folder(folder: Path, campaign: Campaign) -> Mapping[str, Any] | None:
     if not folder.exists() or not any(folder.iterdir()):
         return None
     if not (folder / FILE).is_file():
-        kind = "the folder of a run" if (folder / "config.toml").is_file() else "no campaign's folder"
+        kind = "the folder of a run" if (folder / "config.toml").is_file() else "not a campaign folder"
         raise CampaignError(f"--out: {folder} is {kind}, {allowed}")
     saved = read_folder(folder)
-    before, now = dict(_leaves(saved["fields"])), dict(_leaves(_coerced(campaign)))
+    before, now = dict(_flatten(saved["fields"])), dict(_flatten(_typed_fields(campaign)))
     for name in dict.fromkeys([*before, *now]):
         if before.get(name) != now.get(name):
-            there, here = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
-            raise CampaignError(f"--out: {folder} is a campaign with {name} = {there}, found {here}, {allowed}")
+            old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
+            raise CampaignError(f"--out: {folder} is a campaign with {name} = {old}, found {new}, {allowed}")
     for scene in campaign.scenes:
         if saved["scenes"].get(scene, digest := scene_digest(scene)) != digest:
-            raise CampaignError(f"--out: the scene {scene} has changed since {folder} was begun, {allowed}")
+            raise CampaignError(f"--out: the scene {scene} has changed since {folder} was created, {allowed}")
     return saved
 
 
 def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: list[dict[str, Any]]) -> None:
-    """Raise CampaignError where the folder has a row of a planned run whose configuration was another one.
+    """Raise CampaignError if the folder has a row of a planned run with another configuration.
 
-    So it is when a preset or a default has changed from one version of the package to the next.
+    A preset or a default value that differs between two versions of the package is the usual cause.
     """
     hashes = {tuple(run.axes().values()): key for key, run in runs.items()}
     for row in rows:
         values = tuple(row[name] for name in (*AXES, "seed"))
         if hashes.get(values, row["config_hash"]) != row["config_hash"]:
             raise CampaignError(
-                f"--out: {folder} has the run {' '.join(map(str, values))} of another configuration, made by version "
+                f"--out: {folder} has the run {' '.join(map(str, values))} with another configuration, from version "
                 f"{row['version']} of the package, allowed: another folder"
             )
 
 
 def save_folder(folder: Path, campaign: Campaign, saved: Mapping[str, Any] | None) -> None:
-    """Write `campaign.toml`, whole or not at all, with the axes of `saved` extended by those of the campaign.
+    """Write `campaign.toml` atomically, with the axes of `saved` extended by those of the campaign.
 
     Raises OSError that names the file.
     """
@@ -68,18 +68,23 @@ def save_folder(folder: Path, campaign: Campaign, saved: Mapping[str, Any] | Non
     axes = campaign.axes()
     scenes = {scene: scene_digest(scene) for scene in campaign.scenes}
     if saved is not None:
-        seeds = [seed for word in saved["axes"]["seeds"] for seed in seed_range(word)]
+        seeds = [seed for text in saved["axes"]["seeds"] for seed in seed_range(text)]
         axes = {axis: list(dict.fromkeys([*saved["axes"][axis], *values])) for axis, values in axes.items()}
         axes["seeds"] = ranges([*seeds, *campaign.seeds])
         scenes = {**saved["scenes"], **scenes}
     if saved is None or (axes, scenes) != (saved["axes"], saved["scenes"]):
-        table = {"axes": axes, "fields": _coerced(campaign), "scenes": scenes, "versions": {"sixthsense": __version__}}
+        table = {
+            "axes": axes,
+            "fields": _typed_fields(campaign),
+            "scenes": scenes,
+            "versions": {"sixthsense": __version__},
+        }
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(folder / FILE, tomli_w.dumps(table).encode())
+        write_atomically(folder / FILE, tomli_w.dumps(table).encode())
 
 
 def read_folder(folder: Path) -> Mapping[str, Any]:
-    """`campaign.toml` as a table; raises CampaignError for a folder without one, and for one that is damaged."""
+    """Read `campaign.toml` as a table; raises CampaignError for a missing or damaged file."""
     file = folder / FILE
     allowed = "allowed: the folder of a campaign"
     if not file.is_file():
@@ -99,16 +104,16 @@ def read_folder(folder: Path) -> Mapping[str, Any]:
         if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
             raise CampaignError(f"{file}: axes.{axis}: found {shown(values)}, allowed: a list of texts")
     try:
-        for word in table["axes"]["seeds"]:
-            seed_range(word)
+        for text in table["axes"]["seeds"]:
+            seed_range(text)
     except CampaignError as error:
         raise CampaignError(f"{file}: axes.{str(error).removeprefix('--')}") from None
     return table
 
 
-def write_whole(file: Path, content: bytes) -> None:
-    """Write a file so that nobody ever sees a part of it; raises OSError that names it and leaves nothing behind."""
-    # A name that begins with a dot is no part of a Parquet folder to those who read one.
+def write_atomically(file: Path, content: bytes) -> None:
+    """Write a file atomically; raises OSError that names the file, and then leaves no temporary file."""
+    # Readers of a Parquet folder ignore files whose name begins with a dot.
     temporary = file.with_name(f".{file.name}.{os.getpid()}")
     try:
         with temporary.open("wb") as out:
@@ -117,32 +122,32 @@ def write_whole(file: Path, content: bytes) -> None:
             os.fsync(out.fileno())
         temporary.replace(file)
     except OSError as error:
-        error.filename = str(file)  # a full disk names none
+        error.filename = str(file)  # the error of a full disk names no file
         raise
     finally:
         temporary.unlink(missing_ok=True)
 
 
-def _coerced(campaign: Campaign) -> dict[str, Any]:
-    """The shared fields as a configuration holds them: numbers of the field's type, lists for tuples."""
+def _typed_fields(campaign: Campaign) -> dict[str, Any]:
+    """The shared fields with the types of the configuration: numbers of the field's type, lists for tuples."""
 
-    def picked(table: Mapping[str, Any], names: Mapping[str, Any]) -> dict[str, Any]:
+    def select(table: Mapping[str, Any], names: Mapping[str, Any]) -> dict[str, Any]:
         return {
-            name: picked(table[name], value) if isinstance(value, Mapping) else _plain(table[name])
+            name: select(table[name], value) if isinstance(value, Mapping) else _plain(table[name])
             for name, value in sorted(names.items())
             if name in table
         }
 
-    return picked(as_table(merge(preset(campaign.presets[0]), campaign.fields, "--")), campaign.fields)
+    return select(as_table(merge(preset(campaign.presets[0]), campaign.fields, "--")), campaign.fields)
 
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, tuple) else value
 
 
-def _leaves(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+def _flatten(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
     for name, value in table.items():
         if isinstance(value, Mapping):
-            yield from _leaves(value, f"{path}{name}.")
+            yield from _flatten(value, f"{path}{name}.")
         else:
             yield path + name, value

@@ -1,4 +1,4 @@
-"""What a campaign varies, what all its runs share, and the list of runs that follows."""
+"""The axes of a campaign, the fields that its runs share, and the resulting list of runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.section import shown
 
 AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
-"""fields of the configuration that a campaign may vary beside the seed"""
+"""fields of the configuration that a campaign may vary, besides the seed"""
 
 MOST_RUNS = 100_000
 
@@ -33,13 +33,13 @@ class Campaign:
     estimators: tuple[str, ...]
     """back ends"""
     presets: tuple[str, ...]
-    """presets, over which the shared fields are laid"""
+    """presets, which the shared fields override"""
     planners: tuple[str, ...]
     """path planners"""
     seeds: tuple[int, ...]
-    """each once"""
+    """without duplicates"""
     fields: Mapping[str, Any]
-    """nested table, as a configuration file holds it, with none of the axes"""
+    """nested table in the form of a configuration file, without the axes"""
 
     def axes(self) -> dict[str, list[str]]:
         """The values of each axis as lists of texts; seeds as ranges."""
@@ -47,7 +47,7 @@ class Campaign:
         return {**{axis: list(v) for axis, v in zip(AXES, values, strict=True)}, "seeds": ranges(self.seeds)}
 
     def settings(self) -> list[Config]:
-        """The configurations that differ in more than the seed, with seed 0.
+        """The configuration of every combination of the axes but the seed, with seed 0.
 
         Raises ConfigError for a name or field that is not allowed, SceneError for a scene, start or goal.
         """
@@ -72,24 +72,24 @@ class PlannedRun:
     """One run of a campaign."""
 
     setting: Config
-    """but for the seed"""
+    """configuration, whose seed is ignored"""
     seed: int
-    """of all randomness"""
+    """seed of all random generators"""
 
     @property
     def config(self) -> Config:
-        """The whole configuration."""
+        """The complete configuration, with the seed."""
         return dataclasses.replace(self.setting, seed=self.seed)
 
     def axes(self) -> dict[str, Any]:
-        """The values that the campaign varies."""
+        """The values of the axes and the seed."""
         return {**{axis: getattr(self.setting, axis) for axis in AXES}, "seed": self.seed}
 
 
 def plan(campaign: Campaign) -> dict[str, PlannedRun]:
-    """Every run of a campaign by the hash of its configuration, seed by seed, so that all settings grow alike.
+    """All runs of a campaign by the hash of their configuration, ordered by seed, so that settings progress equally.
 
-    Raises CampaignError for too many runs, and what `Campaign.settings` raises.
+    Raises CampaignError for too many runs, and the errors of `Campaign.settings`.
     """
     axes = (campaign.scenes, campaign.estimators, campaign.presets, campaign.planners, campaign.seeds)
     count = 1
@@ -106,7 +106,7 @@ def plan(campaign: Campaign) -> dict[str, PlannedRun]:
 
 
 def config_hash(config: Config) -> str:
-    """16 hexadecimal digits that tell one configuration from another: the start of the SHA-256 of all its fields."""
+    """Hash of a configuration: the first 16 hexadecimal digits of the SHA-256 of all its fields."""
     return _hash(as_table(config))
 
 
@@ -115,7 +115,7 @@ def _hash(table: Mapping[str, Any]) -> str:
 
 
 def scene_digest(scene: str) -> str:
-    """16 hexadecimal digits of what a scene holds, whatever its file is called; raises SceneError."""
+    """Hash of a scene's content, independent of the file's name: 16 hexadecimal digits; raises SceneError."""
     from sixthsense.sources.scene import load_scene
 
     loaded = load_scene(scene)
@@ -123,52 +123,52 @@ def scene_digest(scene: str) -> str:
     return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 
-def seed_range(word: str) -> range:
-    """The seeds that a word such as `0:100` (the last is not among them) or `7` means.
+def seed_range(text: str) -> range:
+    """Parse `FIRST:LAST`, such as `0:100`, where LAST is excluded, or a single seed such as `7`.
 
-    Raises CampaignError for a range that is empty, reversed or malformed.
+    Raises CampaignError for an empty, reversed or malformed range.
     """
-    found = _SEEDS.fullmatch(word)
-    allowed = "allowed: FIRST:LAST with LAST, which is not among them, above FIRST, such as 0:100, or one seed"
+    found = _SEEDS.fullmatch(text)
+    allowed = "allowed: FIRST:LAST with LAST, which is excluded, above FIRST, such as 0:100, or one seed"
     if found is None:
-        raise CampaignError(f"--seeds: found {shown(word)}, {allowed}")
+        raise CampaignError(f"--seeds: found {shown(text)}, {allowed}")
     first = int(found[1])
     last = first + 1 if found[2] is None else int(found[2])
     if last <= first:
-        raise CampaignError(f"--seeds: found {shown(word)}, {'empty' if last == first else 'reversed'}, {allowed}")
+        raise CampaignError(f"--seeds: found {shown(text)}, {'empty' if last == first else 'reversed'}, {allowed}")
     if last - first > MOST_RUNS:
-        raise CampaignError(f"--seeds: found {last - first} of them, allowed: at most {MOST_RUNS}")
+        raise CampaignError(f"--seeds: found {last - first} seeds, allowed: at most {MOST_RUNS}")
     return range(first, last)
 
 
 def ranges(seeds: Iterable[int]) -> list[str]:
-    """The words, in ascending order, that `seed_range` reads back as the `seeds`."""
-    words: list[str] = []
-    for _, run in itertools.groupby(enumerate(sorted(set(seeds))), lambda place: place[1] - place[0]):
-        values = [seed for _, seed in run]
-        words.append(f"{values[0]}:{values[-1] + 1}")
-    return words
+    """The seeds as ascending texts `FIRST:LAST`, the inverse of `seed_range`."""
+    texts: list[str] = []
+    for _, group in itertools.groupby(enumerate(sorted(set(seeds))), lambda pair: pair[1] - pair[0]):
+        values = [seed for _, seed in group]
+        texts.append(f"{values[0]}:{values[-1] + 1}")
+    return texts
 
 
 def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
-    """One nested table of several, the later ones winning, without the axes, the seed, and fields that are absent."""
+    """Merge nested tables; later values override, a value of None removes the field. Axes and seed are left out."""
     fields: dict[str, Any] = {}
 
-    def lay(over: dict[str, Any], table: Mapping[str, Any]) -> None:
+    def update(target: dict[str, Any], table: Mapping[str, Any]) -> None:
         for key, value in table.items():
             name = key.replace("-", "_")
             if isinstance(value, Mapping):
-                lay(over.setdefault(name, {}), value)
+                update(target.setdefault(name, {}), value)
             elif value is None:
-                over.pop(name, None)
+                target.pop(name, None)
             else:
-                over[name] = list(value) if isinstance(value, tuple) else value
+                target[name] = list(value) if isinstance(value, tuple) else value
 
     for table in tables:
-        lay(fields, {name: value for name, value in table.items() if name not in (*AXES, "seed")})
+        update(fields, {name: value for name, value in table.items() if name not in (*AXES, "seed")})
     return fields
 
 
-def resolved(scenes: Sequence[str]) -> tuple[str, ...]:
-    """Scenes by names that mean the same wherever one stands: files by their absolute path, each once."""
+def resolve_scenes(scenes: Sequence[str]) -> tuple[str, ...]:
+    """The scenes without duplicates, files by absolute path, so that the names do not depend on the working folder."""
     return tuple(dict.fromkeys(str(Path(scene).resolve()) if Path(scene).suffix else scene for scene in scenes))

@@ -1,4 +1,4 @@
-"""The table of a campaign, one Parquet file per run: `rows/`, which pandas and pyarrow read as one, at any time."""
+"""The table of a campaign: `rows/`, one Parquet file per run, which pandas and pyarrow read as one table."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sixthsense.campaign.errors import CampaignError, needed
-from sixthsense.campaign.folder import read_folder, write_whole
+from sixthsense.campaign.errors import CampaignError, import_extra
+from sixthsense.campaign.folder import read_folder, write_atomically
 from sixthsense.campaign.plan import AXES
 
 if TYPE_CHECKING:
     import pandas as pd
 
 TEXTS = ("config_hash", *AXES, "task", "host", "version", "outcome", "error")
-"""columns of text that every row has; the error is empty but for a run that has none of the metrics"""
+"""text columns of every row; `error` is filled only for a failed run, which has no metrics"""
 
 ORDER = (*AXES, "seed")
-"""of the rows of a frame"""
+"""columns by which a frame is sorted"""
 
-# Readers take the columns of all files from the first one by name, which holds no row.
+# Readers take the schema from the first file by name. This file has all columns and no row.
 _COLUMNS = "all-columns.parquet"
 
 
 class Rows:
-    """The rows of one campaign, written by the driver alone; a run has one file, so it cannot be there twice."""
+    """The rows of one campaign, written by the driver alone; one file per run, so that no run has two rows."""
 
     def __init__(self, folder: Path) -> None:
-        """Open `folder`/rows, which need not exist; raises CampaignError for one that cannot be read."""
+        """Open `folder`/rows, which may be missing; raises CampaignError if it cannot be read."""
         self.folder = folder / "rows"
-        self._arrow, self._parquet = needed("pyarrow"), needed("pyarrow.parquet")
+        self._arrow, self._parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
         text, whole, real = self._arrow.string(), self._arrow.int64(), self._arrow.float64()
         columns = [*((name, text) for name in TEXTS), ("seed", whole), ("run_time_s", real)]
         self._schema = self._arrow.schema(columns)
         if (self.folder / _COLUMNS).is_file():
             self._schema = self._read(lambda: self._parquet.read_schema(self.folder / _COLUMNS))
 
-    def known(self) -> list[dict[str, Any]]:
-        """Of every row its hash, outcome, package version and what the campaign varies."""
+    def summaries(self) -> list[dict[str, Any]]:
+        """The hash, outcome, package version, axes and seed of every row."""
         if not (self.folder / _COLUMNS).is_file():
             return []
         columns = ["config_hash", "outcome", "version", *ORDER]
@@ -47,7 +47,7 @@ class Rows:
         return rows
 
     def frame(self) -> pd.DataFrame:
-        """All rows, sorted by what the campaign varies; a metric that a run has not measured is NaN."""
+        """All rows, sorted by axes and seed; NaN where a run lacks the metric."""
         if not (self.folder / _COLUMNS).is_file():
             frame = self._schema.empty_table().to_pandas()
         else:
@@ -55,7 +55,7 @@ class Rows:
         return frame.sort_values(list(ORDER), ignore_index=True)
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Write the row of one run, in place of the one it may have; raises OSError that names the file."""
+        """Write the row of one run, replacing an older one; raises OSError that names the file."""
         values = {name: value for name, value in row.items() if value is not None}
         kinds = {
             name: self._arrow.float64() if isinstance(value, numbers.Real) else self._arrow.string()
@@ -73,20 +73,20 @@ class Rows:
     def _write(self, name: str, table: Any) -> None:
         content = io.BytesIO()
         self._parquet.write_table(table, content)
-        write_whole(self.folder / name, content.getvalue())
+        write_atomically(self.folder / name, content.getvalue())
 
     def _table(self, columns: list[str] | None) -> Any:
-        return needed("pyarrow.dataset").dataset(self.folder, format="parquet").to_table(columns=columns)
+        return import_extra("pyarrow.dataset").dataset(self.folder, format="parquet").to_table(columns=columns)
 
     def _read(self, read: Any) -> Any:
         try:
             return read()
-        except (OSError, ValueError, KeyError) as error:  # Arrow's own errors are among them
+        except (OSError, ValueError, KeyError) as error:  # base classes of Arrow's errors
             raise CampaignError(f"{self.folder}: cannot be read ({error}), allowed: the rows of a campaign") from None
 
 
 def _cell(value: Any, kind: Any) -> Any:
-    """A value as its column holds it; nothing where the column is of another kind."""
+    """A value converted to the type of its column; None if the types do not match."""
     if kind == "string":
         return None if value is None else str(value)
     number: Any = value if isinstance(value, numbers.Real) else None
@@ -94,12 +94,12 @@ def _cell(value: Any, kind: Any) -> Any:
 
 
 def load_campaign(folder: Path | str) -> pd.DataFrame:
-    """The table of a campaign, running or over: a row per run, sorted by what it varies, metrics as columns.
+    """Load the table of a running or finished campaign: a row per run, metrics as columns, sorted by axes and seed.
 
-    What a run has not measured is NaN; one that raised has the outcome "error" and the reason in the column `error`.
-    Raises CampaignError for a folder that is no campaign's, and where pandas or pyarrow are missing.
+    A metric that a run lacks is NaN. A run that raised has the outcome "error" and the reason in the column `error`.
+    Raises CampaignError for a folder that is not a campaign's, and if pandas or pyarrow is missing.
     """
     folder = Path(folder)
     read_folder(folder)
-    needed("pandas")
+    import_extra("pandas")
     return Rows(folder).frame()

@@ -1,4 +1,4 @@
-"""The table at the end of a campaign: per setting the means, their intervals, and how the runs ended."""
+"""The table at the end of a campaign: means with confidence intervals and outcomes per setting."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     import pandas as pd
 
 MEANS = (("ATE m", "ate_rmse_m"), ("NIS/dof", "nis_mean_per_dof"), ("coverage", "coverage"))
-"""head and column of what is given as a mean with its interval"""
+"""heading and column of each metric that is shown as a mean with its interval"""
 
 NEES = "pose_nees_world_mean"
 
 
 def summary(frame: pd.DataFrame) -> list[list[str]]:
-    """A head and a row per scene, estimator, preset and planner of a campaign's table.
+    """Summarise a campaign's table: a heading, and a row per scene, estimator, preset and planner.
 
-    Means are over the runs that have measured it, with their 95 % interval by Student's t; the NEES, 3 when
-    consistent, is beside the 95 % band of its mean over that many independent runs at one instant (`nees_band`). The
-    runs' own time-means scatter less, so that a consistent estimator lies well within it.
+    Means are over the runs that have the metric, with the 95 % interval of Student's t. The mean NEES, 3 for a
+    consistent estimator, is followed by the 95 % band of the mean over as many independent runs at one instant
+    (`nees_band`). A run's time average scatters less, so a consistent estimator lies well within the band.
     """
     (ate, *rest) = MEANS
     head = [*AXES, "runs", ate[0], "NEES", *(name for name, _ in rest), "outcomes"]
@@ -42,7 +42,7 @@ def summary(frame: pd.DataFrame) -> list[list[str]]:
 
 
 def mean_interval(values: Array) -> str:
-    """Mean and half-width of its 95 % interval by Student's t; of one value only itself, of none nothing."""
+    """Mean and half-width of its 95 % interval (Student's t); a single value alone, and an empty text for none."""
     if len(values) < 2:
         return "".join(f"{value:.3g}" for value in values)
     from scipy.stats import t
@@ -52,7 +52,7 @@ def mean_interval(values: Array) -> str:
 
 
 def mean_band(values: Array) -> str:
-    """Mean NEES, and whether it lies in the band of so many runs."""
+    """Mean NEES, and whether it lies in the 95 % band for this number of runs."""
     if len(values) == 0:
         return ""
     low, high = nees_band(len(values))
@@ -61,7 +61,7 @@ def mean_band(values: Array) -> str:
 
 
 def columns(rows: list[list[str]]) -> str:
-    """Rows as lines with columns."""
+    """Rows as lines of aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 

@@ -1,4 +1,4 @@
-"""What a worker does: one run after the other, of each only the row goes back."""
+"""The functions that a worker executes: it makes one run at a time and returns its row."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from sixthsense.config.version import __version__
 FAILED = "error"
 """the outcome of a run that raised"""
 
-# A run keeps BLAS to one thread, for the whole process, and its clock is a stopwatch: threads take turns.
-_turn = threading.Lock()
+# Runs limit BLAS to one thread for the whole process and measure wall time, so threads must not overlap.
+_run_lock = threading.Lock()
 
 
 class OtherVersionError(Exception):
@@ -25,12 +25,12 @@ class OtherVersionError(Exception):
 
 
 def python_minor() -> str:
-    """Such as 3.12."""
+    """The minor version of Python, such as 3.12."""
     return ".".join(platform.python_version_tuple()[:2])
 
 
 def describe(scenes: Sequence[str]) -> dict[str, Any]:
-    """What must be alike on every worker: versions, and what the scenes hold."""
+    """What must be equal on all workers: the versions and the scenes' hashes."""
     digests = {}
     for scene in scenes:
         try:
@@ -41,25 +41,25 @@ def describe(scenes: Sequence[str]) -> dict[str, Any]:
 
 
 def row_of(config: Config) -> dict[str, Any]:
-    """What is known of a run before it has begun: its configuration's hash and what a campaign varies or shares."""
+    """The columns that are known before a run: the configuration's hash, the axes, the task and the seed."""
     names = ("scene", "estimator", "preset", "planner", "task", "seed")
     return {"config_hash": config_hash(config), **{name: getattr(config, name) for name in names}}
 
 
 def run_row(config: Config, version: str) -> dict[str, Any]:
-    """Make one run and return its row; a run that raises is a row with the outcome `FAILED` and the reason in one line.
+    """Make one run and return its row; if the run raises, the row has the outcome `FAILED` and a one-line reason.
 
-    Raises OtherVersionError where the package is not of that `version`.
+    Raises OtherVersionError if the package has another version than `version`.
     """
     if version != __version__:
         raise OtherVersionError(f"found version {__version__} of sixthsense, allowed: {version}")
     from sixthsense.running.warmup import prepare
 
-    with _turn:
+    with _run_lock:
         row = {**row_of(config), "host": socket.gethostname(), "version": version}
         began = time.perf_counter()
         try:
-            prepare(lambda _: None)  # so that no run's time has the compilation
+            prepare(lambda _: None)  # keeps the compilation out of the run's time
             began = time.perf_counter()
             row |= _metrics(config)
         except Exception as error:
@@ -68,7 +68,7 @@ def run_row(config: Config, version: str) -> dict[str, Any]:
 
 
 def one_line(error: BaseException) -> str:
-    """An exception's kind and text without line breaks, of bounded length."""
+    """An exception's type and message in one line of at most 500 characters."""
     return " ".join(f"{type(error).__name__}: {error}".split())[:500]
 
 

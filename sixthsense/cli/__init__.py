@@ -1,4 +1,4 @@
-"""The command line: a shell around the library; the only place that prints or exits."""
+"""The command line: a thin layer over the library, and the only package that prints or exits."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ usage: sixthsense COMMAND ...
 A workbench for 2-D laser SLAM.
 
 commands:
-  run [SCENE]    put a robot into a scene and let it reach its goals
-  replay LOG     digest a real robot's log with the same code
+  run [SCENE]    simulate a robot that explores a scene or drives to goals
+  replay LOG     process a real robot's log with the same code
   calibrate SCENE
-                 measure the robot's noise where the truth is known, for `run --config`
+                 measure the robot's noise against the truth, for `run --config`
   campaign [SCENE ...]
-                 many runs on many processors or machines: a table of scenes, estimators and seeds
+                 many runs on many processors or machines, with a table of the results
   report RUN_DIR ...
                  figures of one run, or of several side by side with a table
-  scenes         list the scenes that ship
+  scenes         list the shipped scenes
 
 `sixthsense COMMAND --help` lists a command's options.
 """
@@ -46,14 +46,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         return FAILED
     except InputError as error:
-        return _complain(str(error))
+        return _report_error(str(error))
     except OSError as error:
-        return _complain(f"{error.filename or 'output'}: {error.strerror or error}")
+        return _report_error(f"{error.filename or 'output'}: {error.strerror or error}")
     except KeyboardInterrupt:
         print("sixthsense: interrupted", file=sys.stderr)
         return INTERRUPTED
 
 
-def _complain(message: str) -> int:
+def _report_error(message: str) -> int:
     print(f"sixthsense: {' '.join(message.split())}", file=sys.stderr)
     return BAD_INPUT

@@ -16,12 +16,12 @@ from sixthsense.cli.options import UsageError
 
 @dataclass(frozen=True)
 class Calibrate(Common):
-    """Measure the robot's noise where the truth is known, and write what `run --config` shall assume."""
+    """Measure the robot's noise against the truth, and write it as a configuration for `run --config`."""
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file to write, a partial configuration; its figure lies beside it, as .png."""
+    """TOML file to write, a partial configuration; its figure is written beside it as .png."""
     overwrite: bool = False
     """Replace the file and its figure if they exist."""
     samples: int = 100
@@ -35,7 +35,7 @@ def command(args: list[str]) -> int:
     options, _ = parse_command(Calibrate, "scene", "default", args)
     if options.out is None:
         raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")
-    if not isinstance(options.samples, int):  # a word that is no number comes as it is
+    if not isinstance(options.samples, int):  # the parser passes text that is not a number unchanged
         raise UsageError(f"--samples: found {options.samples!r}, allowed: a whole number")
     from tqdm import tqdm
 

@@ -18,23 +18,23 @@ usage: sixthsense campaign [SCENE ...] --seeds FIRST:LAST ... --out DIR [options
 
 Monte Carlo: run every scene with every estimator, preset, planner and seed, and keep a row of metrics for each run.
 
-The same command again goes on where it was stopped; with more scenes, seeds, ... it makes those that are missing.
+The same command resumes a campaign that was stopped. With more scenes, seeds, ... it makes the missing runs only.
 
   SCENE ...             shipped names or files (.toml, map_server .yaml, .scn), before all options
-  --seeds FIRST:LAST    seeds from FIRST on, without LAST; several ranges and single seeds may be given
-  --estimator NAME ...  back ends to compare
+  --seeds FIRST:LAST    seeds from FIRST to LAST, LAST excluded; several ranges and single seeds may be given
+  --estimator NAME ...  estimators to compare
   --preset NAME ...     presets
   --planner NAME ...    path planners
-  --config FILE         TOML file, partial or whole, over each preset
+  --config FILE         TOML file, partial or complete, that overrides each preset
   --out DIR             folder to write: campaign.toml, and rows/, a Parquet folder; ss.load_campaign(DIR) reads it
-  --retry-failed        make the runs again whose rows say "error"; otherwise they count as done
+  --retry-failed        repeat the runs with the outcome "error"; without it they count as done
   --workers N           processes of the local cluster; by default one per processor
   --scheduler ADDRESS   run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786
 
-Every field of the configuration is an option too, with one value for all runs: --task tour, --max-time 400,
+Every field of the configuration is also an option, with one value for all runs: --task tour, --max-time 400,
 --laser.beams 181, ...; `sixthsense run --help` lists them.
 
-Exit code: 0 when all rows are there, 1 when some say "error", 130 after Ctrl-C, 2 for bad input.
+Exit code: 0 when all rows are complete, 1 when some have the outcome "error", 130 after Ctrl-C, 2 for bad input.
 """
 
 OWN = {"config": Path, "out": Path, "retry-failed": bool, "workers": int, "scheduler": str}
@@ -42,7 +42,7 @@ LISTS = ("scene", "estimator", "preset", "planner", "seeds")
 
 
 def command(args: list[str]) -> int:
-    """Make the runs of a campaign that its folder does not have."""
+    """Make the runs of a campaign that are missing in its folder."""
     if wants_help(args):
         print(USAGE, end="")
         return DONE
@@ -51,29 +51,29 @@ def command(args: list[str]) -> int:
     _check(given, table, lists)
     from sixthsense.campaign import Campaign, Rows
     from sixthsense.campaign.folder import check_folder, check_rows, save_folder
-    from sixthsense.campaign.plan import AXES, plan, resolved, seed_range, shared_fields
+    from sixthsense.campaign.plan import AXES, plan, resolve_scenes, seed_range, shared_fields
     from sixthsense.campaign.worker import FAILED as FAILED_RUN
 
-    file = _file(given.get("config"), lists.get("preset", []))
+    file = _read_config_table(given.get("config"), lists.get("preset", []))
     default = preset()
     values = {axis: tuple(dict.fromkeys(lists.get(axis) or [file.get(axis, getattr(default, axis))])) for axis in AXES}
     task = {"task": "goal"} if table.get("goal") is not None else {}
     campaign = Campaign(
-        scenes=resolved(values["scene"]),
+        scenes=resolve_scenes(values["scene"]),
         estimators=values["estimator"],
         presets=values["preset"],
         planners=values["planner"],
-        seeds=tuple(dict.fromkeys(seed for word in lists["seeds"] for seed in seed_range(word))),
+        seeds=tuple(dict.fromkeys(seed for text in lists["seeds"] for seed in seed_range(text))),
         fields=shared_fields(file, task, table),
     )
     out: Path = given["out"]
     runs = plan(campaign)
     saved = check_folder(out, campaign)
     rows = Rows(out)
-    known = rows.known()
+    known = rows.summaries()
     check_rows(out, runs, known)
-    again = given.get("retry-failed", False)
-    done = {row["config_hash"] for row in known if not (again and row["outcome"] == FAILED_RUN)}
+    retry = given.get("retry-failed", False)
+    done = {row["config_hash"] for row in known if not (retry and row["outcome"] == FAILED_RUN)}
     missing = {key: run for key, run in runs.items() if key not in done}
     interrupted = False
     if missing:
@@ -83,7 +83,7 @@ def command(args: list[str]) -> int:
             interrupted = True
     else:
         save_folder(out, campaign, saved)
-        print(f"all {len(runs)} runs are in {out}/ already", file=sys.stderr)
+        print(f"all {len(runs)} runs are already in {out}/", file=sys.stderr)
     return _finish(rows, out, set(runs), interrupted)
 
 
@@ -102,33 +102,34 @@ def _execute(
     with connect(given.get("scheduler"), given.get("workers")) as client:
         workers = check_workers(client, campaign.scenes)
         save_folder(out, campaign, saved)
-        there = f", {total - len(missing)} of them are in {out}/ already" if len(missing) < total else ""
-        print(f"{total} runs{there}; {workers} workers; dashboard {client.dashboard_link}", file=sys.stderr)
+        existing = f", {total - len(missing)} already in {out}/" if len(missing) < total else ""
+        print(f"{total} runs{existing}; {workers} workers; dashboard {client.dashboard_link}", file=sys.stderr)
         with tqdm(total=len(missing), desc="campaign", unit=" runs", disable=None, leave=False) as bar:
 
-            def keep(row: dict[str, Any]) -> None:
+            def on_row(row: dict[str, Any]) -> None:
                 rows.add(row)
                 bar.update()
 
-            execute(client, missing, keep)
+            execute(client, missing, on_row)
 
 
-def _finish(rows: Any, out: Path, asked: set[str], interrupted: bool) -> int:
+def _finish(rows: Any, out: Path, requested: set[str], interrupted: bool) -> int:
     from sixthsense.campaign.summary import columns, summary
     from sixthsense.campaign.worker import FAILED as FAILED_RUN
 
     frame = rows.frame()
     if len(frame):
         print(columns(summary(frame)))
-    mine = frame[frame["config_hash"].isin(asked)]
-    failed = mine[mine["outcome"] == FAILED_RUN]
+    finished = frame[frame["config_hash"].isin(requested)]
+    failed = finished[finished["outcome"] == FAILED_RUN]
     if len(failed):
         first = failed.iloc[0]
         where = f"{first.scene} {first.estimator} {first.preset} {first.planner} seed {first.seed}"
-        print(f"{len(failed)} runs failed, the first of them {where}: {first.error}")
+        print(f"{len(failed)} runs failed, first {where}: {first.error}")
     if interrupted:
         print(
-            f"sixthsense: interrupted, {len(mine)} of {len(asked)} runs are in {out}/, the same command makes the rest",
+            f"sixthsense: interrupted, {len(finished)} of {len(requested)} runs are in {out}/, "
+            "the same command makes the missing ones",
             file=sys.stderr,
         )
         return INTERRUPTED
@@ -137,38 +138,38 @@ def _finish(rows: Any, out: Path, asked: set[str], interrupted: bool) -> int:
 
 
 def split_lists(args: list[str]) -> tuple[dict[str, list[str]], list[str]]:
-    """The options that take any number of values, scenes in front of all options among them, and the other words."""
+    """Separate the options with any number of values, and the scenes before all options, from the other arguments."""
     lists: dict[str, list[str]] = {}
     rest: list[str] = []
-    words = list(reversed(args))  # the next one last
+    words = list(reversed(args))  # a stack: the next word is the last element
 
-    def keep(name: str, values: list[str]) -> None:
+    def store(name: str, values: list[str]) -> None:
         if not values:
             raise UsageError(f"--{name}: found nothing, allowed: one or more values")
         if name in lists:
             raise UsageError(f"--{name}: found twice, allowed: once, with all its values")
         lists[name] = values
 
-    def plain() -> list[str]:
+    def take_values() -> list[str]:
         values = []
         while words and not words[-1].startswith("-"):
             values.append(words.pop())
         return values
 
-    if scenes := plain():
-        keep("scene", scenes)
+    if scenes := take_values():
+        store("scene", scenes)
     while words:
         word = words.pop()
         name, equals, text = word.removeprefix("--").partition("=")
         if word.startswith("--") and name in LISTS:
-            keep(name, [text] if equals else plain())
+            store(name, [text] if equals else take_values())
         else:
             rest.append(word)
     return lists, rest
 
 
 def _check(given: Table, table: Table, lists: dict[str, list[str]]) -> None:
-    """Complain about options that are missing or do not go together."""
+    """Raise UsageError for missing options and for options that exclude each other."""
     if "scene" in given:
         raise UsageError(f"scene: found {shown(given['scene'])} after an option, allowed: before all options")
     if "seed" in table:
@@ -181,23 +182,23 @@ def _check(given: Table, table: Table, lists: dict[str, list[str]]) -> None:
     if workers is not None and not (isinstance(workers, int) and 1 <= workers <= 1024):
         raise UsageError(f"--workers: found {shown(workers)}, allowed: a whole number from 1 to 1024")
     if workers is not None and "scheduler" in given:
-        raise UsageError("--workers: found with --scheduler, which has its own, allowed: one of the two")
+        raise UsageError("--workers: found with --scheduler, which has its own workers, allowed: one of the two")
     if table.get("goal") is not None and table.get("task", "goal") != "goal":
         raise UsageError(f"--goal: found with --task {table['task']}, allowed: with --task goal")
 
 
-def _file(path: Path | None, presets: list[str]) -> dict[str, Any]:
-    """The table of a configuration file, once it is known to be one; {} for none."""
+def _read_config_table(path: Path | None, presets: list[str]) -> dict[str, Any]:
+    """Validate a configuration file and return its table; {} without a file."""
     if path is None:
         return {}
     for name in presets:
         load_config(path, preset(name))
     load_config(path)
     if is_of_replay(path):
-        raise UsageError(f"--config: {path} is of a replay, allowed: a configuration of runs")
+        raise UsageError(f"--config: {path} is of a replay, allowed: the configuration of a simulated run")
     from sixthsense.config.files import NOTES
 
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     if presets and "preset" in table:
-        raise UsageError(f"--preset: found beside {path}, which has a preset of its own, allowed: one of the two")
+        raise UsageError(f"--preset: found with {path}, which names a preset, allowed: one of the two")
     return {name: value for name, value in table.items() if name not in NOTES}

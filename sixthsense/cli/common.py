@@ -1,4 +1,4 @@
-"""What the commands share: options, help, the run's folder, the progress bar and the table at the end."""
+"""Common parts of the commands: options, help, the run's folder and the table at the end."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ C = TypeVar("C", bound="Common")
 
 @dataclass(frozen=True)
 class Common:
-    """Options that every command with a run folder has."""
+    """Options of all commands that write a run folder."""
 
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """TOML file, partial or whole, over the preset; a run folder's config.toml repeats that run."""
+    """TOML file, partial or complete, that overrides the preset; the config.toml of a run folder repeats that run."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
     view: Annotated[str | None, tyro.conf.arg(metavar="[window|browser|FILE.rrd]")] = None
-    """Show it as it goes, in Rerun (pip install 'sixthsense[view]'): in a window, in a browser, or write a file."""
+    """Show the run live in Rerun (pip install 'sixthsense[view]'): in a window, in a browser, or write a file."""
     bind: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
-    """With --view browser: where its server listens, 127.0.0.1 unless told otherwise; whoever reaches it looks on."""
+    """With --view browser: address of the server, 127.0.0.1 by default; any host that reaches it can watch."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
 
 
 def show_help(command: type[Common], name: str, base: str) -> int:
-    """Print a command's options, with the values they have by default."""
+    """Print a command's options with their default values."""
     with contextlib.suppress(SystemExit):
         tyro.cli(command, prog=f"sixthsense {name}", args=["--help"], default=command(settings=preset(base)))
     return DONE
@@ -52,11 +52,11 @@ def show_help(command: type[Common], name: str, base: str) -> int:
 def parse_command(
     command: type[C], place: str, base: str | Callable[[str | None], str | Config], args: list[str]
 ) -> tuple[C, Table]:
-    """A command's options, and the table of those fields of Config that flags set.
+    """Parse a command's options, and the table of the Config fields that were set by flags.
 
-    `place` names the option that stands by itself, `base` is the preset where none is named, or the whole
-    configuration; it may depend on what stands at `place`. Precedence is defaults <
-    preset < configuration file < flags; a ConfigError names the flag, or the file and its field.
+    `place` names the positional option. `base` is the default preset or a complete configuration, or a function of the
+    positional value that returns it. Precedence is defaults < preset < configuration file < flags. A ConfigError names
+    the flag, or the file and its field.
     """
     own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", place)}
     own["view"] = OrAlone("window", is_place, PLACES)
@@ -64,20 +64,20 @@ def parse_command(
     start = base(given.get(place)) if callable(base) else base
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
     if "config" in given:
-        whole = "preset" in table or isinstance(start, Config)
-        settings = load_config(given["config"], settings if whole else None, str(start))
-    # A file has the last word on which preset its values are of.
+        is_complete = "preset" in table or isinstance(start, Config)
+        settings = load_config(given["config"], settings if is_complete else None, str(start))
+    # The preset of a configuration file takes precedence over --preset, because the file's values belong to it.
     flags = {name: value for name, value in table.items() if name != "preset"}
     return command(**given, settings=merge(settings, flags, "--")), table
 
 
 def wants_help(args: list[str]) -> bool:
-    """Whether the words ask for help, wherever they do."""
+    """Whether any argument is -h or --help."""
     return "-h" in args or "--help" in args
 
 
 def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str, str] | None = None) -> RunFolder:
-    """The folder that the options name, or a new one under runs/ that begins with `stem`."""
+    """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
     from sixthsense.record.folder import RunFolder
 
     if options.out is not None:
@@ -86,7 +86,7 @@ def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str
 
 
 def numbered(stem: str) -> Path:
-    """The first folder under runs/ that is not taken."""
+    """The first unused path runs/STEM-NUMBER."""
     number = 1
     while (out := Path("runs") / f"{stem}-{number}").exists() or out.with_name(out.name + ".partial").exists():
         number += 1
@@ -94,12 +94,12 @@ def numbered(stem: str) -> Path:
 
 
 def announce(line: str) -> None:
-    """Say why a first run does not start at once."""
+    """Print a status line, such as that the first run compiles, to stderr."""
     print(line, file=sys.stderr)
 
 
 def show_end(run: Run) -> int:
-    """Print the table of a run's metrics, what it has left unseen, and its folder; returns the exit code."""
+    """Print a run's metrics, its unseen places and its folder; returns the exit code."""
     from sixthsense.evaluation.tables import digits, text_table
 
     print(text_table([[key, digits(value)] for key, value in run.metrics.items()]))

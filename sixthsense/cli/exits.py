@@ -9,4 +9,4 @@ EXIT_CODES = {
     "log ended": DONE,
     "interrupted": INTERRUPTED,
 }
-"""of a run's outcomes; any other is a robot that failed"""
+"""exit codes of a run's outcomes; every other outcome is a failure of the robot"""

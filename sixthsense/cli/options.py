@@ -1,8 +1,8 @@
-"""Words of a command line as values: a command's own options, and every field of the Config tree as a flag.
+"""The parser of command lines: a command's own options, and every field of the Config tree as a flag.
 
-Values are only read here; whether they are allowed is for the validator of `config` to say, as it does for a file, so
-that both complain alike. The parser is our own because tyro, which prints the help, answers a mistake with a framed
-page and exits, where our commands print one line that names what is allowed.
+The parser converts values only. The validator of `config` checks them, so that flags and files give the same messages.
+tyro prints the help but does not parse: it answers an error with a framed page and exits, while our commands print one
+line with the allowed values.
 """
 
 from __future__ import annotations
@@ -22,36 +22,36 @@ from sixthsense.config.section import is_one_line, shown, shown_name
 
 Table = dict[str, Any]
 
-_TRUTHS = {"true": True, "false": False}
+_BOOLEANS = {"true": True, "false": False}
 
 
 @dataclass(frozen=True, slots=True)
 class OrAlone:
-    """The type of an option that may stand alone: the word after it is its value only if it looks like one."""
+    """The type of an option with an optional value: the next argument is its value only if `is_value` accepts it."""
 
     alone: str | None
-    """its value where it does"""
+    """value of the option when none is given"""
     is_value: Callable[[str], bool]
-    """whether a word after it is its value"""
+    """whether the next argument is the option's value"""
     allowed: str
-    """what its value may be, in words"""
+    """allowed values, for messages"""
 
 
 class UsageError(InputError):
-    """One line for a command line that will not do."""
+    """An invalid command line, in one line."""
 
 
 def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Table, Table]:
-    """Read a command's words: its own options, and the nested table of the Config fields that the others set.
+    """Parse a command's arguments into its own options and the nested table of the Config fields.
 
-    `own` gives the type of each own option by name, `place` names the one that stands by itself. Raises UsageError,
-    listing what is allowed, for an option that does not exist, a flag without a value and a second word for `place`.
+    `own` gives the type of each own option by name, `place` names the positional one. Raises UsageError with the
+    allowed values for an unknown option, a flag without a value and a second positional argument.
     """
     hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}
     table: Table = {}
-    alone: tuple[str, OrAlone] | None = None  # an option that the word before has left without a value
-    words = list(reversed(args))  # the next one last
+    alone: tuple[str, OrAlone] | None = None  # the previous argument, if it is an option that took no value
+    words = list(reversed(args))  # a stack: the next word is the last element
     while words:
         word = words.pop()
         if not word.startswith("-"):
@@ -59,7 +59,7 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
                 if alone is not None:
                     raise UsageError(f"{alone[0]}: found {shown(word)}, allowed: {alone[1].allowed}")
                 raise UsageError(f"{place}: found {shown(given[place])} and {shown(word)}, allowed: one")
-            given[place] = _name(place, word)
+            given[place] = _checked_name(place, word)
             continue
         flag, value = _option(word, words, hints)
         hint = hints[flag]
@@ -73,13 +73,13 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
 
 
 def words(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table]:
-    """Read the words of a command that takes any number of them, and no field of the Config tree.
+    """Parse the arguments of a command with any number of positional ones and without fields of the Config tree.
 
-    `own` gives the type of each option by name. Returns the words that stand by themselves, and the options given.
-    Raises UsageError, listing what is allowed, for an option that does not exist and a flag without a value.
+    `own` gives the type of each option by name. Returns the positional arguments and the given options. Raises
+    UsageError with the allowed values for an unknown option and a flag without a value.
     """
     hints = {f"--{name}": hint for name, hint in own.items()}
-    rest = list(reversed(args))  # the next one last
+    rest = list(reversed(args))  # a stack: the next word is the last element
     plain: list[str] = []
     given: Table = {}
     while rest:
@@ -88,12 +88,12 @@ def words(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table
             flag, value = _option(word, rest, hints)
             given[flag.removeprefix("--")] = value
         else:
-            plain.append(_name("run", word))
+            plain.append(_checked_name("run", word))
     return plain, given
 
 
 def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
-    """Every field of the Config tree as a flag, and its type."""
+    """The flag and the type of every field of the Config tree."""
     for name, hint in typing.get_type_hints(section, include_extras=True).items():
         flag = path + name.replace("_", "-")
         if isinstance(hint, type) and issubclass(hint, Section):
@@ -103,28 +103,28 @@ def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]
 
 
 def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str, Any]:
-    """The flag that `word` is, and its value, taken from it or from `words`; UsageError for no flag of `hints`."""
+    """The flag and its value, taken from `word` or from the stack `words`; UsageError for a flag not in `hints`."""
     flag, equals, text = word.partition("=")
     flag = flag.replace("_", "-")
     if flag not in hints:
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
             return positive, False
-        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_near(flag, hints))}")
+        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_suggestions(flag, hints))}")
     hint, optional = hints[flag], False
     if isinstance(hint, OrAlone):
         if equals:
-            return flag, _name(flag, text)
-        return flag, _name(flag, words.pop()) if words and hint.is_value(words[-1]) else hint.alone
+            return flag, _checked_name(flag, text)
+        return flag, _checked_name(flag, words.pop()) if words and hint.is_value(words[-1]) else hint.alone
     while typing.get_origin(hint) in (Annotated, Union, UnionType):
         optional |= typing.get_origin(hint) is not Annotated
         hint = typing.get_args(hint)[0]
     if hint is bool:
         if not equals:
-            text = words.pop() if words and words[-1].lower() in _TRUTHS else "true"
-        if text.lower() not in _TRUTHS:
+            text = words.pop() if words and words[-1].lower() in _BOOLEANS else "true"
+        if text.lower() not in _BOOLEANS:
             raise UsageError(f"{flag}: found {shown(text)}, allowed: true or false")
-        return flag, _TRUTHS[text.lower()]
+        return flag, _BOOLEANS[text.lower()]
     is_tuple = typing.get_origin(hint) is tuple
     kinds = typing.get_args(hint) if is_tuple else (hint,)
     texts = [text] if equals else []
@@ -134,30 +134,30 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
             return flag, None
     if not texts:
         raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
-    values = [_value(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
+    values = [_convert(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
     return flag, values if is_tuple else values[0]
 
 
-def _near(flag: str, hints: Mapping[str, Any]) -> list[str]:
-    """The flags within the section that `flag` names, or else beside it, or else at the top."""
+def _suggestions(flag: str, hints: Mapping[str, Any]) -> list[str]:
+    """The flags to suggest: those in the section named `flag`, else in the same section, else those without section."""
     path = flag.rpartition(".")[0]
     within = [known for known in hints if known.startswith(flag + ".")]
     beside = [known for known in hints if known.rpartition(".")[0] == path]
     return within or beside or [known for known in hints if "." not in known]
 
 
-def _value(flag: str, kind: Any, text: str) -> Any:
-    """A word as what it stands for; where it is no such thing, as it is, for the validator to show."""
+def _convert(flag: str, kind: Any, text: str) -> Any:
+    """The text converted to `kind`; unchanged if that fails, so that the validator reports it."""
     if kind is Path:
-        return Path(_name(flag, text))
+        return Path(_checked_name(flag, text))
     if kind in (int, float):
         with contextlib.suppress(ValueError):
             return kind(text)
     return text
 
 
-def _name(where: str, text: str) -> str:
-    """A word that names a file or a scene, if it can be printed, and be written into the run's configuration."""
+def _checked_name(where: str, text: str) -> str:
+    """The name of a file or scene; UsageError if it could not be printed or written into the configuration."""
     if not is_one_line(text):
         raise UsageError(f"{where}: found {shown(text)}, allowed: a name without line breaks or control characters")
     return text

@@ -16,20 +16,20 @@ from sixthsense.cli.view import live_view
 
 @dataclass(frozen=True)
 class Replay(Common):
-    """Digest a recorded log.
+    """Process a recorded log.
 
     CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or ROS 2 bag;
-    the folder of a run; a folder of MRCLAM.
+    the folder of a run; an MRCLAM folder.
     """
 
     log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
     """The log."""
     relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """Hand-checked relations between poses (Kuemmerle et al. 2009) to measure the trajectory against."""
+    """Hand-checked relations between poses (Kuemmerle et al. 2009), the reference of the trajectory's error."""
     topic: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME]")] = None
-    """Topics of a bag to use, where it has several of scans or of odometry."""
+    """Topics to use from a bag with several topics of scans or odometry."""
     robot: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Robot of a MRCLAM folder to follow, where it has several."""
+    """Robot to use from an MRCLAM folder with several."""
 
 
 def command(args: list[str]) -> int:
@@ -41,7 +41,9 @@ def command(args: list[str]) -> int:
     options, flags = parse_command(Replay, "log", base_of, args)
     check_options(options.log, flags, options.topic is not None, options.robot is not None, "--")
     if options.log is None:
-        raise UsageError("log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run or of MRCLAM")
+        raise UsageError(
+            "log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
+        )
     check_out(options.log, options.out)
     from sixthsense.running.runs import Watch, replay_log
 

@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 USAGE = """\
 usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|FILE.gif]]
 
-Draw figures of runs that are over, killed ones included, as far as they got, and a page, report.html, that holds them
-all with the metrics, the configuration and the command that repeats the run.
+Draw the figures of finished or killed runs, and write report.html, a page with the figures, the metrics, the
+configuration and the command that repeats the run. A killed run is shown up to its last record.
 
-One run gets them into its own figures/; of several, they come side by side, with a table of their metrics.
+The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of metrics.
 
   RUN_DIR          folder of a run
   --out DIR        folder to write; for several runs by default a new one under runs/
-  --overwrite      write into DIR though it exists
-  --figures FORM   svg or pdf: each figure as vectors, too; png (the default): pictures alone
-  --animate [FILE] one run as a film, FILE.mp4 (needs ffmpeg) or FILE.gif; without FILE, animation.gif beside the
+  --overwrite      write into DIR if it exists
+  --figures FORM   svg or pdf: each figure as vector graphics, too; png (the default): bitmaps only
+  --animate [FILE] film of one run, FILE.mp4 (needs ffmpeg) or FILE.gif; by default animation.gif beside the
                    figures
 """
 
@@ -55,7 +55,7 @@ def command(args: list[str]) -> int:
     if "animate" in given:
         check_film(_FILM if given["animate"] is None else given["animate"])
         if len(folders) > 1:
-            raise UsageError(f"--animate: found {len(folders)} runs, allowed: with one")
+            raise UsageError(f"--animate: found {len(folders)} runs, allowed: one run")
     check_folders(folders)
     runs = [load(folder) for folder in folders]
     if out is None:
@@ -74,7 +74,7 @@ def command(args: list[str]) -> int:
 
 
 def _is_film(word: str) -> bool:
-    """Whether a word after `--animate` is its value, and no folder of a run."""
+    """Whether an argument after `--animate` is its value and not the folder of a run."""
     return bool(Path(word).suffix) and not Path(word).is_dir()
 
 

@@ -16,12 +16,12 @@ from sixthsense.config import is_of_replay
 
 @dataclass(frozen=True)
 class Run(Common):
-    """Put a robot into a scene it has never seen and let it see all of it, or reach its goals."""
+    """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
     realtime: bool = False
-    """Hold the simulated clock back to the wall's."""
+    """Slow the simulation down to real time."""
 
 
 def command(args: list[str]) -> int:

@@ -10,10 +10,10 @@ from sixthsense.cli.options import UsageError
 def command(args: list[str]) -> int:
     """List the shipped scenes."""
     if wants_help(args):
-        print("usage: sixthsense scenes\n\nList the scenes that ship.")
+        print("usage: sixthsense scenes\n\nList the shipped scenes.")
         return DONE
     if args:
-        raise UsageError(f"scenes: found {args[0]!r}, allowed: no further words")
+        raise UsageError(f"scenes: found {args[0]!r}, allowed: no arguments")
     from sixthsense.sources.scene import load_scene, shipped_scenes
 
     for name in shipped_scenes():

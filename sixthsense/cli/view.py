@@ -1,4 +1,4 @@
-"""`--view`: the hook that shows a run as it goes, and what is done when it is over."""
+"""`--view`: the hook that shows a run live, and keeps the browser view open after the run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
-    """The hooks that `--view` asks for, none without it; a browser's page then stays until Ctrl-C."""
+    """The hooks of `--view`, none without the option; a browser view stays open after the run until Ctrl-C."""
     if options.bind is not None and options.view != "browser":
         raise UsageError("--bind: found without --view browser, allowed: with it")
     if options.view is None:
@@ -31,6 +31,6 @@ def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
         yield (view,)
         view.finish()
         if view.page and not view.is_interrupted:
-            print("the view stays until Ctrl-C", file=sys.stderr)
+            print("the view stays open until Ctrl-C", file=sys.stderr)
             with contextlib.suppress(KeyboardInterrupt):
                 view.wait()

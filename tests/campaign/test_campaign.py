@@ -284,14 +284,14 @@ def test_a_lost_scheduler_is_told_and_a_lost_worker_is_a_row():
         def result():
             raise error
 
-        with cluster._connected():
+        with cluster._scheduler_errors():
             return cluster._row(SimpleNamespace(result=result), run)
 
     found = row_after(KilledWorker("a task", None, 3))  # type: ignore[arg-type]
     assert (found["outcome"], found["error"]) == ("error", "KilledWorker: 4 workers died in this run")
     assert row_after(ImportError("no such\nmodule"))["error"] == "ImportError: no such module"
     for error in (CancelledError(), OSError("closed")):
-        with pytest.raises(CampaignError, match="connection lost; the rows so far are kept"):
+        with pytest.raises(CampaignError, match="connection lost, the finished rows are kept"):
             row_after(error)
 
 
@@ -338,7 +338,7 @@ def test_what_stands_at_the_place_of_the_folder_and_is_none_is_told(capsys):
     ss.save_config(ss.preset(), "run/config.toml")
     words = ("rectangle", *SHORT, "--seeds", "0:1", "--out")
     assert "file is a file" in complaint(capsys, *words, "file")
-    assert "other is no campaign's folder" in complaint(capsys, *words, "other")
+    assert "other is not a campaign folder" in complaint(capsys, *words, "other")
     assert "run is the folder of a run" in complaint(capsys, *words, "run")
     assert "file/c" in complaint(capsys, *words, "file/c")
 
@@ -350,10 +350,10 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     assert "3 tour ended" in out and "written to c/: 3 runs" in out
     stamps = {file: file.stat().st_mtime_ns for file in Path("c").rglob("*") if file.is_file()}
     assert run_command(*words, "--seeds", "0:3") == cli.DONE
-    assert "all 3 runs are in c/ already" in capsys.readouterr().err
+    assert "all 3 runs are already in c/" in capsys.readouterr().err
     assert {file: file.stat().st_mtime_ns for file in Path("c").rglob("*") if file.is_file()} == stamps
     assert run_command(*words, "--seeds", "2:5", "--estimator", "ekf", "ekf-invariant") == cli.DONE
-    assert "6 runs, 1 of them are in c/ already; 2 workers; dashboard http://" in capsys.readouterr().err
+    assert "6 runs, 1 already in c/; 2 workers; dashboard http://" in capsys.readouterr().err
     frame = ss.load_campaign("c")
     assert len(frame) == 8 and not frame.duplicated(IDENTITY).any() and not frame["config_hash"].duplicated().any()
     kept = [file for file in stamps if file.name.startswith("run-")]
@@ -383,7 +383,7 @@ def test_a_row_of_another_version_of_the_defaults_is_told(nearby, capsys, monkey
     assert run_command(*words) == cli.DONE
     capsys.readouterr()
     monkeypatch.setitem(ss.config.PRESETS, "default", {"laser": {"beams": 90}})
-    assert "c has the run rectangle ekf default astar 0 of another configuration" in complaint(capsys, *words)
+    assert "c has the run rectangle ekf default astar 0 with another configuration" in complaint(capsys, *words)
 
 
 def test_a_scene_that_has_changed_is_no_more_the_same_campaign(nearby, capsys):
@@ -395,7 +395,7 @@ def test_a_scene_that_has_changed_is_no_more_the_same_campaign(nearby, capsys):
     assert ss.load_campaign("c")["scene"].tolist() == [str(scene.resolve())]
     capsys.readouterr()
     scene.write_text(text.format("[[-2, -2], [3, -2], [3, 2.5], [-2, 2]]"))
-    assert "room.toml has changed since c was begun" in complaint(capsys, *words)
+    assert "room.toml has changed since c was created" in complaint(capsys, *words)
 
 
 def test_runs_that_fail_are_rows_and_are_made_again_only_when_asked(nearby, capsys, monkeypatch):
@@ -410,11 +410,11 @@ def test_runs_that_fail_are_rows_and_are_made_again_only_when_asked(nearby, caps
     with monkeypatch.context() as patch:
         patch.setattr(worker, "_metrics", broken)
         assert run_command(*words) == cli.FAILED
-    said = "1 runs failed, the first of them rectangle ekf default astar seed 1: RuntimeError: lost a wheel"
+    said = "1 runs failed, first rectangle ekf default astar seed 1: RuntimeError: lost a wheel"
     assert said in capsys.readouterr().out
     assert ss.load_campaign("c")["outcome"].tolist() == ["tour ended", "error", "tour ended"]
     assert run_command(*words) == cli.FAILED
-    assert "all 3 runs are in c/ already" in capsys.readouterr().err
+    assert "all 3 runs are already in c/" in capsys.readouterr().err
     assert run_command(*words, "--retry-failed") == cli.DONE
     assert ss.load_campaign("c")["outcome"].tolist() == 3 * ["tour ended"]
     assert ss.load_campaign("c")["error"].isna().all()
@@ -455,7 +455,7 @@ def test_ctrl_c_keeps_the_rows_and_exits_with_130(nearby, capsys, monkeypatch):
             assert run_command(*words) == cli.INTERRUPTED
     finally:
         signal.signal(signal.SIGINT, before)
-    assert "interrupted, 1 of 4 runs are in c/, the same command makes the rest" in capsys.readouterr().err
+    assert "interrupted, 1 of 4 runs are in c/, the same command makes the missing ones" in capsys.readouterr().err
     assert len(ss.load_campaign("c")) == 1
     assert run_command(*words) == cli.DONE
 
@@ -470,10 +470,10 @@ def test_workers_of_another_version_python_or_scene_are_told_before_anything_is_
         assert "found Python 3.1" in complaint(capsys, *words)
     with monkeypatch.context() as patch:
         patch.setattr(worker, "scene_digest", lambda scene: "another")
-        assert "the scene rectangle is not the one that is here" in complaint(capsys, *words)
+        assert "found another scene rectangle than on this machine" in complaint(capsys, *words)
     with monkeypatch.context() as patch:
         patch.setattr(cluster, "describe", lambda scenes: 1 / 0)
-        assert "found no sixthsense that makes campaigns (ZeroDivisionError" in complaint(capsys, *words)
+        assert "found no usable sixthsense (ZeroDivisionError" in complaint(capsys, *words)
 
 
 def test_a_scheduler_that_never_answers_is_given_up(capsys, monkeypatch):

@@ -73,7 +73,7 @@ def metrics(folder: Path) -> dict[str, object]:
 BAD_LINES = [
     ("rn", "command: found 'rn', allowed: run, replay, calibrate, campaign, report, scenes"),
     ("--version", "command: found '--version', allowed: run, replay, calibrate, campaign, report, scenes"),
-    ("scenes extra", "scenes: found 'extra', allowed: no further words"),
+    ("scenes extra", "scenes: found 'extra', allowed: no arguments"),
     ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),
     ("run missing.yaml", "missing.yaml: cannot be read (No such file or directory)"),

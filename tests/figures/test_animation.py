@@ -70,7 +70,7 @@ def test_an_ffmpeg_that_fails_leaves_nothing_behind(folder, ended, tmp_path, mon
         (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4 or FILE.gif"),
         (["--animate="], "--animate: found '', allowed: FILE.mp4 or FILE.gif"),
         (["--animate=film"], "--animate: found 'film', allowed: FILE.mp4 or FILE.gif"),
-        (["{folder}", "--animate"], "--animate: found 2 runs, allowed: with one"),
+        (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
     ],
 )
 def test_an_invalid_film_is_refused_in_one_line(folder, args, complaint, capsys):
