@@ -30,25 +30,25 @@ _KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "n
 
 
 class ComparisonError(InputError):
-    """One line on what cannot be compared."""
+    """Runs that cannot be compared, in one line."""
 
 
 class Comparison:
-    """Runs side by side; `ss.compare` makes one."""
+    """Several runs for comparison, as returned by `ss.compare`."""
 
     def __init__(self, runs: Sequence[Run]) -> None:
-        """Take at least one run, in the order in which they are shown."""
+        """Wrap at least one run; tables and figures keep the order."""
         self.runs = tuple(runs)
         self.names = numbered_names(self.runs)
 
     def frame(self) -> pd.DataFrame:
-        """A row per run, index `run`, a column per metric, NaN where it was not measured; ExtraError without pandas."""
+        """A row per run with index `run`, a column per metric, NaN where a run lacks it; ExtraError without pandas."""
         frame = pandas().DataFrame([dict(run.metrics) for run in self.runs], index=self.names)
         frame.index.name = "run"
         return frame
 
     def plot(self, what: str = "map") -> Picture:
-        """Their figures side by side, by the names of `Run.plot`, which says what is raised; of 12 runs at most."""
+        """A figure of at most 12 runs side by side; names and errors as of `Run.plot`."""
         return figure(what, self.runs)
 
     def __len__(self) -> int:
@@ -69,24 +69,24 @@ class Comparison:
         title = f"<b>{len(self.runs)} run{'s' * (len(self.runs) > 1)}</b>"
         titles = "".join(f"<div>{html.escape(run.title)}</div>" for run in self.runs)
         table = metrics_table(["metric", *self.names], [run.metrics for run in self.runs])
-        return f"<div>{title}<details><summary>what they are</summary>{titles}</details>{table}</div>"
+        return f"<div>{title}<details><summary>titles</summary>{titles}</details>{table}</div>"
 
 
 def compare(runs: Iterable[Compared] | Mapping[str, Compared]) -> Comparison:
-    """Put runs side by side, whatever their scenes: a table (`.frame()`), and figures (`.plot("error")`).
+    """Compare runs, also of different scenes: a table (`.frame()`) and figures (`.plot("error")`).
 
         ss.compare({name: ss.run("office", estimator=name) for name in ("ekf", "isam2")})
 
     Parameters
     ----------
     runs
-        Runs, or folders of runs, in order; or a mapping from the name each shall have. Without one a folder is called
-        by its name, and a run by what its configuration has of its own among them.
+        Runs or folders of runs, in order, or a mapping from names to them. Without a mapping, the name of a folder is
+        used, and for a run the fields of its configuration that differ from those of the other runs.
 
     Raises
     ------
     InputError
-        For no run at all, for what is none, and for a folder that is no run's.
+        For no run, for an object that is not a run, and for a folder that is not a run folder.
 
     """
     if isinstance(runs, (Run, Trace, str, Path)):
@@ -95,14 +95,14 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared]) -> Comparison:
         given = [(str(name), run) for name, run in runs.items()]
     else:
         found = list(runs)
-        given = list(zip(_names(found), found, strict=True))
+        given = list(zip(_distinguishing_names(found), found, strict=True))
     if not given:
         raise ComparisonError("runs: found none, allowed: one or more")
-    return Comparison([_renamed(name, run) for name, run in given])
+    return Comparison([_with_name(name, run) for name, run in given])
 
 
-def _renamed(name: str, run: Compared) -> Run:
-    """The run under the name that it shall have; without one under its own."""
+def _with_name(name: str, run: Compared) -> Run:
+    """The run with the given name; with its own name if that is empty."""
     if isinstance(run, Trace):
         return Run(name or run.name or "run", run)
     if isinstance(run, (str, Path)):
@@ -112,25 +112,27 @@ def _renamed(name: str, run: Compared) -> Run:
     return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
 
 
-def _names(runs: Sequence[Compared]) -> list[str]:
-    """Of each run what tells it from the others; of folders nothing, since they have names."""
+def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:
+    """A name per run from the configuration fields that differ; empty for a folder, which has a name."""
     traces = [run.trace if isinstance(run, Run) else run if isinstance(run, Trace) else None for run in runs]
-    tables = [_leaves(trace.config) | {"name": trace.name} if trace is not None else {} for trace in traces]
+    tables = [_flatten(trace.config) | {"name": trace.name} if trace is not None else {} for trace in traces]
     filled = [table for table in tables if table]
-    # Where the name tells them apart, so does the scene's, which is the same.
+    # The name already contains the scene.
     keys = [key for key in dict.fromkeys(key for table in filled for key in table) if key != "scene"]
     differing = [key for key in keys if len({repr(table.get(key)) for table in filled}) > 1]
-    words = [" · ".join(_word(key, table.get(key)) for key in differing[:4]) if table else "" for table in tables]
+    labels = [
+        " · ".join(_field_label(key, table.get(key)) for key in differing[:4]) if table else "" for table in tables
+    ]
     return [
-        word or (trace.name or "run" if trace is not None else "") for word, trace in zip(words, traces, strict=True)
+        label or (trace.name or "run" if trace is not None else "") for label, trace in zip(labels, traces, strict=True)
     ]
 
 
-def _word(key: str, value: Any) -> str:
+def _field_label(key: str, value: Any) -> str:
     return str(value) if key in ("name", "estimator", "planner", "preset", "task") else f"{key} {value}"
 
 
-def _leaves(config: Config) -> dict[str, Any]:
+def _flatten(config: Config) -> dict[str, Any]:
     """The fields of a configuration by their dotted names."""
     found: dict[str, Any] = {}
 

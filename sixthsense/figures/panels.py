@@ -1,4 +1,4 @@
-"""Whole figures of a run, or of several side by side, as reports and notebooks show them."""
+"""Complete figures of one or several runs, for reports and notebooks."""
 
 from __future__ import annotations
 
@@ -20,74 +20,74 @@ from sixthsense.record.trace import Trace
 
 _WIDTH_IN = 11.0
 _TITLES = {
-    "error": "Pose error at key scans, within three sigma as the estimator promises",
+    "error": "Pose error at key scans, with the three-sigma bounds of the estimator",
     "nees": "Consistency of the pose: normalised estimation error squared",
     "nis": "Consistency of the matches: normalised innovation squared",
-    "stages": "Where the time goes",
+    "stages": "Computing time per stage",
     "coverage": "Area seen",
-    "exploration": "Seen area, what is left of its frontiers, and the plans over time",
+    "exploration": "Seen area, remaining frontiers, and plans over time",
 }
-_NEEDS = {
+_REQUIRED_DATA = {
     "error": "the truth at key scans",
     "nees": "the truth at key scans",
-    "nis": "landmarks seen again",
-    "stages": "the times of its stages",
+    "nis": "matched landmarks",
+    "stages": "stage times",
     "coverage": "the truth and its scene",
     "exploration": "an exploration",
 }
-_PARTS = {"nis": Part.KEY_SCANS, "stages": Part.KEY_SCANS, "exploration": Part.GRID}
-"""what of the record a figure cannot do without"""
-_CARD = (
+_REQUIRED_PARTS = {"nis": Part.KEY_SCANS, "stages": Part.KEY_SCANS, "exploration": Part.GRID}
+"""part of the record that a figure needs"""
+_CARD_METRICS = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",
     "path_length_m", "sim_time_s", "wall_time_s",
 )  # fmt: skip
 
 
 class FigureError(InputError):
-    """One line that names the figure, what was found and what is allowed."""
+    """A figure that cannot be drawn: one line with its name, what was found and what is allowed."""
 
 
 def figure(what: str, runs: Sequence[MeasuredRun]) -> Picture:
-    """The figure of that name, of 1 to 12 runs.
+    """Draw the figure with this name for 1 to 12 runs.
 
-    Raises FigureError for a name that is none of `KINDS` and for a figure that none of the runs can fill, ReportError
-    for more runs, or none.
+    Raises FigureError for a name that is not in `KINDS` and for a figure whose data all runs lack, and ReportError for
+    another number of runs.
     """
     if what not in KINDS:
         raise FigureError(f"what: found {shown(what)}, allowed: {', '.join(KINDS)}")
-    made = figure_if_any(what, runs)
-    if made is not None:
-        return made
-    part = _PARTS.get(what)
+    drawn = figure_if_any(what, runs)
+    if drawn is not None:
+        return drawn
+    part = _REQUIRED_PARTS.get(what)
     if part is not None and any(part.value in run.missing for run in runs):
-        raise FigureError(f"{what}: found a folder without {part.value}, allowed: ss.replay, which makes it anew")
-    raise FigureError(f"{what}: found a run without {_NEEDS[what]}, allowed: a run that has it")
+        raise FigureError(f"{what}: found a folder without {part.value}, allowed: ss.replay, which estimates it again")
+    raise FigureError(f"{what}: found a run without {_REQUIRED_DATA[what]}, allowed: a run that has it")
 
 
 def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
-    """The same of a name in `KINDS`, None where no run can fill it."""
+    """Draw the figure with a name in `KINDS`; None if all runs lack its data."""
     if not 1 <= len(runs) <= MAX_RUNS:
         raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
     if what == "map" and len(runs) == 1:
         return map_figure(runs[0].trace, runs[0].title)
-    made = _MAKERS[what](runs, numbered_names(runs))
-    if made is not None and what != "map":
+    drawn = _DRAW_BY_KIND[what](runs, numbered_names(runs))
+    if drawn is not None and what != "map":
         if len(runs) > 1:
-            made.suptitle(_TITLES[what])
+            drawn.suptitle(_TITLES[what])
         elif what != "exploration":
-            made.suptitle(runs[0].title)
-    return made
+            drawn.suptitle(runs[0].title)
+    return drawn
 
 
 def card(run: MeasuredRun) -> str:
-    """A run in HTML: what it was, a small map, and the metrics that matter most."""
+    """A run in HTML: its title, a small map, and the most important metrics."""
     picture = base64.b64encode(map_figure(run.trace, "", 5.0, legend=False).png(dpi=70.0)).decode()
-    shown_keys = Metrics({key: run.metrics[key] for key in _CARD if key in run.metrics})
+    metrics = Metrics({key: run.metrics[key] for key in _CARD_METRICS if key in run.metrics})
     return (
         f"<div><b>{html.escape(run.title)}</b><br>"
         f'<img alt="map" src="data:image/png;base64,{picture}" style="display:inline-block;vertical-align:top">'
         f'<div style="display:inline-block;vertical-align:top;padding-left:1em">'
-        f"{metrics_table(['metric', 'value'], [shown_keys])}</div></div>"
+        f"{metrics_table(['metric', 'value'], [metrics])}</div></div>"
     )
 
 
@@ -95,12 +95,12 @@ def _with_truth(runs: Sequence[MeasuredRun]) -> list[int]:
     return [k for k, run in enumerate(runs) if run.trace.key_truths]
 
 
-def _color(k: int) -> str:
+def _run_color(k: int) -> str:
     return CYCLE[k % len(CYCLE)]
 
 
 def _maps(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture:
-    return _planes(runs, names, draw_map)
+    return _panel_per_run(runs, names, draw_map)
 
 
 def _exploration(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
@@ -108,11 +108,11 @@ def _exploration(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture |
     shown = [k for k, t in enumerate(traces) if t.config.task == "explore" and t.plans and t.grid is not None]
     if not shown:
         return None
-    return _planes([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
+    return _panel_per_run([runs[k] for k in shown], [names[k] for k in shown], draw_exploration)
 
 
-def _planes(runs: Sequence[MeasuredRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
-    """One panel a run, drawn by `draw`, with one legend."""
+def _panel_per_run(runs: Sequence[MeasuredRun], names: Sequence[str], draw: Callable[[Any, Trace], None]) -> Picture:
+    """One panel per run, drawn by `draw`, with a common legend."""
     columns = min(len(runs), 3)
     rows = -(-len(runs) // columns)
     width = max(_WIDTH_IN, 5.0 * columns)
@@ -123,7 +123,7 @@ def _planes(runs: Sequence[MeasuredRun], names: Sequence[str], draw: Callable[[A
         if len(runs) > 1:
             ax.set_title(f"{name}: {run.outcome}", fontsize=10)
         else:
-            ax.set_title(run.title)  # of the plane, not of the figure: equal axes leave room between the two
+            ax.set_title(run.title)  # a title of the axes, not of the figure: equal scales leave a gap between the two
     for ax in panels[len(runs) :]:
         ax.set_axis_off()
     heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]
@@ -141,7 +141,7 @@ def _errors(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None
     panels = figure.subplots(len(COMPONENTS), len(shown), sharex="col", sharey="row", squeeze=False)
     for column, k in enumerate(shown):
         for component, ax in enumerate(panels[:, column]):
-            draw_error(ax, runs[k].trace, component, _color(k))
+            draw_error(ax, runs[k].trace, component, _run_color(k))
             ax.label_outer()
         if len(runs) > 1:
             panels[0, column].legend(loc="upper left", ncols=2, frameon=False)
@@ -159,8 +159,8 @@ def _nees(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
     upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
     for k in shown:
         label = names[k] if len(runs) > 1 else None
-        draw_nees(upper, runs[k].trace, "world", _color(k), label, band=k == shown[0])
-        draw_nees(lower, runs[k].trace, "invariant", _color(k), label, band=k == shown[0])
+        draw_nees(upper, runs[k].trace, "world", _run_color(k), label, band=k == shown[0])
+        draw_nees(lower, runs[k].trace, "invariant", _run_color(k), label, band=k == shown[0])
     for ax in (upper, lower):
         _legend_above(ax)
     upper.set_xlabel("")
@@ -173,9 +173,9 @@ def _nis(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | None:
         return None
     figure = new_figure(_WIDTH_IN, 2.0 + 2.4 * len(shown))
     panels = figure.subplots(len(shown), 1, sharex=True, sharey=True, squeeze=False).ravel()
-    # One panel a run: each has a band of its own, by the landmarks it matched.
+    # One panel per run: the band depends on the number of matched landmarks.
     for ax, k in zip(panels, shown, strict=True):
-        draw_nis(ax, runs[k].trace, _color(k), names[k] if len(runs) > 1 else None)
+        draw_nis(ax, runs[k].trace, _run_color(k), names[k] if len(runs) > 1 else None)
         _legend_above(ax)
         ax.label_outer()
     return figure
@@ -200,19 +200,19 @@ def _coverage(runs: Sequence[MeasuredRun], names: Sequence[str]) -> Picture | No
     figure = new_figure(_WIDTH_IN, 5.0)
     ax = figure.add_subplot()
     for k in shown:
-        draw_coverage(ax, runs[k].trace, _color(k), names[k] if len(runs) > 1 else None)
+        draw_coverage(ax, runs[k].trace, _run_color(k), names[k] if len(runs) > 1 else None)
     _legend_above(ax)
     return figure
 
 
 def _legend_above(ax: Any) -> None:
-    """A legend that hides nothing, in as many columns as its words leave room for."""
+    """Place the legend above the axes, with as many columns as fit."""
     longest = max(map(len, ax.get_legend_handles_labels()[1]), default=0)
     columns = max(1, min(3, 120 // (longest + 8)))
     ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2)
 
 
-_MAKERS: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str]], Picture | None]] = {
+_DRAW_BY_KIND: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str]], Picture | None]] = {
     "map": _maps,
     "error": _errors,
     "nees": _nees,
@@ -222,5 +222,5 @@ _MAKERS: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str]], Picture | No
     "exploration": _exploration,
 }
 
-KINDS = tuple(_MAKERS)
+KINDS = tuple(_DRAW_BY_KIND)
 """names of the figures"""

@@ -1,4 +1,4 @@
-"""A report on runs that are over: the figures of one, or of several side by side, and a table of their metrics."""
+"""Reports on finished or killed runs: their figures, a table of their metrics, and an HTML page."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Form = Literal["png", "svg", "pdf"]
 
 
 def as_form(text: str) -> Form:
-    """The form of figures that has this name; ReportError, listing what there is, for any other."""
+    """Parse the name of a file format of figures; raises ReportError with the allowed names."""
     forms: tuple[Form, ...] = get_args(Form)
     for form in forms:
         if text == form:
@@ -28,11 +28,11 @@ def as_form(text: str) -> Form:
 
 
 def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
-    """Write the figures of one run, or of several side by side with `metrics.csv`, into `out`, made if missing.
+    """Write the figures and `report.html` into the folder `out`, for several runs also `metrics.csv`.
 
-    Beside them stands `report.html`, a page that holds them all. `form` "svg" or "pdf" adds each figure as vectors.
-    Returns the files written. A figure that no run can fill (errors without truth) is left out. Raises ReportError for
-    more than 12 runs, or none.
+    The folder is created if missing. `form` "svg" or "pdf" adds each figure as vector graphics. A figure whose data all
+    runs lack, such as errors without truth, is left out. Returns the written files. Raises ReportError for no run and
+    for more than 12 runs.
     """
     out = Path(out)
     pictures: list[Path] = []
@@ -55,14 +55,14 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
 
 
 def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:
-    """Head, and a row per metric with a column per run, all digits; empty where a run did not measure it."""
+    """A heading, and a row per metric with a column per run, in full precision; empty where a run lacks the metric."""
     keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
     rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]
     return [["metric", *numbered_names(runs)], *rows]
 
 
 def compact(rows: Sequence[Sequence[str]]) -> str:
-    """The rows of a table as aligned text, numbers with four digits."""
+    """The rows of a table as aligned text, with four significant digits."""
     short = [[row[0], *map(_four_digits, row[1:])] for row in rows]
     return text_table(short)
 

@@ -1,4 +1,4 @@
-"""The page of a report: one HTML file that holds its figures and needs nothing else, no network and no script."""
+"""The page of a report: one HTML file with embedded figures, without scripts and external resources."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.tables import PAGE, digits, html_table
 
 _CAPTIONS = {
-    "map": "Map: the true walls, what was found of them, landmarks with 95 % ellipses, ways planned and driven.",
-    "error": "Error of the pose at key scans, and the three sigma within which the estimator puts it.",
-    "nees": "Consistency of the pose: its normalised estimation error squared, 3 on average if that is right.",
-    "nis": "Consistency of the matches: the normalised innovation squared per degree of freedom, 1 on average.",
-    "stages": "Where the time of a key scan goes.",
-    "coverage": "Share seen of what can be seen, over time.",
-    "exploration": "Exploration: the area seen, the frontiers left, and the plans, pale to dark over time.",
+    "map": "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.",
+    "error": "Error of the pose at key scans, and the three-sigma bounds of the estimator.",
+    "nees": "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
+    "nis": "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
+    "stages": "Computing time of the stages of a key scan.",
+    "coverage": "Seen share of the visible area, over time.",
+    "exploration": "Exploration: seen area, remaining frontiers, and planned paths, pale to dark over time.",
 }
 
 _STYLE = """
@@ -60,16 +60,16 @@ summary { cursor: pointer; margin: .6rem 0; }
 
 
 def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
-    """The HTML of a report on one run, or on several side by side, with PNG `figures` in it; every value is escaped."""
-    shown = [_Shown(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
-    title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(one.name for one in shown)}"
-    parts = [f"<h1>{_text(title)}</h1>", *map(_ending, shown)]
+    """The HTML of a report on one or several runs, with the PNG `figures` embedded; every value is escaped."""
+    described = [_DescribedRun(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
+    title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(run.name for run in described)}"
+    parts = [f"<h1>{_text(title)}</h1>", *map(_outcome, described)]
     first, rest = figures[:1], figures[1:]
     parts += [_figure(file, title) for file in first]
-    parts += ["<h2>Metrics</h2>", _metrics(shown)]
+    parts += ["<h2>Metrics</h2>", _metrics(described)]
     parts += ["<h2>Figures</h2>" if rest else "", *(_figure(file, title) for file in rest)]
-    parts += ["<h2>Configuration</h2>", _configuration(shown)]
-    parts += ["<h2>To repeat it</h2>", *map(_repeat, shown)]
+    parts += ["<h2>Configuration</h2>", _configuration(described)]
+    parts += ["<h2>Reproduction</h2>", *map(_reproduction, described)]
     body = "\n".join(part for part in parts if part)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -86,8 +86,8 @@ def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
 """
 
 
-class _Shown:
-    """A run as the page tells of it."""
+class _DescribedRun:
+    """The data of a run that the page shows."""
 
     def __init__(self, run: MeasuredRun, name: str, is_one_of_several: bool) -> None:
         self.name, self.is_named = name, is_one_of_several
@@ -98,7 +98,7 @@ class _Shown:
 
 
 def _notes(folder: Path) -> dict[str, dict[str, Any]]:
-    """The tables of a run's configuration file that are no settings; nothing of a file that has none."""
+    """The tables of config.toml that are not settings, such as versions; {} for a missing or invalid file."""
     try:
         table = parse_toml((folder / "config.toml").read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
@@ -110,14 +110,11 @@ def _text(value: Any) -> str:
     return html.escape(str(value))
 
 
-def _ending(run: _Shown) -> str:
+def _outcome(run: _DescribedRun) -> str:
     name = f"{_text(run.name)}: " if run.is_named else ""
     line = f'<p class="outcome">{name}<strong>{_text(run.outcome)}</strong></p>'
     if run.is_killed:
-        line += (
-            f'\n<p class="note">{name}the run was stopped before its end. What follows is what its folder had recorded '
-            "by then.</p>"
-        )
+        line += f'\n<p class="note">{name}the run was stopped before its end. The page shows the record up to then.</p>'
     if run.missing:
         line += f'\n<p class="note">{name}the folder has no record of {_text("; ".join(run.missing))}.</p>'
     return line
@@ -134,12 +131,12 @@ def _figure(file: Path, title: str) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
-    """A table that scrolls sideways where it is too wide; `numbers` as of `html_table`."""
+    """A table that scrolls horizontally if it is too wide; `numbers` as in `html_table`."""
     return f'<div class="wide">{html_table(head, rows, numbers, PAGE)}</div>'
 
 
-def _metrics(runs: Sequence[_Shown]) -> str:
-    """What was measured, in groups, a column for each run."""
+def _metrics(runs: Sequence[_DescribedRun]) -> str:
+    """The metrics in groups, with a column per run."""
     rows: list[list[str]] = []
     for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run.metrics)).groups():
         rows.append([group])
@@ -152,52 +149,56 @@ def _metrics(runs: Sequence[_Shown]) -> str:
     return _table(head, rows, len(runs))
 
 
-def _configuration(runs: Sequence[_Shown]) -> str:
-    """What is not the default, or of several what differs between them, and then all of it, each folded away."""
+def _configuration(runs: Sequence[_DescribedRun]) -> str:
+    """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
     settings = [_flat(as_table(run.config)) for run in runs]
     default = _flat(as_table(Config()))
-    names = list(dict.fromkeys(name for one in [*settings, default] for name in one))
-    alike = [default] if len(runs) == 1 else settings[1:]
-    changed = [name for name in names if any(settings[0].get(name) != other.get(name) for other in alike)]
+    names = list(dict.fromkeys(name for fields in [*settings, default] for name in fields))
+    others = [default] if len(runs) == 1 else settings[1:]
+    changed = [name for name in names if any(settings[0].get(name) != other.get(name) for other in others)]
     if len(runs) == 1:
         rows = [[name, settings[0].get(name, "none"), default.get(name, "none")] for name in changed]
-        parts = [_table(["what differs", "here", "by default"], rows) if rows else "<p>All of the default.</p>"]
+        parts = [
+            _table(["different field", "this run", "default"], rows)
+            if rows
+            else "<p>All fields have their default values.</p>"
+        ]
     else:
-        rows = [[name, *(one.get(name, "none") for one in settings)] for name in changed]
-        head = ["what differs", *(run.name for run in runs)]
-        parts = [_table(head, rows) if rows else "<p>The same of all.</p>"]
+        rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in changed]
+        head = ["different field", *(run.name for run in runs)]
+        parts = [_table(head, rows) if rows else "<p>All runs have the same configuration.</p>"]
     for run in runs:
         of = f" of {_text(run.name)}" if len(runs) > 1 else ""
         text = _text(_toml(run))
-        parts.append(f"<details><summary>All of it{of}, as config.toml has it</summary><pre>{text}</pre></details>")
+        parts.append(f"<details><summary>Complete configuration{of} (config.toml)</summary><pre>{text}</pre></details>")
     return "\n".join(parts)
 
 
-def _toml(run: _Shown) -> str:
+def _toml(run: _DescribedRun) -> str:
     import tomli_w
 
     return tomli_w.dumps({**as_table(run.config), **run.notes})
 
 
 def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, str]:
-    """Nested settings by dotted names, as the command line writes them."""
+    """Nested settings by dotted names, with values as on the command line."""
     out: dict[str, str] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
             out |= _flat(value, f"{path}{name}.")
         else:
-            out[path + name] = _word(value)
+            out[path + name] = _value_text(value)
     return out
 
 
-def _word(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return " ".join(map(_word, value)) if isinstance(value, (tuple, list)) else str(value)
+    return " ".join(map(_value_text, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
-def _repeat(run: _Shown) -> str:
-    """The commands that repeat a run, and what ran it."""
+def _reproduction(run: _DescribedRun) -> str:
+    """The commands that repeat a run, and the versions that produced it."""
     parts = [f"<p><strong>{_text(run.name)}</strong></p>" if run.is_named else ""]
     if run.folder is not None:
         config = shlex.quote(str(run.folder / "config.toml"))
@@ -208,7 +209,7 @@ def _repeat(run: _Shown) -> str:
             command = f"sixthsense replay {shlex.quote(str(replayed['log']))} --config {config}{more}"
         again = f"sixthsense replay {shlex.quote(str(run.folder))}"
         parts.append(f"<pre>{_text(command)}</pre>")
-        parts.append(f"<p>Or, from the evidence that it recorded:</p>\n<pre>{_text(again)}</pre>")
+        parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{_text(again)}</pre>")
     versions = run.notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     words = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts.append(f'<p class="quiet">Run by {_text(words)}.</p>')

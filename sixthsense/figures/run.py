@@ -1,4 +1,4 @@
-"""A run that draws itself: what `ss.run`, `ss.replay` and `ss.load` return."""
+"""`Run`, the result of `ss.run`, `ss.replay` and `ss.load`, with its figures."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ __all__ = ["Run", "Trace", "load"]
 
 
 class Run(MeasuredRun):
-    """What `ss.run`, `ss.replay` and `ss.load` return: a record that is measured and drawn on demand.
+    """The result of `ss.run`, `ss.replay` and `ss.load`: a record with metrics and figures, computed on demand.
 
-    In a notebook it shows its map and the metrics that matter most.
+    A notebook displays it as its map with the most important metrics.
     """
 
     def plot(self, what: str = "map") -> Picture:
         """A figure of the run: "map", "error", "nees", "nis", "stages", "coverage" or "exploration".
 
-        It is one of matplotlib's, shows itself at the end of a notebook's cell, and is written by `.savefig(file)`.
-        Raises FigureError, listing what there is, for any other name, and for a figure that this run cannot fill, as
-        errors without truth.
+        The result is a matplotlib figure, which a notebook displays, and which `.savefig(file)` writes. Raises
+        FigureError with the allowed names for any other name, and for a figure whose data the run lacks, such as errors
+        without truth.
         """
         from sixthsense.figures.panels import figure
 
         return figure(what, [self])
 
     def __getattr__(self, name: str) -> Any:
-        """Attributes of the record, for one version."""
+        """Attributes of the record, deprecated and kept for one version."""
         if name.startswith("_") or name == "trace":
             raise AttributeError(name)
         value = getattr(self.trace, name)
@@ -47,25 +47,25 @@ class Run(MeasuredRun):
 
 
 def load(folder: str | Path) -> Run:
-    """Read a run from its folder, or from the `.partial` that a killed run has left, without estimating again.
+    """Load a run from its folder, or from the `.partial` folder of a killed run, without estimating again.
 
         run = ss.load("runs/first")
 
-    Estimates, truth, innovations, times, plans and the map are those that the run recorded, its metrics those that it
-    measured. Of a killed run, and of a folder that an earlier version wrote, there is less: `Run.missing` says what is
-    not there. `ss.replay(folder)` estimates again from the recorded evidence.
+    Estimates, truth, innovations, times, plans, map and metrics are those that the run recorded. The folder of a killed
+    run, or of an earlier version, may be incomplete; `Run.missing` lists the missing parts. `ss.replay(folder)`
+    estimates again from the recorded sensor data.
 
     Raises
     ------
     InputError
-        For a folder that is no run's or has recorded nothing, and for a damaged file, naming its line.
+        For a folder that is not a run folder or has no record, and for a damaged file, with its line.
 
     """
     return Run.read(folder)
 
 
 def _load_of_trace(cls: type[Trace], folder: str | Path) -> Run:
-    """Read a run, as `ss.load` does, which has taken this method's place."""
+    """Load a run; deprecated, use `ss.load`."""
     warnings.warn("ss.Trace.load is deprecated, use ss.load", DeprecationWarning, stacklevel=2)
     return load(folder)
 

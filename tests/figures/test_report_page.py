@@ -92,7 +92,7 @@ def test_the_page_has_every_metric_the_configuration_the_versions_and_the_comman
     for key in load(folder).metrics:
         assert key in said
     assert f"sixthsense run --config {folder}/config.toml" in said
-    assert "estimatorekf-fejekf" in said  # what differs, here, by default
+    assert "estimatorekf-fejekf" in said  # different field, this run, default
     assert (folder / "config.toml").read_text(encoding="utf-8") in said
     assert re.search(r"Run by sixthsense [\d.]+, python 3[\d.]+, numpy ", said)
 
@@ -118,7 +118,7 @@ def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
     said = Page(text).text
     assert "Runs compared: one, two" in said
     assert "two: stuck" in said
-    changed = said.partition("what differs")[2].partition("All of it")[0]
+    changed = said.partition("different field")[2].partition("Complete configuration")[0]
     assert "seed12" in changed
     assert "estimator" not in changed
 
