@@ -1,4 +1,4 @@
-"""The calls of a notebook or a script: a run or a replay by names, with a progress bar, kept in a folder if asked."""
+"""`ss.run` and `ss.replay`, the calls for notebooks and scripts: arguments are converted to a configuration."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run(
     overwrite: bool = False,
     **fields: Any,
 ) -> Run:
-    """Put a robot into a scene it has never seen, and let it see all of it or reach its goals.
+    """Simulate a robot in a scene unknown to it; the robot explores the scene or drives to goals.
 
         run = ss.run("apartment", estimator="isam2", seed=3)
         run.plot(); run.metrics
@@ -37,23 +37,23 @@ def run(
     Parameters
     ----------
     scene
-        A shipped scene's name, a file (.toml, map_server .yaml, .scn), or a whole `Config`.
+        A shipped scene's name, a file (.toml, map_server .yaml, .scn), or a complete `Config`.
     on_tick
-        Called after every tick with it and the trace so far.
+        Called after every tick with the tick and the trace so far.
     progress
-        Whether a bar shows how far it is; by default in a notebook and at a terminal.
+        Whether to show a progress bar; by default in a notebook and at a terminal.
     out, overwrite
-        Folder to write, which `ss.load` reads back, none by default; whether to replace it if it exists.
+        Folder to write, none by default, which `ss.load` reads; whether to replace an existing one.
     **fields
-        Of the configuration, by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
+        Fields of the configuration by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
-        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be your own class or function (see
-        `ss.register_estimator`).
+        sections as mappings, `laser={"beams": 181}`. `estimator` and `planner` may be a class or function of your own
+        (see `ss.register_estimator`).
 
     Returns
     -------
     Run
-        Its record (`run.trace`), metrics and figures. Ctrl-C and the notebook's stop button return the run so far with
+        Record (`run.trace`), metrics and figures. Ctrl-C and the notebook's stop button return the run so far with
         the outcome "interrupted". A second interrupt within two seconds raises KeyboardInterrupt.
 
     Raises
@@ -66,18 +66,18 @@ def run(
     from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
-    given = _named(fields)
+    given = _register_custom(fields)
     if isinstance(scene, Config):
-        config = _over(scene, given)
+        config = _apply_fields(scene, given)
     else:
         if "scene" in given:
             raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
-        config = _over(given.pop("preset", "default"), {**given, "scene": str(scene)})
+        config = _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
     config = with_task(config, given)
-    there = load_scene(config.scene)
-    mission(there, config)
+    loaded = load_scene(config.scene)
+    mission(loaded, config)
     with reserved(out, config, overwrite) as folder:
-        return simulate(config, there, folder, _watch(on_tick, progress))
+        return simulate(config, loaded, folder, _watch(on_tick, progress))
 
 
 def replay(
@@ -101,18 +101,18 @@ def replay(
     ----------
     log
         A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or
-        ROS 2 bag; the folder of a run; a folder of MRCLAM; or a log that `ss.open_log` has opened.
+        ROS 2 bag; the folder of a run; an MRCLAM folder; or a log opened by `ss.open_log`.
     config
-        The whole configuration; by default that of the run whose folder it is, else the preset of the log's kind
-        ("intel", "victoria", "mrclam"; of a bag "default"). An opened log needs one.
+        The complete configuration. By default it is that of the run folder, or the preset of the log's format ("intel",
+        "victoria", "mrclam", for a bag "default"). An opened log needs one.
     relations
-        Hand-checked relations between poses, or their file, to measure the trajectory against.
+        Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite
         As of `ss.run`.
     topics, robot
-        Topics of a bag to use, where it has several of scans or of odometry; robot of a MRCLAM folder to follow.
+        Topics to use from a bag with several of scans or odometry; robot to use from an MRCLAM folder.
     **fields
-        Of the configuration, over all that, as of `ss.run`, but none of the simulated robot's.
+        Fields that override the configuration, as in `ss.run`, except those of the simulation.
 
     Returns
     -------
@@ -126,22 +126,22 @@ def replay(
         read, with file and line.
 
     """
-    given = _named(fields)
+    given = _register_custom(fields)
     if isinstance(log, (str, Path)):
-        found = _opened(Path(log), config, relations, topics, robot, given, out)
+        found = _open_with_config(Path(log), config, relations, topics, robot, given, out)
     else:
         from sixthsense.sources.logs.relations import read_relations
         from sixthsense.sources.replay_input import Recorded
 
         if config is None:
-            raise ConfigError("config: found none beside a log that is open, allowed: a Config, such as ss.preset()")
-        judged = read_relations(relations) if isinstance(relations, (str, Path)) else relations
-        found = Recorded("log", log, _over(config, given), judged, {}, ())
+            raise ConfigError("config: found none for an opened log, allowed: a Config, such as ss.preset()")
+        checked_relations = read_relations(relations) if isinstance(relations, (str, Path)) else relations
+        found = Recorded("log", log, _apply_fields(config, given), checked_relations, {}, ())
     with reserved(out, found.config, overwrite, found.files or None) as folder:
         return replay_log(found, folder, _watch(on_tick, progress))
 
 
-def _opened(
+def _open_with_config(
     log: Path,
     config: Config | None,
     relations: str | Path | Relations | None,
@@ -150,15 +150,15 @@ def _opened(
     given: dict[str, Any],
     out: str | Path | None,
 ) -> Recorded:
-    """Open a log's file or folder with the configuration that goes with it."""
+    """Open a log's file or folder with its configuration."""
     from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
     check_options(log, given, bool(topics), robot is not None)
     if config is not None and "preset" in given:
-        raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
+        raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
     base = given.pop("preset", None) if config is None else config
     check_out(log, None if out is None else Path(out))
-    return open_recorded(log, _over(base_of(log) if base is None else base, given), relations, topics, robot)
+    return open_recorded(log, _apply_fields(base_of(log) if base is None else base, given), relations, topics, robot)
 
 
 def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
@@ -166,35 +166,35 @@ def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
 
 
 def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Config:
-    """The configuration with what follows from the fields that were given: a goal is the task goal's.
+    """Complete the configuration from the `given` fields: a goal sets the task "goal", a scene file becomes absolute.
 
-    A scene's file is named whole, so that the run can be repeated wherever one stands. Raises ConfigError for a goal
-    with another task; `prefix` stands before the fields' names.
+    The absolute path makes the run repeatable from any working folder. `prefix` precedes the fields' names in messages.
+    Raises ConfigError for a goal with another task.
     """
     if given.get("goal") is not None:
         if given.get("task", "goal") != "goal":
             allowed = f"allowed: with {prefix}task goal"
-            raise ConfigError(f"{prefix}goal: found with {prefix}task {shown_word(given['task'])}, {allowed}")
+            raise ConfigError(f"{prefix}goal: found with {prefix}task {_text(given['task'])}, {allowed}")
         config = dataclasses.replace(config, task="goal")
     if Path(config.scene).suffix:
         config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
     return config
 
 
-def shown_word(value: Any) -> str:
-    """A word as it is, anything else as a complaint shows it."""
+def _text(value: Any) -> str:
+    """A text unchanged; any other value in the form of error messages."""
     return value if isinstance(value, str) else shown(value)
 
 
-def _over(base: str | Config, given: Mapping[str, Any]) -> Config:
-    """The fields that were given over a preset or a whole configuration."""
+def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:
+    """Apply the given fields to a preset or a complete configuration."""
     if isinstance(base, Config) and "preset" in given:
-        raise ConfigError(f"preset: found {shown(given['preset'])} over a whole configuration, allowed: fields")
+        raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
     return merge(base if isinstance(base, Config) else preset(base), given)
 
 
-def _named(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields, with back ends and planners of one's own registered and named."""
+def _register_custom(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields, with custom estimators and planners registered and replaced by their names."""
     from sixthsense.navigation.planners import register_planner
     from sixthsense.slam.estimators import register_estimator
 

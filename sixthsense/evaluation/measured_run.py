@@ -1,4 +1,4 @@
-"""A run that is over: its record and its metrics, in memory or from its folder."""
+"""`MeasuredRun`: the record and metrics of a run, in memory or from its folder."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from sixthsense.evaluation.results import Metrics
 from sixthsense.record.load import Part, load_record
 from sixthsense.record.trace import Trace
 
-MAX_RUNS = 12  # with more the panels of a figure are illegible
+MAX_RUNS = 12  # more panels in a figure are illegible
 
-_UNKNOWN = {
+_METRICS_OF_PART = {
     Part.KEY_SCANS: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
     Part.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged"),
     Part.LANDMARKS: ("landmarks",),
 }
-"""prefixes of metrics that need this part of the record"""
+"""per part of the record, prefixes of the metrics that need it"""
 
 
 class ReportError(InputError):
-    """One line that names the folder, what was found and what is allowed."""
+    """Folders or files that cannot be reported on: one line with what was found and what is allowed."""
 
 
 class MeasuredRun:
-    """A record with its metrics, which are measured on demand or stated by its folder."""
+    """A record with its metrics, which are computed on demand or read from the run's folder."""
 
     def __init__(
         self,
@@ -39,23 +39,23 @@ class MeasuredRun:
         folder: Path | None = None,
         missing: Sequence[str] = (),
     ) -> None:
-        """Wrap a record; without `metrics` they are measured when they are first asked for."""
+        """Wrap a record; without `metrics` they are computed at their first use."""
         self.name = name
-        """of the scene, the log or the folder"""
+        """name of the scene, log or folder"""
         self.trace = trace
-        """the record: what the run saw, estimated and did"""
+        """record of the sensor data, estimates and plans"""
         self.folder = folder
-        """where it is kept; None of a run that is in memory only"""
+        """the run's folder; None for a run in memory only"""
         self.missing = tuple(missing)
-        """what its folder lacks, a phrase each that names the file; `ss.replay(folder)` estimates it again"""
+        """missing parts of the folder's record, each with its file; `ss.replay(folder)` estimates them again"""
         self._metrics = metrics
 
     @property
     def metrics(self) -> Metrics:
-        """Errors, consistency, coverage and timing by flat keys, with units; what cannot be measured is left out.
+        """Errors, consistency, coverage and timing by flat keys, with units; unavailable metrics are left out.
 
-        A dictionary that shows itself as a table; `metrics.frame()` is one of pandas. They are computed once, or are
-        those that the folder states.
+        The dictionary is displayed as a table; `metrics.frame()` converts it to pandas. The metrics are computed once,
+        or read from the run's folder.
         """
         measured = measure(self.trace) if self._metrics is None else self._metrics
         if self.trace.outcome:
@@ -72,7 +72,7 @@ class MeasuredRun:
 
     @property
     def outcome(self) -> str:
-        """Why it ended, as far as that is known."""
+        """Why the run ended; "running" if that is unknown."""
         stated = None if self._metrics is None else self._metrics.get("outcome")
         return str(stated or self.trace.outcome) or "running"
 
@@ -84,23 +84,23 @@ class MeasuredRun:
 
     @classmethod
     def read(cls, folder: Path | str) -> Self:
-        """Read a run folder without estimating again; InputError for one that is no run folder, or is damaged."""
+        """Read a run folder without estimating again; InputError for a damaged folder or one that is not of a run."""
         folder = Path(folder)
         check_folders([folder])
         loaded = load_record(folder)
         missing = [part.value for part in loaded.missing]
         file = folder / "metrics.json"
         if file.exists():
-            metrics = _stated(file)
+            metrics = _read_metrics(file)
         else:
             missing.append("the metrics at the run's end (metrics.json)")
-            unknown = tuple(start for part in loaded.missing for start in _UNKNOWN.get(part, ()))
+            unknown = tuple(start for part in loaded.missing for start in _METRICS_OF_PART.get(part, ()))
             metrics = Metrics({k: v for k, v in measure(loaded.trace).items() if not k.startswith(unknown)})
         return cls(loaded.trace.name, loaded.trace, metrics, folder, missing)
 
 
-def _stated(file: Path) -> Metrics:
-    """The metrics that a run's folder states; ReportError for a file that holds none."""
+def _read_metrics(file: Path) -> Metrics:
+    """Read metrics.json; ReportError if it is unreadable or invalid."""
     try:
         metrics = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
@@ -111,15 +111,15 @@ def _stated(file: Path) -> Metrics:
         raise ReportError(f"{file}: found no table, allowed: a run's metrics")
     for key, value in metrics.items():
         if not isinstance(value, str if key == "outcome" else (int, float)):
-            kind = "words" if key == "outcome" else "a number"
+            kind = "text" if key == "outcome" else "a number"
             raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: {kind}")
-        if isinstance(value, int) and value.bit_length() > 1000:  # more than a float holds
+        if isinstance(value, int) and value.bit_length() > 1000:  # beyond the range of a float
             raise ReportError(f"{file}: {shown_name(key)}: found {shown(value)}, allowed: a number")
     return Metrics(metrics)
 
 
 def check_folders(folders: Sequence[Path | str]) -> None:
-    """Raise ReportError, naming it, for a folder that is no run's, and for more folders than a report holds."""
+    """Raise ReportError for a folder that is not a run folder, for no folder and for more than `MAX_RUNS`."""
     if not 1 <= len(folders) <= MAX_RUNS:
         raise ReportError(f"runs: found {len(folders)}, allowed: 1 to {MAX_RUNS}")
     for folder in map(Path, folders):
@@ -129,6 +129,6 @@ def check_folders(folders: Sequence[Path | str]) -> None:
 
 
 def numbered_names(runs: Sequence[MeasuredRun]) -> list[str]:
-    """The runs' names, numbered where several share one."""
+    """The runs' names, with a number where several are equal."""
     names = [run.name for run in runs]
     return [f"{name} ({k + 1})" if names.count(name) > 1 else name for k, name in enumerate(names)]

@@ -1,4 +1,4 @@
-"""The recorder: a run's evidence and results as a ROS 2 bag with MCAP storage, written as the run goes."""
+"""`BagWriter`: a run's sensor data and results as a ROS 2 bag with MCAP storage, written during the run."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ TOPICS = {
     "/estimate": "geometry_msgs/msg/PoseWithCovarianceStamped",
     "/plan": "nav_msgs/msg/Path",
 }
-"""What is recorded, in the order of one tick."""
+"""recorded topics and their types, in the order of one tick"""
 SIGHTINGS = "/sightings"
-"""Beside these, of a log whose landmarks have names: what was seen, in the robot's frame."""
+"""additional topic of a log with known landmark identities: sightings, robot's frame"""
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
-"""Names of the frames."""
+"""names of the frames"""
 
 _FILE = "bag_0.mcap"
-_CHUNK_S = 0.5  # of wall time: what a killed run loses at most
+_CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
 _LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
-_NUDGES = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in last digits
-# Whoever comes late still gets the mount: reliable, transient local.
-_LATCHED = """\
+_ULP_OFFSETS = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in ulp
+# Reliable and transient local: late subscribers receive the mount, too.
+_LATCHED_QOS = """\
 - history: 1
   depth: 1
   reliability: 1
@@ -56,18 +56,18 @@ _LATCHED = """\
 
 
 class BagWriter:
-    """Writes `FOLDER/bag/`; call it after every tick, as the loop's `on_tick`, and leave its `with` block to close it.
+    """Writes `FOLDER/bag/`: a hook for the loop's `on_tick`, and a context manager that closes the bag.
 
-    A message's record time is the tick's stamp; a scan's header has the log's own stamp, where there is one, else that
-    of its first beam, as ROS has it: before the tick's where the scan took time. A chunk ends with a tick and is
-    flushed twice a second of wall time, so that a killed run loses no more than its last one.
-    Where a log states how well the motion since its last tick is known, that covariance stands in the odometry's
-    pose.covariance (axes of the robot before, and z, roll, pitch 1e6), which is zero otherwise.
-    Raises OSError, naming the file, when it cannot be written.
+    A message's record time is the tick's stamp. A scan's header has the log's own stamp, or without one the stamp of
+    its first beam, as in ROS; it is earlier than the tick's if the scan has a sweep time. Chunks end with a tick and
+    are flushed twice per second of wall time, so that a killed run loses at most the last one.
+    If a log states the covariance of the motion since its last tick, it is written as the odometry's pose.covariance
+    (axes of the previous robot frame; z, roll and pitch 1e6). Otherwise that is zero.
+    Raises OSError that names the file if it cannot be written.
     """
 
     def __init__(self, folder: Path, before_flush: Callable[[], object] = lambda: None) -> None:
-        """Begin a bag in the run's `folder`; `before_flush` is called before each flush, for a file beside it."""
+        """Create a bag in the run's `folder`; `before_flush` is called before each flush, for other files."""
         from mcap.writer import Writer
         from rosbags.typesys import Stores, get_typestore
 
@@ -77,7 +77,7 @@ class BagWriter:
         self._bag.mkdir()
         self._file = self._bag / _FILE
         self._stream = self._file.open("wb")
-        # Chunks end where `_flush` says, never in the middle of a tick.
+        # The chunk size is unlimited so that only `_flush` ends a chunk, never within a tick.
         self._writer = Writer(self._stream, chunk_size=1 << 62)
         self._writer.start("ros2")
         self._names = dict(TOPICS)
@@ -93,7 +93,7 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the bag, unless writing it has failed: then what was flushed stays as it is."""
+        """Close the bag; after a write error only the stream, which keeps the flushed chunks."""
         if self._failed:
             with contextlib.suppress(OSError):
                 self._stream.close()
@@ -101,7 +101,7 @@ class BagWriter:
         self.close()
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Record one tick and whatever the trace has gained since the last."""
+        """Record one tick and the trace's new estimates and plans."""
         try:
             self._record(tick, trace)
             if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
@@ -122,7 +122,7 @@ class BagWriter:
 
     def _fail(self, error: OSError) -> None:
         self._failed = True
-        error.filename = error.filename or str(self._file)  # a full disk names none
+        error.filename = error.filename or str(self._file)  # the error of a full disk names no file
         raise error
 
     def _flush(self) -> None:
@@ -143,13 +143,13 @@ class BagWriter:
         if tick.scan is not None:
             scan, message = tick.scan, self._types["sensor_msgs/msg/LaserScan"]
             begin = max(stamp + sweep_ns(len(scan.ranges), scan.time_increment), 0)
-            own = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
+            header_ns = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
             first, step = scan.angle_min, scan.angle_increment
             last = np.float32(first + step * (len(scan.ranges) - 1))
-            none = np.zeros(0, dtype=np.float32)
-            header = self._header(own, LASER)
+            intensities = np.zeros(0, dtype=np.float32)
+            header = self._header(header_ns, LASER)
             lag = scan.time_increment
-            content = (header, first, last, step, lag, 0, 0, scan.max_range, scan.ranges, none)
+            content = (header, first, last, step, lag, 0, 0, scan.max_range, scan.ranges, intensities)
             self._write("/scan", stamp, message(*content))
         if tick.sightings is not None:
             if SIGHTINGS not in self._channels:
@@ -193,7 +193,7 @@ class BagWriter:
 
     def _odometry(self, stamp_ns: int, tick: Tick) -> Any:
         zero = self._types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-        unknown = np.zeros(36)
+        twist_cov = np.zeros(36)
         return self._types["nav_msgs/msg/Odometry"](
             self._header(stamp_ns, ODOM),
             ROBOT,
@@ -201,13 +201,15 @@ class BagWriter:
                 self._pose(tick.odometry), increment_covariance(tick.increment_cov)
             ),
             self._types["geometry_msgs/msg/TwistWithCovariance"](
-                self._types["geometry_msgs/msg/Twist"](zero, zero), unknown
+                self._types["geometry_msgs/msg/Twist"](zero, zero), twist_cov
             ),
         )
 
     def _estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
-        spread = self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), spatial_covariance(cov).ravel())
-        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), spread)
+        pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"](
+            self._pose(pose), spatial_covariance(cov).ravel()
+        )
+        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), pose_with_cov)
 
     def _cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:
         data = to_bytes(sightings)
@@ -260,12 +262,13 @@ class BagWriter:
 
 
 def quaternion(theta: float) -> tuple[float, float]:
-    """Z and w of a turn by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) is `theta` to the last bit.
+    """Z and w of a rotation by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) equals `theta` exactly.
 
-    (Angles below 1e-300 aside.) Plain sine and cosine lose that bit, and with it the very choice of key scans.
+    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of key
+    scans in a replay.
     """
     sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
-    for i, j in _NUDGES:
+    for i, j in _ULP_OFFSETS:
         z, w = sin + i * math.ulp(sin), cos + j * math.ulp(cos)
         if 2.0 * math.atan2(z, w) == theta:
             return z, w
@@ -273,4 +276,4 @@ def quaternion(theta: float) -> tuple[float, float]:
 
 
 def _qos(topic: str) -> str:
-    return _LATCHED if topic == "/tf_static" else ""
+    return _LATCHED_QOS if topic == "/tf_static" else ""

@@ -1,4 +1,4 @@
-"""The factor graph of a run, for GTSAM and g2o: what was measured, between which poses and landmarks."""
+"""The factor graph of a run for GTSAM and g2o: measurements between key poses and landmarks."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
 from sixthsense.record.trace import Trace
 
-_FLOOR = 1e-6  # sigma, m and rad, of a motion that is certain: an information matrix has no infinity
+_MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matrix must be finite
 
 
 @dataclass(frozen=True, slots=True)
 class FactorGraph:
-    """Key poses, the odometry between them, and sightings of the landmarks that the run has kept."""
+    """Key poses, the odometry between them, and the sightings of the final landmarks."""
 
     poses: Array
     """(K, 3) final pose at each key scan, world frame"""
@@ -27,19 +27,19 @@ class FactorGraph:
     landmarks: Array
     """(n, 2) final means, world frame, m"""
     motions: Array
-    """(K - 1, 3) odometry from each key pose to the next, frame of the former"""
+    """(K - 1, 3) odometry from each key pose to the next, frame of the first of the two"""
     motion_covs: Array
-    """(K - 1, 3, 3) of the same, axes of the frame after"""
+    """(K - 1, 3, 3) their covariances, axes of the second frame"""
     sighting_of: NDArray[np.int64]
     """(M, 2) index of the key pose, index of the landmark"""
     sightings: Array
     """(M, 2) position in the robot's frame, m"""
     sighting_covs: Array
-    """(M, 2, 2) of the same"""
+    """(M, 2, 2) their covariances"""
     bearing_range: Array
-    """(M, 2) the same sightings in polar coordinates, as the smoother takes them; rad, m"""
+    """(M, 2) the sightings as bearing and range, the form used by the smoother; rad, m"""
     bearing_range_covs: Array
-    """(M, 2, 2) of the same"""
+    """(M, 2, 2) their covariances"""
     wall_ids: NDArray[np.int64]
     """(w,)"""
     walls: Array
@@ -49,36 +49,36 @@ class FactorGraph:
     wall_sightings: Array
     """(L, 2) alpha and d in the robot's frame"""
     wall_sighting_covs: Array
-    """(L, 2, 2) of the same"""
+    """(L, 2, 2) their covariances"""
 
 
 def factor_graph(trace: Trace) -> FactorGraph:
-    """Gather the graph of a run that is over, whatever estimator it had."""
+    """Build the factor graph of a finished run with any estimator."""
     walls = trace.final.walls
-    seen = _seen(trace, trace.final.ids[~walls].tolist())
-    lines = _seen(trace, trace.final.ids[walls].tolist())
-    polar = [sighting.bearing_range() for _, _, sighting in seen]
+    point_rows = _sightings_of(trace, trace.final.ids[~walls].tolist())
+    wall_rows = _sightings_of(trace, trace.final.ids[walls].tolist())
+    polar = [sighting.bearing_range() for _, _, sighting in point_rows]
     motions = trace.key_odometry[1:]
     return FactorGraph(
         trace.trajectory.copy(),
         trace.final.ids[~walls],
         trace.final.landmarks[~walls],
         np.array([m.motion.array() for m in motions]).reshape(-1, 3),
-        np.array([_floored(m) for m in motions]).reshape(-1, 3, 3),
-        np.array([(k, j) for k, j, _ in seen], dtype=np.int64).reshape(-1, 2),
-        np.array([s.z for _, _, s in seen]).reshape(-1, 2),
-        np.array([s.cov for _, _, s in seen]).reshape(-1, 2, 2),
+        np.array([_regularized_cov(m) for m in motions]).reshape(-1, 3, 3),
+        np.array([(k, j) for k, j, _ in point_rows], dtype=np.int64).reshape(-1, 2),
+        np.array([s.z for _, _, s in point_rows]).reshape(-1, 2),
+        np.array([s.cov for _, _, s in point_rows]).reshape(-1, 2, 2),
         np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
         np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
         trace.final.ids[walls],
         trace.final.landmarks[walls],
-        np.array([(k, j) for k, j, _ in lines], dtype=np.int64).reshape(-1, 2),
-        np.array([s.z for _, _, s in lines]).reshape(-1, 2),
-        np.array([s.cov for _, _, s in lines]).reshape(-1, 2, 2),
+        np.array([(k, j) for k, j, _ in wall_rows], dtype=np.int64).reshape(-1, 2),
+        np.array([s.z for _, _, s in wall_rows]).reshape(-1, 2),
+        np.array([s.cov for _, _, s in wall_rows]).reshape(-1, 2, 2),
     )
 
 
-def _seen(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
+def _sightings_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
     """Sightings of the landmarks `ids`: index of the key scan, index of the landmark, sighting."""
     column = {i: k for k, i in enumerate(ids)}
     return [
@@ -89,16 +89,16 @@ def _seen(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]
     ]
 
 
-def _floored(odometry: Odometry) -> Array:
-    return odometry.cov_after() + _FLOOR**2 * np.eye(3)
+def _regularized_cov(odometry: Odometry) -> Array:
+    return odometry.cov_after() + _MIN_SIGMA**2 * np.eye(3)
 
 
 def write_graph(folder: Path, graph: FactorGraph) -> None:
-    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz` with what that format cannot hold, as walls.
+    """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz`, which also contains the walls.
 
     In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and a
-    sighting `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of the two. The first
-    pose is where the run began; the file has no tag for a prior. Vertices share their numbers: poses come first.
+    sighting `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of bearing and range.
+    The first pose is the start of the run; the format has no tag for a prior. Poses are numbered first, then landmarks.
     """
     first = len(graph.poses)
     lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph.poses)]

@@ -1,4 +1,4 @@
-"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when all of it is there."""
+"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when it is complete."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from sixthsense.record.trace import Trace
 
 
 class FolderError(InputError):
-    """One line that names the folder and what is wrong with it."""
+    """A run folder that cannot be written, in one line."""
 
 
 class RunFolder:
-    """Reserves a folder before the run and fills it after; an existing one stays whole until its successor is."""
+    """Reserves a folder before the run and fills it afterwards; an existing run is replaced at the end."""
 
     def __init__(
         self, out: Path, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
     ) -> None:
-        """Create `OUT.partial` with the configuration in it, and of a replay what was `replayed`.
+        """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay.
 
-        Raises FolderError when `out` exists and may not be overwritten, or when nothing can be written there.
+        Raises FolderError if `out` exists and `overwrite` is false, and if the folder cannot be written.
         """
         if out.name in ("", ".."):
             raise FolderError(f"--out: found {str(out)!r}, allowed: a path that ends in a name")
@@ -45,7 +45,7 @@ class RunFolder:
                 raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
             for folder in (out, self.partial):
                 if folder.exists() and not (folder / "config.toml").is_file():
-                    raise FolderError(f"--out: {folder} is no run's folder, allowed: a new one, or a run's")
+                    raise FolderError(f"--out: {folder} is not a run folder, allowed: a new folder, or a run folder")
             if self.partial.exists():
                 shutil.rmtree(self.partial)
             self._made = [parent for parent in self.partial.parents if not parent.exists()]
@@ -67,14 +67,15 @@ class RunFolder:
                 parent.rmdir()
 
     def write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
-        """Write everything of a run that is over, but its figures; a record that was not streamed is written whole.
+        """Write all files of a finished run but the figures.
 
-        Raises OSError, naming a file or the folder, when it cannot be written.
+        A record that was not streamed during the run is written completely. Raises OSError that names the file or the
+        folder if it cannot be written.
         """
         try:
             self._write(trace, metrics)
         except OSError as error:
-            error.filename = error.filename or str(self.partial)  # a full disk names none
+            error.filename = error.filename or str(self.partial)  # the error of a full disk names no file
             raise
 
     def _write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
@@ -95,9 +96,9 @@ class RunFolder:
         write_end(self.partial, trace)
 
     def finish(self) -> None:
-        """Give the folder its name."""
+        """Rename the folder to `OUT`, replacing an existing one."""
         if self.out.exists():
-            # Renames, then a deletion: at no moment is there neither the old run nor the new one.
+            # Rename first and delete last, so that an abort loses neither the old run nor the new one.
             aside = Path(tempfile.mkdtemp(prefix=f".{self.out.name}.", dir=self.out.parent))
             self.out.rename(aside / self.out.name)
             self.partial.rename(self.out)
@@ -109,7 +110,7 @@ class RunFolder:
 def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
     """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
 
-    Since the run began, because a double cannot tell two stamps of a log apart that are 1 ns apart in 1970's seconds.
+    Stamps are relative because a double cannot resolve 1 ns in seconds since 1970.
     """
     with file.open("w", encoding="utf-8") as out:
         for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
@@ -119,7 +120,7 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
 
 
 def write_places_left(file: Path, trace: Trace) -> None:
-    """Write what an exploration has left unseen, the largest place first: x, y and area in metres, and the reason."""
+    """Write the unseen places of an exploration, the largest first: x and y in m, area in m^2, and the reason."""
     with file.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
         writer.writerow(["x", "y", "area_m2", "reason"])
@@ -132,7 +133,7 @@ LANDMARK_COLUMNS = (
 
 
 def write_landmarks(folder: Path, trace: Trace) -> None:
-    """Write the landmarks for people (CSV) and the joint mean and covariance for the next run (NPZ)."""
+    """Write `landmarks.csv`, and the joint mean and covariance as `landmarks.npz`."""
     estimate, records = trace.final, trace.records
     with (folder / "landmarks.csv").open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
@@ -141,7 +142,7 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
             block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
             record = records[i]
             values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
-            # A point's columns are x and y, a wall's alpha and d, and what was seen of it is its extent.
+            # A point has x and y. A wall has alpha and d, and the extent of its seen part.
             columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
             extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
             writer.writerow([i, record.kind.name.lower(), *columns, record.sightings, *extent])
@@ -155,7 +156,7 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
 
 
 def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
-    """Write (H, W) occupancy, -1 unknown, 0 free, 100 occupied, as map_server's PGM and YAML, cropped to the known."""
+    """Write (H, W) occupancy, -1 unknown, 0 free, 100 occupied, as map_server's PGM and YAML, cropped to known cells."""
     import yaml
     from PIL import Image
 
@@ -166,7 +167,7 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     r0, c0 = int(rows[0]), int(cols[0])
     part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
     grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
-    Image.fromarray(np.flipud(grey)).save(folder / "map.pgm")  # an image's first row is the map's top
+    Image.fromarray(np.flipud(grey)).save(folder / "map.pgm")  # the first row of an image is the top of the map
     meta = {
         "image": "map.pgm",
         "mode": "trinary",

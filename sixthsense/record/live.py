@@ -1,4 +1,4 @@
-"""What the loop works with at the moment, for who watches a run as it goes."""
+"""`Live`, the current state of the loop, for hooks and live views."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from sixthsense.slam.features import Features
 
 @dataclass(slots=True)
 class Live:
-    """`Trace.live`: to be read while `on_tick` is called, and copied if it is to be kept."""
+    """`Trace.live`: valid during the call of `on_tick`; copy the values that you keep."""
 
     estimator: Estimator
-    """for the landmarks' covariances"""
+    """the estimator, which computes the landmarks' covariances"""
     records: Mapping[LandmarkId, Record]
-    """of the landmarks in the estimate"""
+    """records of the landmarks in the estimate"""
     associator: Associator
-    """to observe what it is given"""
+    """the associator, whose inputs can be observed"""
     scan: Scan | None = None
-    """the last one, as if taken at an instant; robot's frame"""
+    """the last scan, deskewed; robot's frame"""
     features: Features | None = None
-    """what the last key scan showed; robot's frame"""
+    """features of the last key scan; robot's frame"""
 
     def point_covariances(self, estimate: Estimate) -> Array:
-        """(m, 2, 2) of the m points among the landmarks of the newest estimate, world frame."""
+        """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""
         ids = estimate.ids[~estimate.walls].tolist()
         joint = self.estimator.joint_covariance(ids)[3:, 3:].reshape(len(ids), 2, len(ids), 2)
         each = np.arange(len(ids))

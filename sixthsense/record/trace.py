@@ -1,4 +1,4 @@
-"""The record of a run: what the loop saw, estimated and did, tick by tick."""
+"""`Trace`, the record of a run: sensor data, estimates and plans."""
 
 from __future__ import annotations
 
@@ -21,99 +21,101 @@ from sixthsense.slam.slam import KeyScan, Step
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import Scene
 
-NOTHING = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+_EMPTY_ESTIMATE = Estimate(
+    Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
+)
 
 
 @dataclass(slots=True, repr=False)
 class Trace:
-    """The record of a run, to which the loop appends; `Run.trace` of what `ss.run`, `ss.replay` and `ss.load` return.
+    """The record of a run, filled by the loop; `Run.trace` of the results of `ss.run`, `ss.replay` and `ss.load`.
 
     Poses are (x, y, theta), world frame, metres and radians; stamps are nanoseconds.
     """
 
     config: Config
     scene: Scene | None
-    """the truth, for the record; none for a log"""
+    """true scene; None for a log"""
     radius_m: float
-    """of the robot"""
+    """radius of the robot"""
     stamps_ns: list[int] = field(default_factory=list)
     """per scan: record time"""
     log_stamps_s: list[float] = field(default_factory=list)
     """per scan: the log's own stamp, NaN in a simulated world"""
     estimates: list[Array] = field(default_factory=list)
-    """per scan: (3,) pose believed then"""
+    """per scan: (3,) pose estimated at that time"""
     odometry: list[Array] = field(default_factory=list)
     """per scan: (3,) dead-reckoned pose, world frame"""
     truths: list[Array] = field(default_factory=list)
-    """per scan: (3,) true pose; none in a log"""
+    """per scan: (3,) true pose; empty for a log"""
     last_key: list[int] = field(default_factory=list)
-    """per scan: index of the last key scan, itself included"""
+    """per scan: index of the last key scan, which may be the scan itself"""
     since_key: list[Array] = field(default_factory=list)
-    """per scan: (3,) motion since that key scan, by odometry"""
+    """per scan: (3,) odometry since that key scan"""
     key_stamps_ns: list[int] = field(default_factory=list)
     """per key scan: record time"""
     key_odometry: list[Odometry] = field(default_factory=list)
-    """per key scan: motion since the one before"""
+    """per key scan: motion since the previous key scan"""
     key_estimates: list[Estimate] = field(default_factory=list)
-    """per key scan: after its update"""
+    """per key scan: estimate after its update"""
     key_truths: list[Array] = field(default_factory=list)
-    """per key scan: (3,) true pose; none in a log"""
+    """per key scan: (3,) true pose; empty for a log"""
     associations: list[Association] = field(default_factory=list)
-    """per key scan"""
+    """per key scan: matches, innovations and discarded sightings"""
     walls_found: list[Array] = field(default_factory=list)
-    """per key scan: (W, 2, 2) segments, robot's frame"""
+    """per key scan: (W, 2, 2) extracted segments, robot's frame"""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
     """per key scan: stage times"""
     outcome: str = ""
     """why the run ended"""
     path_length_m: float = 0.0
-    """true way, or by odometry in a log"""
+    """length of the true path; by odometry for a log"""
     wall_time_s: float = 0.0
-    """of the loop"""
+    """wall time of the loop"""
     plans: list[Array] = field(default_factory=list)
     """planned paths"""
     plans_below_margin: int | None = None
-    """of these, that keep less from obstacles than was wanted; none in a log"""
+    """number of plans with less than the desired margin to obstacles; None for a log"""
     plans_by_astar: int | None = None
-    """of these, that are A*'s because the planner found none; none in a log, and of A* itself"""
+    """number of plans by A* after the configured planner found none; None for a log and for A* itself"""
     guard_stops: int | None = None
-    """times the guard stopped the moving robot; none in a log"""
+    """number of times that the guard stopped the moving robot; None for a log"""
     left: list[UnseenPlace] = field(default_factory=list)
-    """what an exploration has not seen"""
+    """places that an exploration has not seen"""
     trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(K, 3) final pose at each key scan"""
-    final: Estimate = field(default_factory=lambda: NOTHING)
-    """at the end of the run"""
+    final: Estimate = field(default_factory=lambda: _EMPTY_ESTIMATE)
+    """estimate at the end of the run"""
     joint_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3 + 2n, 3 + 2n) of the final estimate"""
+    """(3 + 2n, 3 + 2n) joint covariance of the final estimate"""
     records: dict[LandmarkId, Record] = field(default_factory=dict)
-    """of the landmarks in the final estimate"""
+    """records of the landmarks in the final estimate"""
     culled: int = 0
-    """landmarks removed"""
+    """number of removed landmarks"""
     walls_merged: int = 0
-    """walls merged into older duplicates"""
+    """number of walls merged into older duplicates"""
     relations: Relations | None = None
-    """hand-checked relations to measure the trajectory against"""
+    """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None
     """the map"""
     rebuilds: int = 0
-    """times it was drawn anew, because key poses had moved"""
+    """number of times that the map was redrawn after key poses moved"""
     name: str = ""
-    """of what was driven in or replayed: the scene's, the log's or the folder's"""
+    """name of the scene, log or folder"""
     live: Live | None = None
-    """what the loop works with, while it runs"""
+    """current state of the loop, while it runs"""
     last_position: Array | None = None
-    """(2,) of the robot at the last tick, world frame: true, or by odometry in a log"""
+    """(2,) position of the robot at the last tick, world frame: true, or by odometry for a log"""
 
     def add_tick(self, tick: Tick, odometry: Pose) -> None:
-        """Record the way made; `odometry` is the dead-reckoned pose in the world frame."""
+        """Add the distance driven since the last tick; `odometry` is the dead-reckoned pose in the world frame."""
         position = (tick.truth or odometry).position
         if self.last_position is not None:
             self.path_length_m += float(np.hypot(*(position - self.last_position)))
         self.last_position = position
 
     def add_scan(self, tick: Tick, step: Step) -> None:
-        """Record a scan, after the loop has used it."""
+        """Record a scan after it was processed."""
         self.stamps_ns.append(tick.stamp_ns)
         self.log_stamps_s.append(np.nan if tick.log_stamp_s is None else tick.log_stamp_s)
         self.estimates.append(step.pose.array())
@@ -134,7 +136,7 @@ class Trace:
         self.walls_found.append(key_scan.walls_robot)
 
     def scan_poses(self) -> Array:
-        """(S, 3) final pose of every scan: its last key scan's, and the odometry since."""
+        """(S, 3) final pose of every scan: that of its last key scan, composed with the odometry since then."""
         rows = [
             (Pose.from_array(self.trajectory[k]) @ Pose.from_array(motion)).array()
             for k, motion in zip(self.last_key, self.since_key, strict=True)

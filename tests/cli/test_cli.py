@@ -508,7 +508,7 @@ def test_a_folder_that_is_no_run_is_never_overwritten(here: Path, capsys: pytest
         (here / name).mkdir()
         (here / name / "holiday.jpg").write_text("dear")
         said = complaint(["run", "rectangle", "--out", "photos", "--overwrite"], capsys, here)
-        assert said.startswith(f"--out: {name} is no run's folder")
+        assert said.startswith(f"--out: {name} is not a run folder")
         (here / name / "holiday.jpg").unlink()
         (here / name).rmdir()
 

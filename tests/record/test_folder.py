@@ -209,12 +209,12 @@ def test_overwriting_puts_the_new_run_in_the_old_ones_place_and_touches_nothing_
 def test_what_is_no_run_is_neither_overwritten_nor_deleted(tmp_path: Path) -> None:
     for name in ("run", "run.partial"):
         (tmp_path / name).mkdir()
-        with pytest.raises(FolderError, match="is no run's folder, allowed: "):
+        with pytest.raises(FolderError, match="is not a run folder, allowed: "):
             RunFolder(tmp_path / "run", Config(), overwrite=True)
         assert (tmp_path / name).is_dir()
         (tmp_path / name).rmdir()
     (tmp_path / "run").write_text("a file")
-    with pytest.raises(FolderError, match="is no run's folder"):
+    with pytest.raises(FolderError, match="is not a run folder"):
         RunFolder(tmp_path / "run", Config(), overwrite=True)
     with pytest.raises(FolderError, match=r"exists, allowed: a new folder, or --overwrite$"):
         RunFolder(tmp_path / "run", Config())

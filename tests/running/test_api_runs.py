@@ -62,7 +62,7 @@ def test_a_goal_is_a_goal_tasks():
         (lambda: ss.run("rectangle", laser={"beam": 90}), "laser.beam: no such field, .*did you mean beams"),
         (lambda: ss.run("rectangle", features="corners"), "features: found 'corners', allowed: a table"),
         (lambda: ss.run("rectangle", preset="modern"), "preset: found 'modern', allowed: default"),
-        (lambda: ss.run(ss.preset(), preset="worn"), "preset: found 'worn' over a whole configuration"),
+        (lambda: ss.run(ss.preset(), preset="worn"), "preset: found 'worn' with a complete configuration"),
         (lambda: ss.run("rectangle", scene="block"), "scene: found 'block' beside 'rectangle', allowed: one scene"),
         (lambda: ss.run("rectangel"), "scene: found 'rectangel', allowed: .*rectangle"),
         (lambda: ss.run("rectangle", goal=(2.0, 2.0), task="tour"), "goal: found with task tour, allowed"),
@@ -118,7 +118,7 @@ def test_the_preset_follows_the_kind_of_log(tmp_path):
     assert ss.replay(log, ss.preset(laser=laser)).trace.config.preset == "default"
     opened = ss.open_log(log, run.trace.config.laser)
     assert len(ss.replay(opened, run.trace.config).trace.stamps_ns) == 5
-    with pytest.raises(ss.ConfigError, match="config: found none beside a log that is open"):
+    with pytest.raises(ss.ConfigError, match="config: found none for an opened log"):
         ss.replay(opened)
 
 
