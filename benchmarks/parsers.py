@@ -180,13 +180,13 @@ def _config(folder: Path, data: bytes) -> Any:
 
 def _words(folder: Path, data: bytes) -> Any:
     from sixthsense.cli.common import parse_command
-    from sixthsense.cli.options import words
+    from sixthsense.cli.options import parse_positionals
     from sixthsense.cli.run import Run
 
     # A shell passes arguments in this encoding.
     args = [word.replace("\0", "") for word in data.decode("utf-8", "surrogateescape").split(" ")]
     if args[0] == "report":
-        return words(args, {"out": Path, "overwrite": bool})
+        return parse_positionals(args, {"out": Path, "overwrite": bool})
     return parse_command(Run, "scene", "default", args)
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 import tyro
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
-from sixthsense.cli.options import OrAlone, Table, parse
+from sixthsense.cli.options import OptionalValue, Table, parse
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.view.viewer import PLACES, is_place
 
@@ -50,18 +50,18 @@ def show_help(command: type[Common], name: str, base: str) -> int:
 
 
 def parse_command(
-    command: type[C], place: str, base: str | Callable[[str | None], str | Config], args: list[str]
+    command: type[C], positional: str, base: str | Callable[[str | None], str | Config], args: list[str]
 ) -> tuple[C, Table]:
     """Parse a command's options, and the table of the Config fields that were set by flags.
 
-    `place` names the positional option. `base` is the default preset or a complete configuration, or a function of the
-    positional value that returns it. Precedence is defaults < preset < configuration file < flags. A ConfigError names
+    `positional` is the name of the positional option. `base` is the default preset or a complete configuration, or a
+    function of the positional value that returns it. Precedence is defaults < preset < configuration file < flags. A ConfigError names
     the flag, or the file and its field.
     """
-    own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", place)}
-    own["view"] = OrAlone("window", is_place, PLACES)
-    given, table = parse(args, own, place)
-    start = base(given.get(place)) if callable(base) else base
+    own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", positional)}
+    own["view"] = OptionalValue("window", is_place, PLACES)
+    given, table = parse(args, own, positional)
+    start = base(given.get(positional)) if callable(base) else base
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
     if "config" in given:
         is_complete = "preset" in table or isinstance(start, Config)

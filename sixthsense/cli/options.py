@@ -26,10 +26,10 @@ _BOOLEANS = {"true": True, "false": False}
 
 
 @dataclass(frozen=True, slots=True)
-class OrAlone:
+class OptionalValue:
     """The type of an option with an optional value: the next argument is its value only if `is_value` accepts it."""
 
-    alone: str | None
+    default: str | None
     """value of the option when none is given"""
     is_value: Callable[[str], bool]
     """whether the next argument is the option's value"""
@@ -41,29 +41,31 @@ class UsageError(InputError):
     """An invalid command line, in one line."""
 
 
-def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Table, Table]:
+def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple[Table, Table]:
     """Parse a command's arguments into its own options and the nested table of the Config fields.
 
-    `own` gives the type of each own option by name, `place` names the positional one. Raises UsageError with the
+    `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError with the
     allowed values for an unknown option, a flag without a value and a second positional argument.
     """
     hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}
     table: Table = {}
-    alone: tuple[str, OrAlone] | None = None  # the previous argument, if it is an option that took no value
-    words = list(reversed(args))  # a stack: the next word is the last element
-    while words:
-        word = words.pop()
+    without_value: tuple[str, OptionalValue] | None = (
+        None  # the previous argument, if it is an option that took no value
+    )
+    stack = list(reversed(args))  # the next word is the last element
+    while stack:
+        word = stack.pop()
         if not word.startswith("-"):
-            if place in given:
-                if alone is not None:
-                    raise UsageError(f"{alone[0]}: found {shown(word)}, allowed: {alone[1].allowed}")
-                raise UsageError(f"{place}: found {shown(given[place])} and {shown(word)}, allowed: one")
-            given[place] = _checked_name(place, word)
+            if positional in given:
+                if without_value is not None:
+                    raise UsageError(f"{without_value[0]}: found {shown(word)}, allowed: {without_value[1].allowed}")
+                raise UsageError(f"{positional}: found {shown(given[positional])} and {shown(word)}, allowed: one")
+            given[positional] = _checked_name(positional, word)
             continue
-        flag, value = _option(word, words, hints)
+        flag, value = _option(word, stack, hints)
         hint = hints[flag]
-        alone = (flag, hint) if isinstance(hint, OrAlone) and word == flag else None
+        without_value = (flag, hint) if isinstance(hint, OptionalValue) and word == flag else None
         *sections, name = flag.removeprefix("--").split(".")
         target = given if not sections and name in own else table
         for section in sections:
@@ -72,24 +74,24 @@ def parse(args: Sequence[str], own: Mapping[str, Any], place: str) -> tuple[Tabl
     return given, table
 
 
-def words(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table]:
+def parse_positionals(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table]:
     """Parse the arguments of a command with any number of positional ones and without fields of the Config tree.
 
     `own` gives the type of each option by name. Returns the positional arguments and the given options. Raises
     UsageError with the allowed values for an unknown option and a flag without a value.
     """
     hints = {f"--{name}": hint for name, hint in own.items()}
-    rest = list(reversed(args))  # a stack: the next word is the last element
-    plain: list[str] = []
+    stack = list(reversed(args))  # the next word is the last element
+    positionals: list[str] = []
     given: Table = {}
-    while rest:
-        word = rest.pop()
+    while stack:
+        word = stack.pop()
         if word.startswith("-"):
-            flag, value = _option(word, rest, hints)
+            flag, value = _option(word, stack, hints)
             given[flag.removeprefix("--")] = value
         else:
-            plain.append(_checked_name("run", word))
-    return plain, given
+            positionals.append(_checked_name("run", word))
+    return positionals, given
 
 
 def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
@@ -102,8 +104,8 @@ def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]
             yield flag, hint
 
 
-def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str, Any]:
-    """The flag and its value, taken from `word` or from the stack `words`; UsageError for a flag not in `hints`."""
+def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str, Any]:
+    """The flag and its value, taken from `word` or from `stack`; UsageError for a flag not in `hints`."""
     flag, equals, text = word.partition("=")
     flag = flag.replace("_", "-")
     if flag not in hints:
@@ -112,24 +114,24 @@ def _option(word: str, words: list[str], hints: Mapping[str, Any]) -> tuple[str,
             return positive, False
         raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_suggestions(flag, hints))}")
     hint, optional = hints[flag], False
-    if isinstance(hint, OrAlone):
+    if isinstance(hint, OptionalValue):
         if equals:
             return flag, _checked_name(flag, text)
-        return flag, _checked_name(flag, words.pop()) if words and hint.is_value(words[-1]) else hint.alone
+        return flag, _checked_name(flag, stack.pop()) if stack and hint.is_value(stack[-1]) else hint.default
     while typing.get_origin(hint) in (Annotated, Union, UnionType):
         optional |= typing.get_origin(hint) is not Annotated
         hint = typing.get_args(hint)[0]
     if hint is bool:
         if not equals:
-            text = words.pop() if words and words[-1].lower() in _BOOLEANS else "true"
+            text = stack.pop() if stack and stack[-1].lower() in _BOOLEANS else "true"
         if text.lower() not in _BOOLEANS:
             raise UsageError(f"{flag}: found {shown(text)}, allowed: true or false")
         return flag, _BOOLEANS[text.lower()]
     is_tuple = typing.get_origin(hint) is tuple
     kinds = typing.get_args(hint) if is_tuple else (hint,)
     texts = [text] if equals else []
-    while words and len(texts) < len(kinds) and not words[-1].startswith("--"):
-        texts.append(words.pop())
+    while stack and len(texts) < len(kinds) and not stack[-1].startswith("--"):
+        texts.append(stack.pop())
         if optional and texts == ["None"]:
             return flag, None
     if not texts:
@@ -142,8 +144,8 @@ def _suggestions(flag: str, hints: Mapping[str, Any]) -> list[str]:
     """The flags to suggest: those in the section named `flag`, else in the same section, else those without section."""
     path = flag.rpartition(".")[0]
     within = [known for known in hints if known.startswith(flag + ".")]
-    beside = [known for known in hints if known.rpartition(".")[0] == path]
-    return within or beside or [known for known in hints if "." not in known]
+    siblings = [known for known in hints if known.rpartition(".")[0] == path]
+    return within or siblings or [known for known in hints if "." not in known]
 
 
 def _convert(flag: str, kind: Any, text: str) -> Any:

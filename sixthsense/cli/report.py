@@ -37,10 +37,10 @@ def command(args: list[str]) -> int:
     if wants_help(args):
         print(USAGE, end="")
         return DONE
-    from sixthsense.cli.options import OrAlone, words
+    from sixthsense.cli.options import OptionalValue, parse_positionals
 
-    film = OrAlone(None, _is_film, "FILE.mp4 or FILE.gif")
-    folders, given = words(args, {"out": Path, "overwrite": bool, "figures": str, "animate": film})
+    film = OptionalValue(None, _is_film, "FILE.mp4 or FILE.gif")
+    folders, given = parse_positionals(args, {"out": Path, "overwrite": bool, "figures": str, "animate": film})
     if not folders:
         raise UsageError("run: found nothing, allowed: one or more folders of runs")
     out: Path | None = given.get("out")
@@ -73,9 +73,9 @@ def command(args: list[str]) -> int:
     return DONE
 
 
-def _is_film(word: str) -> bool:
+def _is_film(argument: str) -> bool:
     """Whether an argument after `--animate` is its value and not the folder of a run."""
-    return bool(Path(word).suffix) and not Path(word).is_dir()
+    return bool(Path(argument).suffix) and not Path(argument).is_dir()
 
 
 def _animate(run: Run, folder: str, film: Path) -> None:

@@ -156,7 +156,10 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
 
 
 def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
-    """Write (H, W) occupancy, -1 unknown, 0 free, 100 occupied, as map_server's PGM and YAML, cropped to known cells."""
+    """Write (H, W) occupancy (-1 unknown, 0 free, 100 occupied) as map_server's PGM and YAML.
+
+    The image is cropped to the known cells.
+    """
     import yaml
     from PIL import Image
 
