@@ -55,8 +55,8 @@ def parse_command(
     """Parse a command's options, and the table of the Config fields that were set by flags.
 
     `positional` is the name of the positional option. `base` is the default preset or a complete configuration, or a
-    function of the positional value that returns it. Precedence is defaults < preset < configuration file < flags. A ConfigError names
-    the flag, or the file and its field.
+    function of the positional value that returns it. Precedence is defaults < preset < configuration file < flags. A
+    ConfigError names the flag, or the file and its field.
     """
     own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", positional)}
     own["view"] = OptionalValue("window", is_place, PLACES)

@@ -44,8 +44,8 @@ class UsageError(InputError):
 def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple[Table, Table]:
     """Parse a command's arguments into its own options and the nested table of the Config fields.
 
-    `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError with the
-    allowed values for an unknown option, a flag without a value and a second positional argument.
+    `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError
+    with the allowed values for an unknown option, a flag without a value and a second positional argument.
     """
     hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}

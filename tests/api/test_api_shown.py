@@ -90,8 +90,9 @@ def test_metrics_of_a_run_that_goes_on_are_those_of_now():
 
 def test_metrics_are_printed_in_groups_with_units(run):
     lines = repr(run.metrics).splitlines()
-    assert lines[:2] == ["Outcome", f"  {'outcome':25}  explored"]
-    assert f"  {'ate_rmse_m':25}  {run.metrics['ate_rmse_m']:.4g} m" in lines
+    width = max(map(len, run.metrics))
+    assert lines[:2] == ["Outcome", f"  {'outcome':{width}}  explored"]
+    assert f"  {'ate_rmse_m':{width}}  {run.metrics['ate_rmse_m']:.4g} m" in lines
     assert lines.index("Accuracy") < lines.index("Consistency") < lines.index("Time")
     assert repr(Metrics()) == ""
 

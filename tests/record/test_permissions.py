@@ -35,6 +35,7 @@ def place() -> Iterator[Path]:
         Path("locked").mkdir(mode=0o555)
         # All that these commands load is loaded by one who may read it.
         warm_up()
+        assert cli.main(["calibrate", "rectangle", "--samples", "20", "--out", "noise.toml"]) == cli.DONE
         assert cli.main(["run", "rectangle", "--max-time", "2", "--out", "good"]) in (cli.DONE, cli.FAILED)
         assert cli.main(["report", "good", "--out", "told"]) == cli.DONE
         for command in ("run s.scn", "run m.yaml", "replay x.bag", "replay x.mcap", "replay x.db3", "replay x.log"):

@@ -1,15 +1,17 @@
+import contextlib
 import csv
 import importlib
 import importlib.util
+import io
 import json
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sixthsense.cli import main
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.evaluation.measure import measure
@@ -171,8 +173,11 @@ def test_a_replay_is_reproducible_for_any_order_of_sightings(tmp_path, estimator
 
 
 def command(*args: object) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "sixthsense.cli", *map(str, args)]
-    return subprocess.run(words, capture_output=True, text=True, check=False)
+    """Run a command in this process, which has the kernels loaded."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(arg) for arg in args])
+    return subprocess.CompletedProcess(args, code, out.getvalue(), err.getvalue())
 
 
 def test_the_command_replays_a_graph_and_then_its_own_record_to_the_same_estimates(tmp_path):

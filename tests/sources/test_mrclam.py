@@ -1,15 +1,17 @@
+import contextlib
 import csv
 import gzip
 import importlib
+import io
 import math
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sixthsense.cli import main
 from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
@@ -245,8 +247,11 @@ def test_zero_measurement_noise_is_refused(tmp_path):
 
 
 def command(*args: object) -> subprocess.CompletedProcess[str]:
-    words = [sys.executable, "-m", "sixthsense.cli", *map(str, args)]
-    return subprocess.run(words, capture_output=True, text=True, check=False)
+    """Run a command in this process, which has the kernels loaded."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = main([str(arg) for arg in args])
+    return subprocess.CompletedProcess(args, code, out.getvalue(), err.getvalue())
 
 
 def test_the_command_replays_a_folder_and_then_its_own_record_to_the_same_estimates(tmp_path):

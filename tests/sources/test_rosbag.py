@@ -298,7 +298,7 @@ def test_options_of_another_kind_of_log_are_refused(tmp_path, capsys):
     assert "--topic: found on a log that is not a ROS bag" in complaint(
         ["replay", out[1], *more, "--topic", "/a"], capsys
     )
-    assert "--preset: found on the folder of a run" in complaint(["replay", out[1], *more, "--preset", "intel"], capsys)
+    assert "--preset: found on a run folder" in complaint(["replay", out[1], *more, "--preset", "intel"], capsys)
 
 
 def test_a_bag_is_replayed_to_its_end_with_the_default_robot(tmp_path):
