@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from sixthsense.config import Config
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams
@@ -16,7 +17,7 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
-from sixthsense.slam.slam import DEFAULT_RADIUS_M, Slam, Step
+from sixthsense.slam.slam import Slam, Step
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.mission import mission
@@ -70,7 +71,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None, on_tick
     """
     log.rewind()
     scene = recorded_scene(log, config)
-    radius_m = config.robot.radius or (DEFAULT_RADIUS_M if scene is None else scene.radius)
+    radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
     return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick)
 

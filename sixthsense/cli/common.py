@@ -15,7 +15,7 @@ import tyro
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import OptionalValue, Table, parse
 from sixthsense.config import Config, load_config, merge, preset
-from sixthsense.view.viewer import PLACES, is_place
+from sixthsense.view.viewer import VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -59,7 +59,7 @@ def parse_command(
     ConfigError names the flag, or the file and its field.
     """
     own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", positional)}
-    own["view"] = OptionalValue("window", is_place, PLACES)
+    own["view"] = OptionalValue("window", is_view_target, VIEW_TARGETS)
     given, table = parse(args, own, positional)
     start = base(given.get(positional)) if callable(base) else base
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))

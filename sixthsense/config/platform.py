@@ -74,6 +74,10 @@ class AssumedConfig(Section):
     """The same for the heading."""
 
 
+DEFAULT_ROBOT_RADIUS_M = 0.2
+"""Where neither the configuration nor a scene states a radius."""
+
+
 @dataclass(frozen=True)
 class RobotConfig(Section):
     """The differential drive."""

@@ -11,15 +11,15 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import Metrics
-from sixthsense.record.load import Part, load_record
+from sixthsense.record.load import RecordPart, load_record
 from sixthsense.record.trace import Trace
 
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    Part.KEY_SCANS: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
-    Part.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged"),
-    Part.LANDMARKS: ("landmarks",),
+    RecordPart.KEY_SCANS: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
+    RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged"),
+    RecordPart.LANDMARKS: ("landmarks",),
 }
 """per part of the record, prefixes of the metrics that need it"""
 

@@ -15,7 +15,7 @@ from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height, new_figure
-from sixthsense.record.load import Part
+from sixthsense.record.load import RecordPart
 from sixthsense.record.trace import Trace
 
 _WIDTH_IN = 11.0
@@ -35,7 +35,7 @@ _REQUIRED_DATA = {
     "coverage": "the truth and its scene",
     "exploration": "an exploration",
 }
-_REQUIRED_PARTS = {"nis": Part.KEY_SCANS, "stages": Part.KEY_SCANS, "exploration": Part.GRID}
+_REQUIRED_PARTS = {"nis": RecordPart.KEY_SCANS, "stages": RecordPart.KEY_SCANS, "exploration": RecordPart.GRID}
 """part of the record that a figure needs"""
 _CARD_METRICS = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",

@@ -29,19 +29,17 @@ from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
 
 
-class Part(enum.Enum):
-    """A part of the record that a folder may lack."""
+class RecordPart(enum.Enum):
+    """A part of the record that a run folder may lack; its value describes it to a user."""
 
     KEY_SCANS = f"walls, innovations and times of key scans ({FILE})"
-    """of a folder that was written before there was such a file"""
-    END = f"what is known at the run's end ({FILE})"
-    """of a run that was killed"""
+    """missing from folders of versions that did not write this file"""
+    END = f"the last line of the record: outcome, counts and clocks ({FILE})"
+    """missing from a run that was killed"""
     TRAJECTORY = f"the final trajectory ({END_FILE})"
-    """estimated poses of key scans are those of their moment"""
-    LANDMARKS = f"landmarks ({LANDMARKS_FILE})"
-    """their means, and the joint covariance"""
-    GRID = f"the grid ({GRID_FILE})"
-    """the map in cells"""
+    """without it each key scan keeps the pose estimated at its time"""
+    LANDMARKS = f"landmark means and their joint covariance ({LANDMARKS_FILE})"
+    GRID = f"the grid map ({GRID_FILE})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +47,16 @@ class LoadedRecord:
     """A trace, and what its folder lacks."""
 
     trace: Trace
-    """its lists are empty, and its grid None, where the folder has nothing to fill them"""
-    missing: tuple[Part, ...]
-    """in the order of `Part`"""
+    """lists of missing parts are empty, a missing grid is None"""
+    missing: tuple[RecordPart, ...]
+    """in the order of `RecordPart`"""
 
 
 def load_record(folder: Path | str) -> LoadedRecord:
     """Read the record in the folder of a run, or in the `.partial` that a killed run has left.
 
     The estimates at key scans are read without their landmarks, which no folder holds. The outcome of a killed run is
-    "interrupted". Raises an InputError, naming the file and its line, for a folder that is no run's, has recorded
+    "interrupted". Raises an InputError that names file and line for a folder that is no run folder, has recorded
     nothing, or is damaged.
     """
     folder = Path(folder)
@@ -66,25 +64,25 @@ def load_record(folder: Path | str) -> LoadedRecord:
     streamed = read_stream(folder / FILE, config) if (folder / FILE).exists() else None
     if streamed is None:
         trace, has_ended = trace_of_bag(folder, config), False
-        missing = {Part.KEY_SCANS, Part.END}
+        missing = {RecordPart.KEY_SCANS, RecordPart.END}
         trace.outcome = _outcome(folder / "metrics.json")
         trace.left = _places_left(folder / "places_left.csv")
     else:
         trace, has_ended = streamed
-        missing = set() if has_ended else {Part.END}
+        missing = set() if has_ended else {RecordPart.END}
         trace.outcome = trace.outcome or "interrupted"
     trace.name = folder.resolve().name.removesuffix(".partial")
     missing |= _read_end(folder, trace) | _read_grid(folder, config, trace)
-    return LoadedRecord(trace, tuple(part for part in Part if part in missing))
+    return LoadedRecord(trace, tuple(part for part in RecordPart if part in missing))
 
 
-def _read_end(folder: Path, trace: Trace) -> set[Part]:
+def _read_end(folder: Path, trace: Trace) -> set[RecordPart]:
     """Add the final estimate and trajectory to the trace; what of them is missing."""
-    missing: set[Part] = set()
+    missing: set[RecordPart] = set()
     if (folder / LANDMARKS_FILE).exists():
         read_landmarks(folder / LANDMARKS_FILE, trace)
     else:
-        missing.add(Part.LANDMARKS)
+        missing.add(RecordPart.LANDMARKS)
         if trace.key_estimates:
             trace.final, trace.joint_cov = trace.key_estimates[-1], trace.key_estimates[-1].pose_cov
     if (folder / END_FILE).exists():
@@ -94,7 +92,7 @@ def _read_end(folder: Path, trace: Trace) -> set[Part]:
         if (folder / "landmarks.csv").exists():
             trace.records = read_landmark_table(folder / "landmarks.csv")
     else:
-        missing.add(Part.TRAJECTORY)
+        missing.add(RecordPart.TRAJECTORY)
         poses = [estimate.pose.array() for estimate in trace.key_estimates]
         trace.trajectory = np.array(poses).reshape(-1, 3)
     if not set(trace.final.ids.tolist()) <= set(trace.records):
@@ -104,9 +102,9 @@ def _read_end(folder: Path, trace: Trace) -> set[Part]:
     return missing
 
 
-def _read_grid(folder: Path, config: Config, trace: Trace) -> set[Part]:
+def _read_grid(folder: Path, config: Config, trace: Trace) -> set[RecordPart]:
     if not (folder / GRID_FILE).exists():
-        return {Part.GRID}
+        return {RecordPart.GRID}
     trace.grid = read_grid(folder / GRID_FILE, config, trace.radius_m)
     return set()
 

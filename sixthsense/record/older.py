@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from sixthsense.config import Config
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.motion import Odometry, odometry
 from sixthsense.record.reading import pose_estimate
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.key_scans import KeyScans
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.slam import DEFAULT_RADIUS_M, KeyScan, Step
+from sixthsense.slam.slam import KeyScan, Step
 from sixthsense.sources.logs.runfolder import read_run
 from sixthsense.sources.replay_input import recorded_scene
 
@@ -23,7 +24,7 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
     """
     log = read_run(folder, config.laser)
     scene = recorded_scene(log, config)
-    trace = Trace(config, scene, config.robot.radius or (DEFAULT_RADIUS_M if scene is None else scene.radius))
+    trace = Trace(config, scene, config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius))
     trace.plans = list(log.plans)
     estimates = {stamp_ns: (pose, cov) for stamp_ns, pose, cov in log.estimates}
     pose, before, folded = log.start, log.ticks[0].odometry, KeyScans(config.keyscans)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import AssumedConfig, Config
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -30,8 +31,6 @@ from sixthsense.slam.mapping.mapper import Mapper
 
 Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
 """From the name of a stage and its function to the function that runs in its place."""
-
-DEFAULT_RADIUS_M = 0.2  # of a robot whose configuration states none
 
 _NO_WALLS = np.zeros((0, 2, 2))
 _NO_WALLS.flags.writeable = False
@@ -145,7 +144,7 @@ class Slam:
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self.estimator = make_estimator(self.config.estimator, self._pose, cov, self.config.isam2)
         self.associator = Associator(self.config.association)
-        self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_RADIUS_M)
+        self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
         self._key_scans = KeyScans(self.config.keyscans)
         self._deskew = Deskewer(self.config.features.deskew)
         self._ransac_rng = random_streams(self.config.seed).ransac

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.section import shown
 from sixthsense.config.toml import parse_toml
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
@@ -34,7 +35,6 @@ from sixthsense.sources.scene_fields import (
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
-DEFAULT_RADIUS_M = 0.2
 _SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons")
 _SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
@@ -98,7 +98,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
         from sixthsense.sources.ros_map import read_map
 
         walls = read_map(path)
-        return Scene(path.stem, walls, None, DEFAULT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
+        return Scene(path.stem, walls, None, DEFAULT_ROBOT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None
 

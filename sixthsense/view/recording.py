@@ -8,7 +8,7 @@ from pathlib import Path
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Trace
 from sixthsense.view.drawing import Drawing
-from sixthsense.view.viewer import LOOPBACK, Viewer, check_place
+from sixthsense.view.viewer import LOOPBACK, Viewer, check_view_target
 
 _PERIOD_S = 1.0  # shortest period of the map, in the source's time
 _PERIOD_SHARE = 0.01  # the period is also at least this share of the time so far: the file grows logarithmically
@@ -33,7 +33,7 @@ class View:
         watch, so choose another one only in a trusted network. Usage statistics are off. Raises ViewError for an
         unknown place, without Rerun, and for a window without a display.
         """
-        check_place(place, address)
+        check_view_target(place, address)
         self._viewer: Viewer | None = None
         if str(place) == "window":
             self._viewer = Viewer("window")

@@ -1,4 +1,4 @@
-"""Rerun's viewer as a separate process: the places for it, and its servers, bound to one address."""
+"""Rerun's viewer as a separate process, its servers bound to one address; what `--view` accepts."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from sixthsense.config.section import shown
 from sixthsense.view.relay import Relay
 
 LOOPBACK = "127.0.0.1"
-PLACES = "window, browser or FILE.rrd"
+VIEW_TARGETS = "window, browser or FILE.rrd"
 
-_START_S = 60.0  # timeout until the viewer listens
-_END_S = 5.0  # timeout until the viewer has ended
+_START_TIMEOUT_S = 60.0  # until the viewer listens
+_SHUTDOWN_TIMEOUT_S = 5.0  # until the viewer's process has ended
 
 
 class ViewError(InputError):
-    """One line for a view that is not possible."""
+    """A view that cannot be opened; its message is one line."""
 
 
-def is_place(word: str) -> bool:
-    """Whether a word is a place for the view: window, browser, or an .rrd file."""
+def is_view_target(word: str) -> bool:
+    """Whether a word names a target of the view: window, browser, or an .rrd file."""
     return word in ("window", "browser") or Path(word).suffix.lower() == ".rrd"
 
 
-def check_place(place: str | Path, address: str = LOOPBACK) -> None:
-    """Raise ViewError for an unknown place, a window without a display, or an invalid address.
+def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:
+    """Raise ViewError for an unknown target, a window without a display, or an invalid address.
 
     Without Rerun the error says how to install it.
     """
-    if not is_place(str(place)):
-        raise ViewError(f"--view: found {shown(str(place))}, allowed: {PLACES}")
+    if not is_view_target(str(target)):
+        raise ViewError(f"--view: found {shown(str(target))}, allowed: {VIEW_TARGETS}")
     try:
         ipaddress.ip_address(address)
     except ValueError:
@@ -47,7 +47,7 @@ def check_place(place: str | Path, address: str = LOOPBACK) -> None:
     if find_spec("rerun") is None:
         raise ViewError("--view: needs Rerun, which is not installed, allowed: after pip install 'sixthsense[view]'")
     on_linux = sys.platform.startswith("linux")
-    if str(place) == "window" and on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if str(target) == "window" and on_linux and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ViewError("--view: found window, but there is no display to open one on, allowed: browser or FILE.rrd")
 
 
@@ -63,21 +63,21 @@ class Viewer:
         self.page = ""
         """address of the page for a browser; empty for a window"""
         self._relay: Relay | None = None
-        words, ports = [_program(), "--bind", address, "--port", str(port)], [port]
+        command, ports = [_program(), "--bind", address, "--port", str(port)], [port]
         if kind == "browser":
             ports.append(_free_port(address))
             self._relay = Relay(address, f"http://{host}:{ports[1]}", f"http://{host}:{port}")
             origin = f"http://{host}:{self._relay.port}"
             self.page = f"{origin}/?url={quote(self.stream, safe='')}"
-            words += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
+            command += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
         else:
-            words += ["--hide-welcome-screen", "--expect-data-soon"]
+            command += ["--hide-welcome-screen", "--expect-data-soon"]
         null = subprocess.DEVNULL
-        # In its own session, so that Ctrl-C stops the run but not the viewer, which shows the end of the run.
+        # A process group of its own: Ctrl-C stops the run, and the viewer keeps showing its end.
         self._process = subprocess.Popen(
-            words, env=_environment(), stdin=null, stdout=null, stderr=null, start_new_session=True
+            command, env=_environment(), stdin=null, stdout=null, stderr=null, start_new_session=True
         )
-        deadline = time.monotonic() + _START_S
+        deadline = time.monotonic() + _START_TIMEOUT_S
         while not all(_listens(address, port) for port in ports):
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.end()
@@ -95,7 +95,7 @@ class Viewer:
         if self._process.poll() is None:
             self._process.terminate()
             try:
-                self._process.wait(_END_S)
+                self._process.wait(_SHUTDOWN_TIMEOUT_S)
             except subprocess.TimeoutExpired:
                 self._process.kill()
                 self._process.wait()

@@ -163,7 +163,7 @@ def test_the_file_is_a_partial_configuration_with_the_fitted_values(name: str, t
 def test_the_figure_is_drawn_without_sightings_of_a_kind(tmp_path: Path) -> None:
     one = calibrate(preset(**COARSE, features={"points": {"ends": False}}), 30)
     assert len(one.landmarks[1].of(Kind.END)) == 0
-    save_calibration(one, tmp_path / "noise.png", "no loose ends")
+    save_calibration(one, tmp_path / "noise.png", "no free ends")
     assert (tmp_path / "noise.png").is_file()
 
 

@@ -146,7 +146,7 @@ def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp
     assert np.array_equal(run.trace.estimates, whole.trace.estimates[:count])
     files = [part.rpartition("(")[2].rstrip(")") for part in run.missing]
     assert files == [FILE, "record.npz", "landmarks.npz", "grid.npz", "metrics.json"]
-    assert "the run's end" in run.missing[0]
+    assert "last line of the record" in run.missing[0]
     assert all(part in repr(run) for part in run.missing)
     assert {"nis_mean_per_dof", "ate_rmse_m", "pose_nees_world_mean", "scan_ms_p50", "coverage"} <= set(run.metrics)
     assert run.metrics.keys().isdisjoint({"wall_time_s", "landmarks", "landmarks_culled", "walls_merged"})
@@ -159,7 +159,7 @@ def test_a_folder_of_an_earlier_version_has_what_its_bag_and_tables_say(simulate
     run = ss.load(older)
     before, after = simulated.trace, run.trace
     assert run.metrics == json.loads((older / "metrics.json").read_text())
-    assert len(run.missing) == 3 and run.missing[-1] == "the grid (grid.npz)"
+    assert len(run.missing) == 3 and run.missing[-1] == "the grid map (grid.npz)"
     for name in ("estimates", "odometry", "truths", "key_truths"):
         assert np.array_equal(getattr(before, name), getattr(after, name))
     assert all(
@@ -172,7 +172,7 @@ def test_a_folder_of_an_earlier_version_has_what_its_bag_and_tables_say(simulate
         assert pixels(same_name.plot(kind)) == pixels(simulated.plot(kind))
     assert pixels(run.plot())
     with pytest.raises(
-        FigureError, match=r"exploration: found a folder without the grid \(grid.npz\), allowed: ss.rep"
+        FigureError, match=r"exploration: found a folder without the grid map \(grid.npz\), allowed: ss.rep"
     ):
         run.plot("exploration")
     with pytest.raises(FigureError, match=r"nis: found a folder without .*\(record.jsonl\)"):
@@ -184,8 +184,8 @@ def test_a_report_names_what_is_missing(simulated, tmp_path, capsys):
 
     older = copied(simulated.folder, tmp_path / "older", "grid.npz")
     assert main(["report", str(older)]) == 0
-    assert "found no record of the grid (grid.npz)" in capsys.readouterr().err
-    assert "no record of the grid (grid.npz)" in (older / "figures" / "report.html").read_text(encoding="utf-8")
+    assert "found no record of the grid map (grid.npz)" in capsys.readouterr().err
+    assert "no record of the grid map (grid.npz)" in (older / "figures" / "report.html").read_text(encoding="utf-8")
     assert not (older / "figures" / "exploration.png").exists()
 
 

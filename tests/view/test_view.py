@@ -16,7 +16,7 @@ from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.loop import run
 from sixthsense.view.relay import Relay
-from sixthsense.view.viewer import ViewError, check_place
+from sixthsense.view.viewer import ViewError, check_view_target
 
 pytest.importorskip("rerun")
 
@@ -136,7 +136,7 @@ def test_a_window_without_a_display_is_refused_before_the_run(tmp_path, monkeypa
         == "sixthsense: --view: found window, but there is no display to open one on, allowed: browser or FILE.rrd\n"
     )
     with pytest.raises(ViewError, match="no display"):
-        check_place("window")
+        check_view_target("window")
 
 
 def test_a_file_that_cannot_be_written_is_named_in_one_line(tmp_path, capsys):
