@@ -191,7 +191,7 @@ class ISAM2:
 
     def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         bearing, distance, cov = sighting.bearing_range()
-        noise = self._with_loss(gtsam.noiseModel.Gaussian.Covariance(cov))
+        noise = self._with_loss(_noise(cov))
         return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
 
     def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
@@ -276,7 +276,12 @@ def _pose2(pose: Pose) -> gtsam.Pose2:
 
 
 def _gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
-    return gtsam.noiseModel.Gaussian.Covariance(motion.cov_after() + _FLOOR**2 * np.eye(3))
+    return _noise(motion.cov_after() + _FLOOR**2 * np.eye(3))
+
+
+def _noise(cov: Array) -> gtsam.noiseModel.Gaussian:
+    # By default GTSAM takes a covariance whose off-diagonals are below 1e-9 for a diagonal one.
+    return gtsam.noiseModel.Gaussian.Covariance(cov, False)
 
 
 def _loss(config: ISAM2Config) -> gtsam.noiseModel.mEstimator.Base | None:

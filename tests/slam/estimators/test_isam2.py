@@ -165,6 +165,17 @@ def test_a_landmark_seen_once_and_forgotten_leaves_the_pose_of_odometry():
     assert np.allclose(smoother.trajectory(), alone.trajectory(), atol=1e-6)
 
 
+def test_the_correlations_of_a_motion_known_to_a_tenth_of_a_millimetre_are_kept():
+    motion = Pose(0.001, 0.0, 0.0)
+    cov = 1e-9 * np.array([[4.0, 0.9, 0.0], [0.9, 1.0, 0.8], [0.0, 0.8, 1.0]])
+    smoother = make("isam2", Pose(), np.zeros((3, 3)), DEFAULT)
+    vague = Sighting(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2))
+    smoother.update({0: vague})
+    smoother.predict(Odometry(motion, cov))
+    smoother.update({1: vague})  # the pose is solved, and read back from the graph
+    assert np.allclose(smoother.estimate().pose_cov, cov, rtol=0.02, atol=2e-11)
+
+
 def crossed(config, wrong=None, seed=0):
     """A smoother after a drive on which one sighting of landmark 0 was `wrong`, and its position error."""
     rng, true, smoother = np.random.default_rng(seed), START, make("isam2", isam2=config)
