@@ -25,9 +25,10 @@ from sixthsense.slam.features import Features
 
 SCAN = 48  # a key scan of the apartment that sees corridor, living room, bath and kitchen
 CORNERS = {"landmarks": "corners"}
-WITHOUT_IEP = preset("default", task="goal", features={**CORNERS, "split": {"enabled": False}})
+WITHOUT_IEP = preset("default", estimator="ekf", task="goal", features={**CORNERS, "split": {"enabled": False}})
 # Three times the laser noise and no least-squares fit produce bad landmarks.
 ROUGH: dict[str, Any] = {
+    "estimator": "ekf",
     "world": {"laser": {"range_m": 0.03}},
     "assumed": {"laser": {"range_m": 0.03}},
     "features": {**CORNERS, "lines": {"least_squares": False}},
@@ -40,7 +41,7 @@ ROUGH: dict[str, Any] = {
 @functools.cache
 def apartment() -> Recording:
     """The run shown in most figures."""
-    return record(preset("default", task="goal", features=CORNERS))
+    return record(preset("default", estimator="ekf", task="goal", features=CORNERS))
 
 
 def calibration(file: Path) -> None:

@@ -22,6 +22,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "noiseless": {"world": {"motion": _SILENT_MOTION, "laser": {"range_m": 0.0, "bearing_rad": 0.0}}},
     # 181 beams over [-pi, pi] whose last repeats the first: 180 around a closed circle.
     "report": {
+        "estimator": "ekf",
         "robot": {"speed": 0.1, "turn_rate": 0.5, "control_period_s": 1 / 60, "integration_step_s": 0.01},
         "laser": {"beams": 180, "max_range": 5.0, "period_ticks": 10},
         "world": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},

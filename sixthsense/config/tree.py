@@ -30,9 +30,9 @@ class Config(Section):
     """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
     preset: str = "default"
     """Values under those of a file and of options: default, worn, noiseless, report, intel, mrclam or victoria."""
-    estimator: Annotated[str, ESTIMATORS] = "ekf"
-    """Back end: ekf, the report's filter; ekf-fej, ekf-oc or ekf-invariant, consistent when the robot turns; isam2, a
-    smoother."""
+    estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
+    """Back end: ekf-invariant, ekf-fej or ekf-oc, filters that stay consistent when the robot turns; ekf, the report's
+    filter; isam2, a smoother."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"

@@ -142,10 +142,12 @@ def test_a_figure_shows_itself_without_pyplot(run):
 def test_a_run_is_shown_as_a_card_with_its_map_and_what_matters_most(run):
     page = run._repr_html_()
     words = Text(page).words
-    assert "rectangle: ekf · default · seed 1 · explored" in words
+    assert "rectangle: ekf-invariant · default · seed 1 · explored" in words
     assert {"ate_rmse_m", f"{run.metrics['ate_rmse_m']:.4g} m"} <= set(words)
     assert 'src="data:image/png;base64,' in page
-    assert repr(run) == f"<Run of rectangle, ekf, default, seed 1: explored, {len(run.trace.stamps_ns)} scans>"
+    assert (
+        repr(run) == f"<Run of rectangle, ekf-invariant, default, seed 1: explored, {len(run.trace.stamps_ns)} scans>"
+    )
 
 
 def test_what_a_card_says_is_escaped(run):
@@ -155,7 +157,7 @@ def test_what_a_card_says_is_escaped(run):
 
 def test_runs_are_compared_under_what_tells_them_apart(run, other):
     both = ss.compare([run, other])
-    assert both.names == ["ekf · explore · max_time 1800.0", "isam2 · tour · max_time 10.0"]
+    assert both.names == ["ekf-invariant · explore · max_time 1800.0", "isam2 · tour · max_time 10.0"]
     assert ss.compare([run, run]).names == ["rectangle (1)", "rectangle (2)"]
     assert ss.compare({"one": run, "two": other}).names == ["one", "two"]
     assert [one.trace for one in both] == [run.trace, other.trace] and len(both) == 2

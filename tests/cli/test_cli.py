@@ -229,12 +229,12 @@ def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.Captur
     assert cli.main(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG]) == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.endswith("written to runs/some-ekf-1/\n")
-    values = metrics(here / "runs" / "some-ekf-1")
+    assert out.endswith("written to runs/some-ekf-invariant-1/\n")
+    values = metrics(here / "runs" / "some-ekf-invariant-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
     assert not {"ate_rmse_m", "coverage", "collisions"} & values.keys()
-    assert not (here / "runs" / "some-ekf-1" / "truth.tum").exists()
+    assert not (here / "runs" / "some-ekf-invariant-1" / "truth.tum").exists()
 
 
 def test_a_replay_that_ends_early_is_measured_by_the_relations_it_has_reached(
@@ -244,7 +244,7 @@ def test_a_replay_that_ends_early_is_measured_by_the_relations_it_has_reached(
     (here / "some.relations").write_text("1 2 0.1 0 0 0 0 0\n1 4 99 0 0 0 0 0\n")
     words = ["replay", "some.log", "--relations", "some.relations", "--max-time", "2", *SHORT_LOG]
     assert cli.main(words) == cli.DONE
-    values = metrics(here / "runs" / "some-ekf-1")
+    values = metrics(here / "runs" / "some-ekf-invariant-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
 
@@ -375,9 +375,9 @@ def test_a_robot_that_reaches_its_goal_exits_with_0(here: Path, capsys: pytest.C
     out, err = capsys.readouterr()
     assert err == ""
     assert re.match(r"outcome +goal reached\n", out)
-    assert out.endswith("written to runs/rectangle-ekf-1/\n")
+    assert out.endswith("written to runs/rectangle-ekf-invariant-1/\n")
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
-    assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-2/\n")
+    assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-invariant-2/\n")
 
 
 def test_a_robot_that_runs_out_of_time_exits_with_1_and_leaves_its_folder(here: Path) -> None:

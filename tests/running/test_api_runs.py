@@ -149,7 +149,7 @@ def straight(rng):
 def test_an_estimator_and_a_planner_of_ones_own_are_used_by_their_names(tmp_path):
     own = ss.run("rectangle", estimator=Renamed, planner=straight, out=tmp_path / "own", **SHORT)
     assert (own.trace.config.estimator, own.trace.config.planner) == ("Renamed", "straight")
-    assert same(own, ss.run("rectangle", **SHORT))
+    assert same(own, ss.run("rectangle", estimator="ekf", **SHORT))
     assert same(ss.load(tmp_path / "own"), own)
     ss.register_estimator("mine", Renamed)
     assert ss.run("rectangle", estimator="mine", max_time=1.0, task="tour").trace.config.estimator == "mine"
