@@ -1,14 +1,8 @@
 """Tours in closed loop with unknown association: is the pose's covariance honest, and are the matches right?
 
-A run's mean NEES over time is not the mean of as many independent samples as there are key scans: what the first scans
-get wrong stays in the map, and so in every pose. With w the whitened pose error, of covariance I in a consistent
-estimator, and R(t, s) = E[w_t w_s^T], the mean of NEES over T steps has the variance 2 sum |R(t, s)|^2 / T^2
-(Isserlis); n independent samples of 3 degrees of freedom would have 6 / n. So a run is worth
-n = 3 T^2 / sum |R(t, s)|^2 of them.
-Eight repetitions of 500 key scans of such a tour with the associations given, products of different repetitions alone
-to keep the square free of bias, gave 5.5 with sightings extracted from simulated scans and 7.9 with sightings drawn
-from their covariances. 4 leaves room for the longer tours here. The mean of N runs times
-4 N is then chi-square with 12 N degrees of freedom.
+What the first scans get wrong stays in the map, and so in every pose: the key scans of a run are not independent
+samples, and no chi-square band holds for their mean. Runs are independent, so the band follows from the spread between
+runs, which was measured. It is wide for few runs; `test_power.py` has many short ones.
 """
 
 import dataclasses
@@ -18,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import norm
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
-EFFECTIVE_PER_RUN = 4.0
-SEEDS = 6
+SPREAD = 1.63
+"""standard deviation between runs of their mean pose NEES: 50 tours of 400 s, `benchmarks/pipeline_nees.py`"""
+
+SEEDS = range(1000, 1011)
 
 
 @pytest.fixture
@@ -39,14 +35,13 @@ def pipeline(monkeypatch):
 
 
 def band(runs, confidence=0.99):
-    dof = 3.0 * EFFECTIVE_PER_RUN * runs
-    tail = 0.5 * (1.0 - confidence)
-    return 3.0 * chi2.ppf([tail, 1.0 - tail], dof) / dof
+    half = norm.isf(0.5 * (1.0 - confidence)) * SPREAD / np.sqrt(runs)
+    return 3.0 - half, 3.0 + half
 
 
 def configs(tours, estimator, seconds, seeds):
     config = tours.tour("apartment", estimator, "default", seconds, features={"landmarks": "both"})
-    return [dataclasses.replace(config, seed=seed) for seed in range(seeds)]
+    return [dataclasses.replace(config, seed=seed) for seed in seeds]
 
 
 @pytest.mark.slow
@@ -54,8 +49,8 @@ def configs(tours, estimator, seconds, seeds):
 def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline, estimator):
     found = tours.rows(configs(tours, estimator, 400.0, SEEDS), jobs=1)
     figures = pipeline.pipeline_figures(found)
-    assert figures["tour_ended"] == SEEDS
-    low, high = band(SEEDS)
+    assert figures["tour_ended"] == len(SEEDS)
+    low, high = band(len(SEEDS))
     assert low < figures["nees3"] < high
     assert low < figures["nees3_invariant"] < high
     assert 0.9 < figures["nis_per_dof"] < 1.1
@@ -68,7 +63,7 @@ def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline,
 
 
 def test_a_row_has_the_figures_of_a_run_and_is_reused(tours, pipeline, tmp_path, monkeypatch):
-    short = configs(tours, "ekf-invariant", 12.0, 2)
+    short = configs(tours, "ekf-invariant", 12.0, range(2))
     found = tours.rows(short, jobs=1, folder=tmp_path)
     assert len(list(tmp_path.glob("*.json"))) == 2
     for row in found:

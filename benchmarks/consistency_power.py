@@ -1,0 +1,217 @@
+"""Which wrong covariances can a set of short tours show? Paired runs of the whole pipeline, sabotaged and not.
+
+Each tour begins at a place of the scene's tour, at a heading drawn from the seed, and is driven in closed loop. Its
+ticks are kept, and replayed through `Slam` with one covariance scaled: that of every sighting, or that of the odometry.
+A run gives three statistics:
+
+nees        pose NEES after the update (3 is consistent), mean over the key scans
+nis         NIS of all matches before the update, per degree of freedom (1)
+increment   NEES of the motion from an update to the next prediction (3), by the covariance that the prediction adds,
+            mean over the key scans
+
+Successive poses share the errors of the map, so the key scans of a run are not independent samples; runs are. The band
+of a mean over runs is therefore the expectation plus and minus standard errors, from the spread between runs. This
+script prints the spread. `tests/evaluation/test_power.py` has it from the seeds 0 to 99 and judges others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import NamedTuple
+from unittest import mock
+
+import numpy as np
+from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
+
+from sixthsense.config import Config, preset
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import Odometry, compose_jacobians
+from sixthsense.core.source import Tick
+from sixthsense.evaluation.metrics import full_rank_from, nees_world
+from sixthsense.loop import run
+from sixthsense.record.trace import Trace
+from sixthsense.running.warmup import warm_up
+from sixthsense.slam import slam as pipeline
+from sixthsense.slam.features import Features
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.scene import load_scene
+
+SCENES = ("apartment", "office")
+ESTIMATORS = ("ekf-invariant", "isam2")
+SECONDS = 20.0
+
+EXPECTED = {"nees": 3.0, "nis": 1.0, "increment": 3.0}
+"""of each statistic, for a consistent estimator"""
+
+SABOTAGES: dict[str, tuple[str, float]] = {
+    "sightings x 0.7": ("sightings", 0.7),
+    "sightings x 1.5": ("sightings", 1.5),
+    "odometry x 0.5": ("odometry", 0.5),
+}
+"""whose covariance, and its factor"""
+
+
+class KeyScans(NamedTuple):
+    """What the statistics of a run are computed from, a row per key scan."""
+
+    truths: Array
+    """(K, 3) true pose"""
+    poses: Array
+    """(K, 3) after the update"""
+    covs: Array
+    """(K, 3, 3) of these, world frame"""
+    predicted: Array
+    """(K, 3) before the update"""
+    predicted_covs: Array
+    """(K, 3, 3)"""
+    nis: Array
+    """(K, 2) of all matches, and its degrees of freedom"""
+
+
+def short_tour(estimator: str, seed: int, seconds: float = SECONDS) -> Config:
+    """The configuration of a short tour: scenes in turn, place and heading of the start drawn from the seed."""
+    scene = SCENES[seed % len(SCENES)]
+    rng = np.random.default_rng(seed)
+    tour = load_scene(scene).tour
+    x, y = tour[int(rng.integers(len(tour)))]
+    start = (x, y, float(rng.uniform(-math.pi, math.pi)))
+    return preset(scene=scene, estimator=estimator, task="tour", max_time=seconds, seed=seed, start=start)
+
+
+def driven(config: Config) -> tuple[list[Tick], KeyScans]:
+    """Drive a tour in closed loop; returns its ticks and its key scans."""
+    ticks: list[Tick] = []
+    trace = run(config, on_tick=lambda tick, _: ticks.append(tick))
+    return ticks, of_trace(trace)
+
+
+def of_trace(trace: Trace) -> KeyScans:
+    """The key scans of a record."""
+    return KeyScans(
+        np.array(trace.key_truths),
+        np.array([e.pose.array() for e in trace.key_estimates]),
+        np.array([e.pose_cov for e in trace.key_estimates]),
+        np.array([a.predicted_pose.array() for a in trace.associations]),
+        np.array([a.predicted_cov for a in trace.associations]),
+        np.array([(a.nis, a.dof) for a in trace.associations]),
+    )
+
+
+def replayed(
+    ticks: Sequence[Tick],
+    config: Config,
+    sabotage: AbstractContextManager[object] | None = None,
+    start: Pose | None = None,
+    start_cov: Array | None = None,
+) -> KeyScans:
+    """The key scans of recorded ticks, processed by a new `Slam` within `sabotage`; it starts at the truth by default.
+
+    `start_cov` (3, 3) is the covariance that `Slam` assumes of `start`, exactly known by default.
+    """
+    rows: list[tuple[object, ...]] = []
+    with sabotage or nullcontext(), Slam(config, start or ticks[0].truth, start_cov=start_cov) as slam:
+        for tick in ticks:
+            key_scan = slam.take(tick).key_scan
+            if key_scan is not None and tick.truth is not None:
+                estimate, a = key_scan.estimate, key_scan.association
+                rows.append((tick.truth.array(), estimate.pose.array(), estimate.pose_cov, a.predicted_pose.array(),
+                             a.predicted_cov, (a.nis, a.dof)))  # fmt: skip
+    return KeyScans(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def scaled(what: str, factor: float) -> AbstractContextManager[object]:
+    """A context in which `Slam` scales the covariance of all "sightings", or that of the "odometry", by `factor`."""
+    if what == "sightings":
+        return mock.patch.object(pipeline, "extract", partial(_scaled_sightings, pipeline.extract, factor))
+    return mock.patch.object(pipeline, "odometry", partial(_scaled_odometry, pipeline.odometry, factor))
+
+
+def _scaled_sightings(extract: Callable[..., Features], factor: float, scan: Scan, *rest: object) -> Features:
+    features = extract(scan, *rest)
+    sightings = tuple(dataclasses.replace(s, cov=factor * s.cov) for s in features.sightings)
+    return dataclasses.replace(features, sightings=sightings)
+
+
+def _scaled_odometry(odometry: Callable[..., Odometry], factor: float, *arguments_: object) -> Odometry:
+    increment = odometry(*arguments_)
+    return Odometry(increment.motion, factor * increment.cov)
+
+
+def statistics(run: KeyScans) -> dict[str, float]:
+    """The statistics of one run, by the names of `EXPECTED`."""
+    first = full_rank_from(run.covs)
+    error = run.poses - run.truths
+    nis, dof = run.nis.sum(axis=0)
+    return {
+        "nees": float(nees_world(error[first:], run.covs[first:]).mean()),
+        "nis": float(nis / dof),
+        "increment": float(increment_nees(run).mean()),
+    }
+
+
+def increment_nees(run: KeyScans) -> Array:
+    """(K - 1,) NEES of the motion from each update to the next prediction, in the frame of its beginning."""
+    error, cov = np.empty((len(run.poses) - 1, 3)), np.empty((len(run.poses) - 1, 3, 3))
+    for k in range(len(error)):
+        pose = Pose.from_array(run.poses[k])
+        motion = pose.inverse() @ Pose.from_array(run.predicted[k + 1])
+        truly = Pose.from_array(run.truths[k]).inverse() @ Pose.from_array(run.truths[k + 1])
+        error[k] = motion.array() - truly.array()
+        by_pose, by_motion = compose_jacobians(pose.theta, motion)
+        added = run.predicted_covs[k + 1] - by_pose @ run.covs[k] @ by_pose.T
+        cov[k] = by_motion.T @ added @ by_motion  # a rotation: its inverse is its transpose
+    return nees_world(error, cov)
+
+
+def paired_row(config: Config) -> dict[str, dict[str, float]]:
+    """The statistics of a tour as it is, under "none", and by the name of each sabotage."""
+    ticks, own = driven(config)
+    row = {"none": statistics(own)}
+    return row | {name: statistics(replayed(ticks, config, scaled(*what))) for name, what in SABOTAGES.items()}
+
+
+def spread_figures(rows: Sequence[dict[str, dict[str, float]]]) -> Figures:
+    """Mean and standard deviation over runs of each statistic, with each sabotage and without."""
+    figures: Figures = {}
+    for case in rows[0]:
+        for name in EXPECTED:
+            values = np.array([row[case][name] for row in rows])
+            figures[f"{case}.{name}"] = float(values.mean())
+            figures[f"{case}.{name}_spread"] = float(values.std(ddof=1))
+    return figures
+
+
+def spread_table(figures: Figures, label: str) -> list[list[str]]:
+    """A row per sabotage: mean ± standard deviation over runs."""
+    lines = [[label, *(f"{name} ({value:g})" for name, value in EXPECTED.items())]]
+    for case in ("none", *SABOTAGES):
+        cells = (f"{figures[f'{case}.{name}']:.3f} ± {figures[f'{case}.{name}_spread']:.3f}" for name in EXPECTED)
+        lines.append([case, *cells])
+    return lines
+
+
+def main() -> None:
+    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="number of seeds, from 0 (100)")
+    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help=f"of a tour ({SECONDS:g})")
+    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    options = parser.parse_args()
+    check_at_least(parser, options, seeds=2, seconds=5.0, jobs=1)
+    figures: Figures = {}
+    print(machine())
+    print(f"{options.seeds} tours of {options.seconds:g} s; mean ± standard deviation over runs")
+    for estimator in ESTIMATORS:
+        configs = [short_tour(estimator, seed, options.seconds) for seed in range(options.seeds)]
+        found = spread_figures(list(pooled(paired_row, configs, options.jobs, warm_up)))
+        print_table(spread_table(found, estimator))
+        figures |= {f"{estimator.replace('-', '_')}.{key}": value for key, value in found.items()}
+    write_json(options.json, figures)
+
+
+if __name__ == "__main__":
+    main()
