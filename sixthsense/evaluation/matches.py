@@ -85,6 +85,18 @@ def judge_matches(
     return Matches(count, tuple(wrong), *others)
 
 
+def landmark_identities(
+    associations: Sequence[Mapping[LandmarkId, Sighting]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
+) -> dict[LandmarkId, Identity]:
+    """The identity of each landmark, as of `judge_matches`; without those that have none."""
+    identities: dict[LandmarkId, Identity] = {}
+    for sightings, truth in zip(associations, truths, strict=True):
+        new = [i for i in sightings if i not in identities]
+        seen = identify([sightings[i] for i in new], Pose.from_array(truth), scene, laser) if new else ()
+        identities |= {i: one.identity for i, one in zip(new, seen, strict=True) if one.identity is not None}
+    return identities
+
+
 def discarded_share(associations: Sequence[Association]) -> float:
     """Share of all sightings of a run that were neither matched nor taken as new landmarks; 0 without sightings.
 

@@ -10,8 +10,9 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage, visible_area
-from sixthsense.evaluation.matches import discarded_share
+from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import Metrics
+from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.sources.scene import Scene
 
@@ -28,6 +29,7 @@ def measure(trace: Trace) -> Metrics:
         out |= _errors(trace)
         if trace.scene is not None:
             out |= _coverage(trace, trace.scene)
+            out |= _landmark_nees(trace, trace.scene)
     out |= _consistency(trace)
     out |= _relations(trace)
     out["landmarks"] = len(trace.records)
@@ -142,6 +144,22 @@ def _prediction_nees(trace: Trace, truth: Array) -> dict[str, float]:
     if first == len(poses):
         return {}
     return {"prediction_nees_world_mean": float(np.mean(metrics.nees_world((poses - truth)[first:], covs[first:])))}
+
+
+def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
+    """NEES at the end of the landmarks whose true wall or point is known; nothing for a record without bearings."""
+    known = true_identities(scene.walls)
+    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
+    identities = landmark_identities(
+        [a.sightings for a in trace.associations], np.array(trace.key_truths), known, laser
+    )
+    rows = [k for k, i in enumerate(trace.final.ids.tolist()) if i in identities]
+    if not rows:
+        return {}
+    truth = np.array([known.landmark(identities[i]) for i in trace.final.ids[rows].tolist()])
+    covs = np.array([trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] for k in rows])
+    nees = metrics.nees_landmarks(trace.final.landmarks[rows], truth, trace.final.walls[rows], covs)
+    return {"landmark_nees_mean": float(np.mean(nees))}
 
 
 def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:

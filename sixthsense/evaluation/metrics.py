@@ -8,11 +8,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.landmarks import innovations
 from sixthsense.sources.logs.relations import scan_rows
 
 
@@ -62,6 +64,16 @@ def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
     dx, dy = (estimate[:, :2] - truth[:, :2]).T
     stretch = 1.0 / np.sinc(half / np.pi)  # numpy's sinc(x) is sin(pi x) / (pi x)
     return nees_world(np.column_stack([stretch * (c * dx - s * dy), stretch * (s * dx + c * dy), turn]), cov_world)
+
+
+def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov: Array) -> Array:
+    """NEES of landmarks, each for itself, (M,): 2 on average for a consistent estimator.
+
+    `estimate`, `truth` (M, 2) world frame; of those marked in `walls` (M,) the first column is an angle, and its error
+    is wrapped; `cov` (M, 2, 2) full rank. Landmarks of one run share errors, so these are not independent samples.
+    """
+    e = innovations(estimate, truth, walls)
+    return np.asarray(np.einsum("mi,mi->m", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
 
 
 def full_rank_from(cov: Array) -> int:

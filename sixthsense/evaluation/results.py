@@ -54,6 +54,7 @@ def _quantities() -> dict[str, Quantity]:
             ("pose_nees_in_band", "1", "share of key scans with a pose NEES in its 95 % band; 0.95 is consistent"),
             ("prediction_nees_world_mean", "1", "NEES of the pose before each update; 3 is consistent"),
             ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
+            ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
             ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
             ("discarded_share", "1", "share of the sightings that the gates discarded"),
         ],

@@ -48,6 +48,10 @@ class TrueLandmarks:
     points: Array
     """(P, 2) corners and ends of walls, m"""
 
+    def landmark(self, identity: Identity) -> Array:
+        """(2,) true parameters of the landmark: alpha, d of a face, normal to the side it is seen from, or x, y."""
+        return self.points[identity[1]] if identity[0] == "point" else _face_line(self, identity)
+
 
 @dataclass(frozen=True, slots=True)
 class TrueLaser:
