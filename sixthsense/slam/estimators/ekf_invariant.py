@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.blas import dsyr2
+from scipy.linalg.blas import dsyr2k
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import rotation_generator
@@ -12,14 +12,15 @@ from sixthsense.slam.estimators.ekf import EKF
 
 
 class InvariantEKF(EKF):
-    """The standard filter in coordinates in which a turn of the whole world is the same error at every estimate.
+    """The standard filter in coordinates in which a motion of the whole world is the same error at every estimate.
 
-    With xi the right-invariant error, a position p has the error e_p = xi_p + xi_theta J p_hat in the world frame, and
-    the heading e_theta = xi_theta: e = A(x_hat) xi. In xi the odometry's Jacobian is the identity and a sighting's does
-    not depend on the estimate, so that no update gains information about the heading of the whole map. The covariance
-    is kept in world coordinates: A P_xi A^T at the present estimate. The standard Jacobians at the present estimate are
-    those of xi in these coordinates. Only the correction differs: it follows the group's exponential, and the
-    covariance is transported to A at the corrected estimate.
+    With xi the right-invariant error, a position p has the error e_p = xi_p + xi_theta J p_hat in the world frame, the
+    heading e_theta = xi_theta, and the offset of a wall with the normal n the error e_d = xi_d + n_hat^T xi_p, with the
+    xi_p of the robot: e = A(x_hat) xi. In xi the odometry's Jacobian is the identity, and a sighting's depends neither
+    on xi_theta nor, of a wall, on xi_p, so that no update gains information about the pose of the whole map. The
+    covariance is kept in world coordinates: A P_xi A^T at the present estimate. The standard Jacobians at the present
+    estimate are those of xi in these coordinates. Only the correction differs: it follows the group's exponential, and
+    the covariance is transported to A at the corrected estimate.
     """
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
@@ -30,19 +31,34 @@ class InvariantEKF(EKF):
         # xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17).
         xi = step - theta * rotation_generator(before)
         after = before @ rotation(theta).T + xi @ _left_jacobian(theta).T
-        # A turn adds to a wall's angle and leaves its offset from the origin unchanged: for walls A is the identity.
+        # A turn adds to a wall's angle and leaves its offset from the origin unchanged.
         after[~points] = before[~points] + step[~points]
         after[~points, 0] = wrap_angle(after[~points, 0])
         self._pose = Pose(after[0, 0], after[0, 1], self._pose.theta + theta)
         self._means = after[1:]
-        self._transport_covariance(np.where(points[:, None], rotation_generator(after - before), 0.0))
+        moved = np.where(points[:, None], rotation_generator(after - before), 0.0)
+        self._transport_covariance(moved, _normals(after[~points, 0]) - _normals(before[~points, 0]), before[0])
 
-    def _transport_covariance(self, moved: Array) -> None:
-        """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T, u the rows (1 + n, 2) of `moved`."""
-        u = np.concatenate([moved[0], [0.0], moved[1:].ravel()])
-        w = np.concatenate([self._cov[2, :2], self._cov[2:, 2]])  # Sigma's column of the heading
-        w = w + 0.5 * w[2] * u
-        self._cov = dsyr2(1.0, u, w, lower=1, a=self._cov, overwrite_a=1)
+    def _transport_covariance(self, moved: Array, turned: Array, position: Array) -> None:
+        """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T + B (e_p - e_theta J p)^T.
+
+        u holds the rows (1 + n, 2) of `moved`, B the changes (w, 2) of the walls' normals, `turned`, in the rows of
+        their offsets; p is the robot's `position` (2,) before the correction.
+        """
+        U = np.zeros((self._size, 3))
+        U[:, 0] = np.concatenate([moved[0], [0.0], moved[1:].ravel()])
+        U[4 + 2 * np.flatnonzero(self._walls), 1:] = turned
+        of_pose = np.vstack([self._symmetric(np.arange(3)), self._cov[3:, :3]])  # Sigma's columns of the pose
+        C = np.zeros((3, 3))  # theta and xi_p from the errors of the pose
+        C[0, 2] = C[1, 0] = C[2, 1] = 1.0
+        C[1:, 2] = -rotation_generator(position)
+        W = of_pose @ C.T + 0.5 * U @ (C @ of_pose[:3] @ C.T)
+        self._cov = dsyr2k(1.0, U, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+
+
+def _normals(alpha: Array) -> Array:
+    """(w, 2) normals of walls with the angles `alpha` (w,)."""
+    return np.column_stack([np.cos(alpha), np.sin(alpha)])
 
 
 def _left_jacobian(theta: float) -> Array:
