@@ -8,11 +8,14 @@ import numpy as np
 
 from sixthsense.core.landmarks import Kind, Sighting
 from sixthsense.evaluation.tables import html_table
-from sixthsense.slam.estimators import EstimatorFactory, register_estimator
-from sixthsense.testing import contract, edges, posterior, walls
+from sixthsense.slam.estimators import EstimatorFactory, keeps_poses, register_estimator
+from sixthsense.testing import contract, edges, links, posterior, walls
 from sixthsense.testing.estimation import make
 
 LAWS = (*contract.LAWS, *edges.LAWS, *posterior.LAWS, *walls.LAWS)
+
+LINK_LAWS = tuple(links.LAWS)
+"""tested where the estimator has `link` and `unlink`"""
 
 
 class Verdicts(dict[str, str]):
@@ -46,13 +49,13 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
 
     `factory` makes an estimator from the start, `T_world_robot`, and its covariance (3, 3), as for
     `ss.register_estimator`. It is registered under `name`, by default the name of the factory. If the estimator raises
-    NotImplementedError for the first sighting of a wall, the laws of walls are skipped. Raises ValueError for the name
-    of a built-in estimator and for an invalid name.
+    NotImplementedError for the first sighting of a wall, the laws of walls are skipped. The laws of links are tested if
+    it has `link` and `unlink`. Raises ValueError for the name of a built-in estimator and for an invalid name.
     """
     name = name or getattr(factory, "__name__", "")
     register_estimator(name, factory)
     verdicts, refusal = Verdicts(), _refusal_of_walls(name)
-    for law in LAWS:
+    for law in (*LAWS, *(LINK_LAWS if _keeps_poses(name) else ())):
         if law.needs_walls and refusal:
             verdicts.skipped[law.name] = refusal
             continue
@@ -76,3 +79,11 @@ def _refusal_of_walls(name: str) -> str:
     except Exception:  # the laws find it and name it
         return ""
     return ""
+
+
+def _keeps_poses(name: str) -> bool:
+    """Whether an estimator has `link` and `unlink`; one that cannot be made breaks the other laws."""
+    try:
+        return keeps_poses(make(name))
+    except Exception:
+        return False

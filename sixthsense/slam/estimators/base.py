@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
+from sixthsense.core.covariance import COVARIANCE_SLACK, check_covariance, covariance_fault
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
@@ -72,6 +73,45 @@ class Estimator(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A measured motion between the poses of two updates."""
+
+    before: int
+    """index of the update whose pose the motion begins at, 0 for the first update"""
+    after: int
+    """index of the update whose pose it ends at"""
+    relative: Odometry
+    """the motion with its covariance, axes of the frame before"""
+    loss_scale: float = math.inf
+    """scale of the Cauchy loss, in whitened error; inf: squares"""
+
+
+class PoseGraphEstimator(Estimator, Protocol):
+    """An estimator that keeps the poses of all updates and takes measurements between them.
+
+    9. `link` takes each link as independent. Its pose need not be the newest.
+    10. `unlink` leaves the estimate as if those links had not been given.
+    """
+
+    def link(self, links: Sequence[Link]) -> list[int]:
+        """Update with links, and return their ids.
+
+        Raises ValueError, naming the link, for an invalid covariance, and KeyError for an unknown pose; the state is
+        unchanged then.
+        """
+        ...
+
+    def unlink(self, ids: Collection[int]) -> None:
+        """Remove links; KeyError, with the state unchanged, for an unknown id."""
+        ...
+
+
+def keeps_poses(estimator: Estimator) -> TypeGuard[PoseGraphEstimator]:
+    """Whether an estimator keeps the poses of all updates, so that links can be added."""
+    return callable(getattr(estimator, "link", None)) and callable(getattr(estimator, "unlink", None))
+
+
 class Trajectory:
     """A growing list of poses, returned as one array without a loop over them."""
 
@@ -112,3 +152,18 @@ def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
         fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
         found = f"sighting of landmark {list(sightings)[k]}: found {fault}"
         raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")
+
+
+def check_links(links: Sequence[Link], poses: int) -> None:
+    """Raise KeyError for a link to a pose that is not one of the `poses` so far, ValueError for an invalid one."""
+    for k, link in enumerate(links):
+        for pose in (link.before, link.after):
+            if not 0 <= pose < poses:
+                raise KeyError(f"link {k}: found pose {pose}, allowed: 0 to {poses - 1}")
+        if link.before == link.after:
+            raise ValueError(f"link {k}: found pose {link.after} at both ends, allowed: two poses")
+        check_covariance(f"link {k}", link.relative.cov)
+        if not np.isfinite(link.relative.motion.array()).all():
+            raise ValueError(f"link {k}: found {link.relative.motion}, allowed: finite numbers")
+        if not link.loss_scale > 0.0:
+            raise ValueError(f"link {k}: found loss_scale {link.loss_scale}, allowed: above 0")

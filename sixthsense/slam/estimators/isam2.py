@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, W, X
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.stats import chi2
 
@@ -17,68 +15,39 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
-from sixthsense.slam.estimators.base import Estimate, check_sightings
+from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_sightings
+from sixthsense.slam.estimators.isam2_factors import gaussian, link_factor, loss_of, noise_of, to_pose, to_pose2
+from sixthsense.slam.estimators.isam2_links import LinkFactors
 from sixthsense.slam.estimators.isam2_sightings import SightingFactors
 from sixthsense.slam.estimators.isam2_solver import Solver
+from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
 from sixthsense.slam.estimators.isam2_walls import lines, measurement, wall_frame
 
-_FLOOR = 1e-6  # smallest sigma (m, rad) of a pose's factor: a certain motion or start would make the system singular
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
+_MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
 _POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
-
-
-@dataclass(slots=True)
-class _Unsolved:
-    """What the solver does not have yet."""
-
-    graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
-    values: gtsam.Values = field(default_factory=gtsam.Values)
-    poses: list[Pose] = field(default_factory=list)
-    """of updates since the last solved one, by odometry"""
-
-
-@dataclass(slots=True)
-class _Landmarks:
-    """Landmarks and their variables in the graph, in the order of the first sighting."""
-
-    keys: dict[LandmarkId, int] = field(default_factory=dict)
-    is_wall: dict[LandmarkId, bool] = field(default_factory=dict)
-    by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
-    """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
-    means: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    """(n, 2) at the last solution"""
-    made: int = 0
-    """number of landmarks so far, forgotten ones included"""
-
-    def ids(self) -> NDArray[np.int64]:
-        """(n,) of the landmarks."""
-        return np.array(list(self.keys), dtype=np.int64)
-
-    def walls(self) -> NDArray[np.bool_]:
-        """(n,) which of them are walls."""
-        return np.array(list(self.is_wall.values()), dtype=np.bool_)
 
 
 class ISAM2:
     """A factor graph with one pose per update: a prior, odometry between poses, bearing and range to landmarks.
 
     A wall is a variable with a frame of its own (`isam2_walls.py`). GTSAM's tangent of a pose is in the robot's frame:
-    covariances are rotated into it and out of it. Poses of updates without a sighting are kept back until the next
-    update with one, since until then there is nothing to solve.
+    covariances are rotated into it and out of it. Poses of updates without a sighting are kept back until there is a
+    sighting or a link, since until then there is nothing to solve.
     """
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
         self._pose, self._pose_cov = start, check_covariance("start_cov", start_cov)
         """of the last solved pose, or the start"""
-        self._config, self._loss = config, _loss(config)
-        self._factors = SightingFactors()
-        self._solver = Solver(config, self._factors.renumber)
-        self._unsolved = _Unsolved()
+        self._config, self._loss = config, loss_of(config)
+        self._factors, self._links = SightingFactors(), LinkFactors()
+        self._solver = Solver(config, self._renumber)
+        self._unsolved = Unsolved()
         self._poses = 0
         """number of poses, solved and waiting"""
-        self._landmarks = _Landmarks()
+        self._landmarks = Landmarks()
         self._reject_gate = float(chi2.ppf(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -101,9 +70,6 @@ class ISAM2:
         check_sightings(sightings)
         guess = self._pose @ self._pending.motion
         self._add_pose(guess)
-        self._unsolved.poses.append(guess)
-        self._poses += 1
-        self._step = STANDSTILL
         if not sightings:
             return
         first = self._unsolved.graph.size()
@@ -113,16 +79,36 @@ class ISAM2:
                 self._add_landmark(i, guess, sighting)
             add = self._wall_factor if sighting.is_wall else self._point_factor
             self._unsolved.graph.add(add(self._landmarks.keys[i], guess, sighting, is_new))
-        places = self._solver.update(self._unsolved.graph, self._unsolved.values)
+        places = self._solve_waiting()
         for (i, sighting), place, is_new in zip(sightings.items(), places[first:], is_first, strict=True):
             self._factors.add(self._poses - 1, i, place, sighting, is_new)
-        # New ones each time: a factor that is sent twice counts twice.
-        self._unsolved = _Unsolved()
-        self._pending = STANDSTILL
-        self._relinearize(guess)
+        self._relinearize(guess, self._config.iterations)
         self._read()
         if self._poses % _REJECT_PERIOD == 0:
             self._reject_outliers()
+
+    def link(self, links: Sequence[Link]) -> list[int]:
+        """Add measured motions between the poses of updates, and solve; their ids."""
+        check_links(links, self._poses)
+        if not links:
+            return []
+        first = self._unsolved.graph.size()
+        for link in links:
+            self._guess_by(link)
+            self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
+        guess = Pose.from_array(self.trajectory()[-1])
+        ids = self._links.add(self._solve_waiting()[first:])
+        self._relinearize(guess, _MAX_ITERATIONS)
+        self._read()
+        return ids
+
+    def unlink(self, ids: Collection[int]) -> None:
+        """Remove links, and solve."""
+        places = self._links.drop(ids)
+        if places:
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+            self._relinearize(Pose.from_array(self._solved[-1]), _MAX_ITERATIONS)
+            self._read()
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks with all their factors: their information about the poses is lost."""
@@ -169,20 +155,45 @@ class ISAM2:
 
     def _add_pose(self, guess: Pose) -> None:
         key = X(self._poses)
-        self._unsolved.values.insert(key, _pose2(guess))
+        self._unsolved.poses.append(guess)
+        self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
-            noise = _gaussian(Odometry(guess, self._propagated(self._pose_cov)))
-            self._unsolved.graph.add(gtsam.PriorFactorPose2(key, _pose2(guess), noise))
+            noise = gaussian(Odometry(guess, self._propagated(self._pose_cov)))
+            self._unsolved.graph.add(gtsam.PriorFactorPose2(key, to_pose2(guess), noise))
         else:
-            noise = _gaussian(self._step)
-            self._unsolved.graph.add(gtsam.BetweenFactorPose2(key - 1, key, _pose2(self._step.motion), noise))
+            noise = gaussian(self._step)
+            self._unsolved.graph.add(gtsam.BetweenFactorPose2(key - 1, key, to_pose2(self._step.motion), noise))
+        self._poses += 1
+        self._step = STANDSTILL
+
+    def _guess_by(self, link: Link) -> None:
+        """Set the initial value of a waiting pose by a link to it, which is better than the odometry's."""
+        first = len(self._solved)
+        if link.after < first or link.after in self._unsolved.guessed:
+            return
+        before = self.trajectory()[link.before]
+        guess = Pose.from_array(before) @ link.relative.motion
+        self._unsolved.guessed.add(link.after)
+        self._unsolved.poses[link.after - first] = guess
+        self._unsolved.values.update(X(link.after), to_pose2(guess))
+
+    def _solve_waiting(self) -> list[int]:
+        """Give the solver what waits for it; the places of its factors."""
+        places = self._solver.update(self._unsolved.graph, self._unsolved.values)
+        # New ones each time: a factor that is sent twice counts twice.
+        self._unsolved, self._pending = Unsolved(), self._step
+        return places
+
+    def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
+        self._factors.renumber(before, after)
+        self._links.renumber(before, after)
 
     def _add_landmark(self, i: LandmarkId, guess: Pose, sighting: Sighting) -> None:
         landmarks, values = self._landmarks, self._unsolved.values
         landmarks.is_wall[i] = sighting.is_wall
         if sighting.is_wall:
             landmarks.keys[i] = W(landmarks.made)
-            values.insert(landmarks.keys[i], _pose2(wall_frame(guess, sighting)))
+            values.insert(landmarks.keys[i], to_pose2(wall_frame(guess, sighting)))
         else:
             landmarks.keys[i] = L(landmarks.made)
             bearing, distance, _ = sighting.bearing_range()
@@ -191,22 +202,22 @@ class ISAM2:
 
     def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         bearing, distance, cov = sighting.bearing_range()
-        noise = self._with_loss(_noise(cov))
+        noise = self._with_loss(noise_of(cov))
         return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
 
     def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
-        frame = wall_frame(guess, sighting) if is_new else _pose(self._solver.isam.calculateEstimatePose2(key))
+        frame = wall_frame(guess, sighting) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
         place, root = measurement(guess, frame, sighting, is_new)
         noise = self._with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root))
-        return gtsam.BetweenFactorPose2(key, X(self._poses - 1), _pose2(place), noise)
+        return gtsam.BetweenFactorPose2(key, X(self._poses - 1), to_pose2(place), noise)
 
     def _with_loss(self, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Base:
         return noise if self._loss is None else gtsam.noiseModel.Robust.Create(self._loss, noise)
 
-    def _relinearize(self, guess: Pose) -> None:
+    def _relinearize(self, guess: Pose, iterations: int) -> None:
         """Iterate while the newest pose is farther than the threshold from its linearization point."""
-        linearized = _pose2(guess)
-        for _ in range(self._config.iterations - 1):
+        linearized = to_pose2(guess)
+        for _ in range(iterations - 1):
             solved = self._solver.isam.calculateEstimatePose2(self._last_solved)
             if np.abs(linearized.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
                 return
@@ -265,28 +276,3 @@ class ISAM2:
         moved[:, :3] = moved[:, :3] @ phi.T
         moved[:3, :3] += g @ self._pending.cov @ g.T
         return 0.5 * (moved + moved.T)
-
-
-def _pose(pose: gtsam.Pose2) -> Pose:
-    return Pose(pose.x(), pose.y(), pose.theta())
-
-
-def _pose2(pose: Pose) -> gtsam.Pose2:
-    return gtsam.Pose2(pose.x, pose.y, pose.theta)
-
-
-def _gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
-    return _noise(motion.cov_after() + _FLOOR**2 * np.eye(3))
-
-
-def _noise(cov: Array) -> gtsam.noiseModel.Gaussian:
-    # By default GTSAM takes a covariance whose off-diagonals are below 1e-9 for a diagonal one.
-    return gtsam.noiseModel.Gaussian.Covariance(cov, False)
-
-
-def _loss(config: ISAM2Config) -> gtsam.noiseModel.mEstimator.Base | None:
-    if config.robust == "huber":
-        return gtsam.noiseModel.mEstimator.Huber.Create(config.robust_scale)
-    if config.robust == "cauchy":
-        return gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
-    return None

@@ -1,0 +1,54 @@
+"""GTSAM's poses, noise models and factors, made from ours."""
+
+from __future__ import annotations
+
+import math
+
+import gtsam
+import numpy as np
+
+from sixthsense.config import ISAM2Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators.base import Link
+
+_FLOOR = 1e-6  # smallest sigma (m, rad) of a pose's factor: a certain motion or start would make the system singular
+
+
+def to_pose(pose: gtsam.Pose2) -> Pose:
+    """Our pose of GTSAM's."""
+    return Pose(pose.x(), pose.y(), pose.theta())
+
+
+def to_pose2(pose: Pose) -> gtsam.Pose2:
+    """GTSAM's pose of ours."""
+    return gtsam.Pose2(pose.x, pose.y, pose.theta)
+
+
+def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
+    """The noise of a motion, in the axes of the frame after, as GTSAM has it."""
+    return noise_of(motion.cov_after() + _FLOOR**2 * np.eye(3))
+
+
+def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
+    """The noise with a covariance (n, n)."""
+    # By default GTSAM takes a covariance whose off-diagonals are below 1e-9 for a diagonal one.
+    return gtsam.noiseModel.Gaussian.Covariance(cov, False)
+
+
+def loss_of(config: ISAM2Config) -> gtsam.noiseModel.mEstimator.Base | None:
+    """The configured loss on landmarks' factors; None for squares."""
+    if config.robust == "huber":
+        return gtsam.noiseModel.mEstimator.Huber.Create(config.robust_scale)
+    if config.robust == "cauchy":
+        return gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
+    return None
+
+
+def link_factor(before: int, after: int, link: Link) -> gtsam.NonlinearFactor:
+    """The factor of a link between the variables with these keys."""
+    noise: gtsam.noiseModel.Base = gaussian(link.relative)
+    if math.isfinite(link.loss_scale):
+        loss = gtsam.noiseModel.mEstimator.Cauchy.Create(link.loss_scale)
+        noise = gtsam.noiseModel.Robust.Create(loss, noise)
+    return gtsam.BetweenFactorPose2(before, after, to_pose2(link.relative.motion), noise)

@@ -1,0 +1,46 @@
+"""What the smoother keeps beside the solver: what waits to be solved, and its landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId
+
+
+@dataclass(slots=True)
+class Unsolved:
+    """What the solver does not have yet."""
+
+    graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
+    values: gtsam.Values = field(default_factory=gtsam.Values)
+    poses: list[Pose] = field(default_factory=list)
+    """of updates since the last solved one, by odometry or by a link"""
+    guessed: set[int] = field(default_factory=set)
+    """which of them are by a link"""
+
+
+@dataclass(slots=True)
+class Landmarks:
+    """Landmarks and their variables in the graph, in the order of the first sighting."""
+
+    keys: dict[LandmarkId, int] = field(default_factory=dict)
+    is_wall: dict[LandmarkId, bool] = field(default_factory=dict)
+    by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
+    """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
+    means: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) at the last solution"""
+    made: int = 0
+    """number of landmarks so far, forgotten ones included"""
+
+    def ids(self) -> NDArray[np.int64]:
+        """(n,) of the landmarks."""
+        return np.array(list(self.keys), dtype=np.int64)
+
+    def walls(self) -> NDArray[np.bool_]:
+        """(n,) which of them are walls."""
+        return np.array(list(self.is_wall.values()), dtype=np.bool_)
