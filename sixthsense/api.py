@@ -103,8 +103,8 @@ def replay(
         A CARMEN file (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or
         ROS 2 bag; the folder of a run; an MRCLAM folder; or a log opened by `ss.open_log`.
     config
-        The complete configuration. By default it is that of the run folder, or the preset of the log's format ("intel",
-        "victoria", "mrclam", for a bag "default"). An opened log needs one.
+        The complete configuration. By default it is that of the run folder, or the preset of the log's format ("log",
+        "victoria", "mrclam"). An opened log needs one.
     relations
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite
@@ -130,15 +130,25 @@ def replay(
     if isinstance(log, (str, Path)):
         found = _open_with_config(Path(log), config, relations, topics, robot, given, out)
     else:
-        from sixthsense.sources.logs.relations import read_relations
-        from sixthsense.sources.replay_input import Recorded
-
-        if config is None:
-            raise ConfigError("config: found none for an opened log, allowed: a Config, such as ss.preset()")
-        checked_relations = read_relations(relations) if isinstance(relations, (str, Path)) else relations
-        found = Recorded("log", log, _apply_fields(config, given), checked_relations, {}, ())
+        found = _opened(log, config, relations, given)
     with reserved(out, found.config, overwrite, found.files or None) as folder:
         return replay_log(found, folder, _watch(on_tick, progress))
+
+
+def _opened(
+    log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
+) -> Recorded:
+    """The input of a replay from a log that the caller has opened."""
+    from sixthsense.sources.logs.relations import read_relations
+    from sixthsense.sources.replay_input import Recorded, of_log, relations_of
+
+    if config is None:
+        raise ConfigError("config: found none for an opened log, allowed: a Config, such as ss.preset()")
+    known = read_relations(relations) if isinstance(relations, (str, Path)) else relations
+    notes = log.remarks()
+    if known is not None:
+        known = relations_of(log, known, "relations", notes)
+    return Recorded("log", log, of_log(_apply_fields(config, given), log), known, {}, tuple(notes))
 
 
 def _open_with_config(
@@ -158,7 +168,9 @@ def _open_with_config(
         raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
     base = given.pop("preset", None) if config is None else config
     check_out(log, None if out is None else Path(out))
-    return open_recorded(log, _apply_fields(base_of(log) if base is None else base, given), relations, topics, robot)
+    settings = _apply_fields(base_of(log) if base is None else base, given)
+    stated = tuple(given["laser"]) if isinstance(given.get("laser"), Mapping) else ()
+    return open_recorded(log, settings, relations, topics, robot, stated)
 
 
 def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:

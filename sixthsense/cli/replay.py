@@ -35,7 +35,7 @@ class Replay(Common):
 def command(args: list[str]) -> int:
     """Replay a log."""
     if wants_help(args):
-        return show_help(Replay, "replay", "intel")
+        return show_help(Replay, "replay", "log")
     from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, "log", base_of, args)
@@ -48,7 +48,8 @@ def command(args: list[str]) -> int:
     from sixthsense.running.runs import Watch, replay_log
 
     topics = options.topic.split(",") if options.topic else ()
-    found = open_recorded(options.log, options.settings, options.relations, topics, options.robot)
+    stated = [name.replace("-", "_") for name in flags.get("laser", {})]
+    found = open_recorded(options.log, options.settings, options.relations, topics, options.robot, stated)
     for note in found.notes:
         print(f"note: {found.name}: {note}", file=sys.stderr)
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from sixthsense.config.presets import preset
-from sixthsense.config.removed import without_removed
+from sixthsense.config.removed import REMOVED_PRESETS, without_removed
 from sixthsense.config.section import ConfigError, as_table, merge
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
@@ -42,6 +42,8 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
+    if "versions" in table and table.get("preset") in tuple(REMOVED_PRESETS):
+        del table["preset"]  # a saved configuration has all values of its preset
     for note in NOTES:
         table.pop(note, None)
     try:

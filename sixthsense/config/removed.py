@@ -1,4 +1,4 @@
-"""Fields that earlier versions had: a file that holds one at its default is still read, any other value is an error."""
+"""Fields and presets of earlier versions: a file with such a field at its default is read, other values are errors."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ REMOVED: dict[str, Removed] = {
     "association.candidate_gate_m": Removed(0.2, _PROBATION),
     "association.candidate_scans": Removed(30, _PROBATION),
 }
+
+REMOVED_PRESETS = {
+    "intel": "it had the wheels of one robot, and a log says itself what its laser is",
+}
+"""by name: why it was removed"""
 
 
 def without_removed(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:

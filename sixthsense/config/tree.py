@@ -29,7 +29,7 @@ class Config(Section):
     scene: str = "apartment"
     """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
     preset: str = "default"
-    """Values under those of a file and of options: default, worn, noiseless, report, intel, mrclam or victoria."""
+    """Values under those of a file and of options: default, worn, noiseless, report, log, mrclam or victoria."""
     estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
     """Back end: ekf-invariant, ekf-fej or ekf-oc, filters that stay consistent when the robot turns; ekf, the report's
     filter; isam2, a smoother."""

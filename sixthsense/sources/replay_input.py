@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sixthsense.config import Config, ConfigError, load_config, preset
+from sixthsense.config import Config, ConfigError, load_config
 from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
@@ -16,8 +16,6 @@ from sixthsense.sources.scene import Scene, SceneError, load_scene
 if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
-
-LOG_TIME_S = 1e6  # a log is replayed to its end
 
 _OF_THE_ROBOT = ("scene", "task", "goal", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
 
@@ -51,17 +49,15 @@ def recorded_scene(log: Log, config: Config) -> Scene | None:
 
 
 def base_of(log: str | Path | None) -> str | Config:
-    """The base configuration for a log: of the run folder, the default robot for a bag, else the preset of its kind."""
+    """The base configuration for a log: that of the run folder, else the preset of its kind."""
     if log is None:
-        return "intel"
+        return "log"
     path = Path(log)
     if is_run_folder(path):
         return load_config(path / "config.toml")
-    if is_bag(path):
-        return preset(max_time=LOG_TIME_S)
     if is_graph(path):
         return "victoria"
-    return "mrclam" if is_mrclam(path) else "intel"
+    return "mrclam" if is_mrclam(path) else "log"
 
 
 def check_options(
@@ -121,10 +117,12 @@ def open_recorded(
     relations: str | Path | Relations | None = None,
     topics: Sequence[str] = (),
     robot: int | None = None,
+    stated: Collection[str] = (),
 ) -> Recorded:
-    """Open a log, and the relations to evaluate its replay.
+    """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
 
-    Raises LogError for an invalid file, and for a relation whose stamp is not that of a scan of the log.
+    `stated` names the fields of `config.laser` that take precedence over the log even at their defaults. Raises
+    LogError for an invalid file, and for relations none of which has stamps of scans.
     """
     from sixthsense.sources.logs import open_log
     from sixthsense.sources.logs.mrclam import MrclamLog
@@ -142,29 +140,38 @@ def open_recorded(
         given: Relations | None = read_relations(relations)
     else:
         given = relations
-    opened = open_log(log, config.laser, topics, robot, config.assumed)
+    opened = open_log(log, config.laser, topics, robot, config.assumed, stated)
+    notes: list[str] = []
     if given is not None:
-        _check_relations(given, opened, str(relations) if from_file else "relations", log)
-    notes = []
-    if isinstance(opened, BagLog):
-        config = dataclasses.replace(config, laser=opened.laser)
-        if opened.cut_short:
-            notes.append(f"the recording is incomplete; its first {opened.duration_s:.1f} s are used")
+        given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
+    if isinstance(opened, BagLog) and opened.cut_short:
+        notes.append(f"the recording is incomplete; its first {opened.duration_s:.1f} s are used")
     if isinstance(opened, MrclamLog) and opened.misread:
         notes.append(f"{opened.misread} measurements with an unknown barcode are skipped")
-    if opened.backward_stamps:
-        notes.append(f"stamps decrease at {opened.backward_stamps} scans; replayed in the order of the file")
-    return Recorded(Path(log).resolve().name, opened, config, given, files, tuple(notes))
+    notes += opened.remarks()
+    return Recorded(Path(log).resolve().name, opened, of_log(config, opened), given, files, tuple(notes))
 
 
-def _check_relations(relations: Relations, opened: Log, name: str, log: str | Path) -> None:
-    """Raise LogError for a relation whose stamp is not that of a scan of the log."""
+def of_log(config: Config, log: Log) -> Config:
+    """The configuration with the laser as the log describes it, if it does."""
+    return config if log.laser is None else dataclasses.replace(config, laser=log.laser)
+
+
+def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) -> Relations:
+    """The relations between scans of a log; the others are counted in `notes`, LogError if there are no more."""
     import numpy as np
 
-    from sixthsense.sources.logs.relations import scan_rows
+    from sixthsense.sources.logs.relations import Relations, has_scan
 
-    stamps = np.array([t.log_stamp_s for t in opened.ticks if t.scan is not None], dtype=np.float64)
-    try:
-        scan_rows(stamps, relations.stamps)
-    except ValueError as error:
-        raise LogError(f"{name}: {error}, allowed: stamps of scans in {log}") from None
+    stamps = np.array([t.log_stamp_s for t in log.ticks if t.log_stamp_s is not None], dtype=np.float64)
+    known = np.asarray(has_scan(stamps, relations.stamps).all(axis=1))
+    if known.all():
+        return relations
+    if not known.any():
+        first = relations.stamps[0, 0]
+        raise LogError(
+            f"{name}: found no relation between scans of the log (the first is of {first:.6f}), allowed: "
+            "stamps of scans of the log"
+        )
+    notes.append(f"{np.count_nonzero(~known)} of {len(known)} relations name stamps of no scan and are left out")
+    return Relations(relations.stamps[known], relations.poses[known])

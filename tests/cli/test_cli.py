@@ -87,7 +87,7 @@ BAD_LINES = [
     ("run --rrtstar.goal-bias 1.5", "--rrtstar.goal-bias: found 1.5, allowed: above 0 to 1"),
     ("run --rrtstar.goal-bias 0", "--rrtstar.goal-bias: found 0.0, allowed: above 0 to 1"),
     ("run --task fly", "--task: found 'fly', allowed: explore, goal, tour"),
-    ("run --preset no", "preset: found 'no', allowed: default, worn, noiseless, report, intel"),
+    ("run --preset no", "preset: found 'no', allowed: default, worn, noiseless, report, log"),
     ("run --bogus", "--bogus: no such option, allowed: --config, --out, --overwrite"),
     ("run --relations x", "--relations: no such option, allowed: --config"),
     ("run -x", "-x: no such option, allowed: --config"),
@@ -350,14 +350,14 @@ def test_flags_beat_the_file_which_beats_the_preset_which_beats_the_defaults(her
     (here / "part.toml").write_text("seed = 5\nmax_time = 50\n[laser]\nmax_range = 3.0\n")
     (here / "named.toml").write_text("preset = 'report'\nseed = 5\n")
     assert settings() == preset()
-    assert settings(base="intel") == preset("intel")
+    assert settings(base="log") == preset("log")
     assert settings("--preset", "report").laser == preset("report").laser
     both = settings("--preset=report", "--config", "part.toml", "--seed", "9")
     assert (both.preset, both.seed, both.max_time) == ("report", 9, 50.0)
     assert (both.laser.max_range, both.laser.beams) == (3.0, preset("report").laser.beams)
     assert settings("--seed", "9", "--config=part.toml").seed == 9
-    assert settings("--config", "part.toml", base="intel").laser.beams == preset("intel").laser.beams
-    assert settings("--config", "named.toml", base="intel").grid == preset("report").grid
+    assert settings("--config", "part.toml", base="log").assumed == preset("log").assumed
+    assert settings("--config", "named.toml", base="log").grid == preset("report").grid
     assert settings("--config", "named.toml", "--preset", "worn").world == preset("worn").world
 
 

@@ -134,8 +134,8 @@ BAD_FIELDS = {
     "goal": ("goal = 3", "3", "2 numbers"),
     "seed": ("seed = -1", "-1", "at least 0"),
     "max_time": (f"max_time = 1{'0' * 400}", "1000", "a finite number"),
-    "preset": ('preset = "no"', "'no'", "default, worn, noiseless, report, intel"),
-    "preset ": ("preset = []", "[]", "default, worn, noiseless, report, intel"),
+    "preset": ('preset = "no"', "'no'", "default, worn, noiseless, report, log"),
+    "preset ": ("preset = []", "[]", "default, worn, noiseless, report, log"),
 }
 
 

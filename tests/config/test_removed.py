@@ -5,8 +5,8 @@ import pytest
 import tomli_w
 
 from sixthsense.cli import main
-from sixthsense.config import Config, ConfigError, Section, as_table, load_config, save_config
-from sixthsense.config.removed import REMOVED
+from sixthsense.config import Config, ConfigError, Section, as_table, load_config, preset, save_config
+from sixthsense.config.removed import REMOVED, REMOVED_PRESETS
 
 
 def old_file(folder: Path, name: str, value: object) -> Path:
@@ -62,3 +62,25 @@ def test_the_command_line_exits_with_2_and_one_line(tmp_path: Path, capsys: pyte
     assert not (tmp_path / "run").exists()
     said = capsys.readouterr().err.strip()
     assert "candidate_sightings: found 3; was removed: " in said and "\n" not in said
+
+
+@pytest.mark.parametrize("name", REMOVED_PRESETS)
+def test_a_removed_preset_is_one_line_that_says_what_to_use_instead(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(ConfigError, match=f"preset: found '{name}'; was removed: .*; allowed: leave it out"):
+        preset(name)
+    assert main(["replay", "some.log", "--preset", name, "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert f"found '{name}'; was removed: " in said and "\n" not in said
+    (tmp_path / "mine.toml").write_text(f'preset = "{name}"\nseed = 3\n')
+    with pytest.raises(ConfigError, match=r"mine\.toml: preset: found"):
+        load_config(tmp_path / "mine.toml")
+
+
+@pytest.mark.parametrize("name", REMOVED_PRESETS)
+def test_a_saved_configuration_of_a_removed_preset_keeps_all_its_values(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "config.toml"
+    save_config(preset(seed=7, assumed={"drift_rad_per_m": 0.05}), file)
+    file.write_text(file.read_text().replace('preset = "default"', f'preset = "{name}"'))
+    assert load_config(file) == preset(seed=7, assumed={"drift_rad_per_m": 0.05})

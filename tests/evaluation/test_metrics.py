@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, logm
 
-from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import (
     ate,
@@ -185,7 +184,7 @@ def test_a_relation_without_its_scan_is_named() -> None:
 
 
 def test_the_odometry_of_the_intel_log_has_the_known_error(data_dir: Path) -> None:
-    log = open_log(data_dir / "intel" / "intel.clf.bz2", preset("intel").laser)
+    log = open_log(data_dir / "intel" / "intel.clf.bz2")
     relations = read_relations(data_dir / "intel" / "intel.relations")
     scans = [tick for tick in log.ticks if tick.scan is not None]
     poses = np.array([tick.odometry.array() for tick in scans])

@@ -123,7 +123,7 @@ def test_a_log_keeps_its_own_stamps_beside_the_clock(tmp_path):
     clock = [976052857337720000, 976052857337720001, 976052858000000000, 3 * 10**18]
     ticks = [Tick(c, Pose(k, 0, 0), scan, log_stamp_s=s) for k, (c, s) in enumerate(zip(clock, own, strict=True))]
     with BagWriter(tmp_path) as bag:
-        replay(Log(ticks), preset("intel", laser={"beams": 4}), None, bag)
+        replay(Log(ticks), preset("log", laser={"beams": 4}), None, bag)
     log = read_run(tmp_path, laser)
     assert [tick.stamp_ns for tick in log.ticks] == clock
     assert [tick.log_stamp_s for tick in log.ticks][:3] == own[:3]  # the fourth is beyond what ROS can count

@@ -111,7 +111,7 @@ def test_the_preset_follows_the_kind_of_log(tmp_path):
     log.write_text("".join(line.format(x=0.1 * k, stamp=float(k)) for k in range(5)))
     laser = {"beams": 4, "fov": 1.5}
     run = ss.replay(log, laser=laser)
-    assert run.trace.config.preset == "intel"
+    assert run.trace.config.preset == "log"
     assert run.outcome == "log ended"
     assert run.name == "some.log"
     assert ss.replay(log, preset="worn", laser=laser).trace.config.preset == "worn"

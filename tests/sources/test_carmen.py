@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sixthsense.config import LaserConfig, preset
+from sixthsense.config import LaserConfig
 from sixthsense.core.source import Command
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
@@ -120,10 +120,11 @@ def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path:
         (flaser(ranges="1 2 nan 4"), "found range 'nan'"),
         (flaser(ranges="1 2 x 4"), "found 'x', allowed: a number"),
         ("FLASER\n", "cut short"),
-        ("FLASER four 1 2 3 4\n", "found 'four' ranges in FLASER, allowed: 4"),
+        ("FLASER four 1 2 3 4\n", "found 'four' ranges in FLASER, allowed: a whole number from 2 on"),
         ("FLASER -4 1 2 3 4\n", "found '-4' ranges"),
         ("FLASER 999999999999 1 2 3 4\n", "cut short"),
-        (f"FLASER {'9' * 5000} 1 2 3 4\n", "ranges in FLASER, allowed: 4"),
+        (f"FLASER {'9' * 5000} 1 2 3 4\n", "ranges in FLASER, allowed: a whole number"),
+        ("FLASER 1 3.0 0 0 0 0 0 0 1.0 host 0.5\n", "found '1' ranges in FLASER, allowed: a whole number from 2"),
         ("FLAS\n", "found 'FLAS', a CARMEN line cut short"),
         ("976052905.1 976052911.8 0 0 0 0 0 0\n", "found '976052905.1', allowed: a CARMEN message"),
     ],
@@ -135,22 +136,28 @@ def test_a_bad_line_is_named_with_what_was_found(tmp_path: Path, line: str, said
     assert len(message) < 300 + len(str(tmp_path))
 
 
-def test_a_log_of_another_laser_names_the_option_to_change(tmp_path: Path) -> None:
+def test_a_number_of_beams_that_is_set_and_not_in_the_log_is_named(tmp_path: Path) -> None:
     message = error_of(written(tmp_path, HEADER + flaser(ranges="1 2 3 4 5")))
-    assert "line 3: found FLASER with 5 ranges, allowed: 4" in message
-    assert "--laser.beams 5" in message
-
-
-def test_a_single_deviating_scan_gives_no_hint_to_change_the_laser(tmp_path: Path) -> None:
-    message = error_of(written(tmp_path, flaser() + flaser(ranges="1 2 3 4 5")))
-    assert "line 2: found FLASER with 5 ranges, allowed: 4" in message
-    assert "--laser.beams" not in message
+    assert "found scans of 5 beams, allowed: 4 (laser.beams)" in message
 
 
 @pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
-def test_a_truncated_last_line_is_named(tmp_path: Path, line: str) -> None:
+def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: str) -> None:
     for length in range(1, line.rindex(" ") + 1):
-        assert "line 2: " in error_of(written(tmp_path, flaser() + line[:length]))
+        log = read_carmen(written(tmp_path, flaser() + line[:length]), LASER)
+        assert len(log.ticks) == 1
+        assert log.remarks()[0].startswith("the last line is damaged and left out (line 2: found ")
+        assert "\n" not in log.remarks()[0]
+
+
+@pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
+def test_the_same_damage_before_the_last_line_is_an_error(tmp_path: Path, line: str) -> None:
+    for length in range(1, line.rindex(" ") + 1):
+        assert "line 2: " in error_of(written(tmp_path, flaser() + line[:length] + "\n" + odom(13)))
+
+
+def test_a_log_whose_only_scan_is_damaged_is_an_error(tmp_path: Path) -> None:
+    assert "line 2: found FLASER" in error_of(written(tmp_path, odom() + flaser()[:20]))
 
 
 def test_a_last_line_needs_no_line_end(tmp_path: Path) -> None:
@@ -158,7 +165,9 @@ def test_a_last_line_needs_no_line_end(tmp_path: Path) -> None:
 
 
 def test_a_log_without_scans_lists_the_messages_it_has(tmp_path: Path) -> None:
-    assert "found no FLASER line (2 ODOM, 1 PARAM)" in error_of(written(tmp_path, HEADER + odom() + odom(2)))
+    assert "found no FLASER or ROBOTLASER1 line (2 ODOM, 1 PARAM)" in error_of(
+        written(tmp_path, HEADER + odom() + odom(2))
+    )
     assert "no line at all" in error_of(written(tmp_path, ""))
 
 
@@ -222,7 +231,7 @@ def test_bad_relations_are_named(tmp_path: Path, text: str, said: str) -> None:
 
 
 def test_the_intel_log_is_read_completely_and_in_its_order(data_dir: Path) -> None:
-    log = open_log(data_dir / "intel" / "intel.clf.bz2", preset("intel").laser)
+    log = open_log(data_dir / "intel" / "intel.clf.bz2")
     assert len(log.scans) == 13_631
     assert len(log.ticks) == 13_631 + 26_915
     assert log.backward_stamps == 631

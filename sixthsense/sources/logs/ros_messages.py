@@ -13,12 +13,13 @@ from sixthsense.core.laser import Scan
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+FARTHEST_M = 1000.0
+"""greatest maximum range of a laser"""
 NOT_MEASURED = 1e6
 """Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
 
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
-_FARTHEST_M = 1000.0
 _LARGEST_M = 1e10  # distance from a frame's origin; squares and products of larger numbers may overflow
 _MOST_BEAMS = 100_000
 _LONGEST_SWEEP_S = 1.0
@@ -77,9 +78,9 @@ def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
 def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range: float | None = None) -> Scan:
     """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
 
-    `max_range` replaces `range_max`, which a message has in float32 only. The beams of a clockwise scan are reversed.
-    A last beam that repeats the first of a full circle is removed. A negative `time_increment`, or one that gives a
-    sweep longer than a second, counts as zero, since many drivers leave it unset.
+    `max_range` replaces `range_max`, which a message has in float32 only, and may have too large. The beams of a
+    clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
+    `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
     first, step = float(message.angle_min), float(message.angle_increment)
     ranges = np.asarray(message.ranges, dtype=np.float32)
@@ -95,6 +96,8 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
         count = max(2, round(2.0 * math.pi / abs(step)))
         ranges = ranges[:count]
         count = len(ranges)
+    if max_range is not None:
+        high = min(high, np.float32(max_range))
     with np.errstate(invalid="ignore"):
         ranges = np.where((ranges >= low) & (ranges <= high), ranges, np.float32(np.inf))
     lag = float(message.time_increment)
@@ -105,7 +108,7 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
     if step < 0.0:
         first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
     ranges.flags.writeable = False
-    reach = min(float(high), _FARTHEST_M) if max_range is None else max_range
+    reach = min(float(high), FARTHEST_M) if max_range is None else max_range
     return Scan(ranges, np.float32(first), np.float32(step), reach, T_robot_laser, np.float32(lag))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -20,8 +21,10 @@ from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.decompress import bounded, check_regular
 from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.laser_geometry import max_range_of
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, mount, planar, scan, stamp_ns, transform
+from sixthsense.sources.logs.ros_frames import Frames, frame_name
+from sixthsense.sources.logs.ros_messages import FARTHEST_M, LASER_SCAN, ODOMETRY, planar, scan, stamp_ns, transform
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -33,8 +36,6 @@ LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
 class BagLog(Log):
     """A `Source` that replays a bag."""
 
-    laser: LaserConfig
-    """The laser as the bag describes it."""
     plans: tuple[Array, ...] = ()
     """Planned paths, (N, 2) each; only in the bag of a run."""
     plan_stamps_ns: tuple[int, ...] = ()
@@ -43,10 +44,6 @@ class BagLog(Log):
     """Record time, pose and its covariance (3, 3) at each key scan; only in the bag of a run."""
     cut_short: bool = False
     """Whether the bag is incomplete because its writer was stopped."""
-
-    def __init__(self, ticks: Sequence[Tick], laser: LaserConfig) -> None:
-        super().__init__(ticks)
-        self.laser = laser
 
 
 @dataclass(slots=True)
@@ -59,19 +56,20 @@ class _Recording:
     """stamp of the header, ns; message"""
     order: list[tuple[bool, int]] = field(default_factory=list)
     """whether the record is a scan, and its index"""
-    transforms: dict[str, tuple[str, Array]] = field(default_factory=dict)
-    """by frame: its parent, and (4, 4) T_parent_frame"""
-    robot_frame: str = ""
-    laser_frame: str = ""
+    frames: Frames = field(default_factory=Frames)
+    other_frames: Counter[str] = field(default_factory=Counter)
+    """number of scans of frames other than that of the first scan"""
+    remarks: list[str] = field(default_factory=list)
 
 
-def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -> BagLog:
+def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = (), is_mount_given: bool = False) -> BagLog:
     """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
     Scans and odometry are the topics of type LaserScan and Odometry; `topics` selects among several. Beams and ranges
-    come from the messages. The mount is `laser.mount` if it is not zero, else that of /tf_static. Messages are sorted
-    by the stamps of their headers if the stamps of each topic ascend, else they keep the order of the file. The stamp
-    of a tick is at least 1 ns after the previous one. The odometry of a scan is interpolated at its stamp. The stamp of
+    come from the messages. The mount is `laser.mount` if it is not zero or `is_mount_given`, else that of /tf_static.
+    Scans of another frame than the first are left out. Messages are sorted by the stamps of their
+    headers if the stamps of each topic ascend, else they keep the order of the file. The stamp of a tick is at least
+    1 ns after the previous one. The odometry of a scan is interpolated at its stamp. The stamp of
     a sweep is that of its first beam in the message and of its last beam in the tick.
     Raises LogError for a bag that cannot be read, is damaged or truncated, or lacks a topic of either type.
     """
@@ -80,23 +78,31 @@ def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = ()) -
     with _as_log_error(path):
         check_regular(path)
         _check_first_line(path)
-        return _read_log(path, laser, topics)
+        return _read_log(path, laser, topics, is_mount_given)
 
 
-def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str]) -> BagLog:
+def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str], is_mount_given: bool) -> BagLog:
     recording = _read(path, topics)
     if not recording.scans or not recording.odometry:
         missing = "LaserScan" if not recording.scans else "Odometry"
         raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
-    place, upside_down = _mount(path, recording, laser)
+    place, upside_down = _mount(path, recording, laser, is_mount_given)
+    max_range = _max_range(recording)
     scans = []
     for number, (_, message) in enumerate(recording.scans, start=1):
         try:
-            scans.append(scan(message, place, upside_down))
+            scans.append(scan(message, place, upside_down, max_range))
         except ValueError as error:
             raise LogError(f"{path} scan {number}: {error}") from None
+    if not any((s.ranges <= np.float32(s.max_range)).any() for s in scans):
+        raise LogError(f"{path}: found no return in {len(scans)} scans, allowed: ranges from range_min to range_max")
+    for frame, count in recording.other_frames.items():
+        recording.remarks.append(
+            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.frames.laser)} "
+            "are of another laser"
+        )
     ticks = _ticks(path, recording, scans)
-    return BagLog(ticks, _describe(scans[0], laser))
+    return BagLog(ticks, _describe(scans[0], laser), recording.remarks)
 
 
 @contextmanager
@@ -135,8 +141,8 @@ def _read(path: Path, topics: Sequence[str]) -> _Recording:
             if connection.msgtype in ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"):
                 message: Any = reader.deserialize(raw, connection.msgtype)
                 for link in message.transforms:
-                    parent, child = _frame(link.header.frame_id), _frame(link.child_frame_id)
-                    recording.transforms[child] = (parent, transform(link.transform))
+                    parent, child = frame_name(link.header.frame_id), frame_name(link.child_frame_id)
+                    recording.frames.transforms[child] = (parent, transform(link.transform))
             elif connection.topic == chosen.get(connection.msgtype):
                 message = reader.deserialize(raw, connection.msgtype)
                 _add_message(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
@@ -179,10 +185,14 @@ def _add_message(path: Path, recording: _Recording, message: Any, record_ns: int
     if not 0 <= own <= LARGEST_STAMP_NS:
         raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
     if is_scan:
-        recording.laser_frame = recording.laser_frame or _frame(message.header.frame_id)
+        frame = frame_name(message.header.frame_id)
+        recording.frames.laser = recording.frames.laser or frame
+        if frame != recording.frames.laser:
+            recording.other_frames[frame] += 1
+            return
         recording.scans.append((own, message))
     else:
-        recording.robot_frame = recording.robot_frame or _frame(message.child_frame_id)
+        recording.frames.robot = recording.frames.robot or frame_name(message.child_frame_id)
         try:
             pose = planar(message.pose.pose.position, message.pose.pose.orientation)
         except ValueError as error:
@@ -191,32 +201,32 @@ def _add_message(path: Path, recording: _Recording, message: Any, record_ns: int
     recording.order.append((is_scan, number))
 
 
-def _frame(name: str) -> str:
-    return str(name).lstrip("/")
-
-
-def _mount(path: Path, recording: _Recording, laser: LaserConfig) -> tuple[Pose, bool]:
+def _mount(path: Path, recording: _Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:
     """The mount of the laser on the robot, and whether the laser is upside down."""
-    robot, T_root_robot = _root(path, recording, recording.robot_frame)
-    root, T_root_laser = _root(path, recording, recording.laser_frame)
-    upside_down, place = False, Pose()
-    if robot == root:
-        try:
-            place, upside_down = mount(np.linalg.inv(T_root_robot) @ T_root_laser)
-        except ValueError as error:
-            raise LogError(f"{path} /tf_static: {error}") from None
-    return (Pose(*laser.mount) if any(laser.mount) else place), upside_down
+    frames = recording.frames
+    try:
+        found = frames.mount()
+    except ValueError as error:
+        raise LogError(f"{path} /tf_static: {error}") from None
+    place, upside_down = found or (Pose(), False)
+    if is_given or any(laser.mount):
+        return Pose(*laser.mount), upside_down
+    if found is None:
+        recording.remarks.append(
+            f"assumed: the laser at the robot's centre, since no /tf_static leads from {shown_name(frames.robot)} to "
+            f"{shown_name(frames.laser)} (otherwise set laser.mount)"
+        )
+    return place, upside_down
 
 
-def _root(path: Path, recording: _Recording, frame: str) -> tuple[str, Array]:
-    """The root of a frame's chain of static transforms, and (4, 4) T_root_frame."""
-    T_root_frame = np.eye(4)
-    for _ in range(len(recording.transforms) + 1):
-        if frame not in recording.transforms:
-            return frame, T_root_frame
-        frame, link = recording.transforms[frame]
-        T_root_frame = link @ T_root_frame
-    raise LogError(f"{path} /tf_static: found frames in a circle at {frame!r}, allowed: a tree")
+def _max_range(recording: _Recording) -> float | None:
+    """Metres, by the ranges themselves where the first message has no plausible `range_max`; None where it has one."""
+    if not float(recording.scans[0][1].range_max) > FARTHEST_M:
+        return None
+    ranges = [np.asarray(message.ranges, dtype=np.float32) for _, message in recording.scans]
+    found = max_range_of(ranges)
+    recording.remarks.append(f"assumed: a laser of {found:.2f} m, since range_max is not the range of a laser")
+    return found
 
 
 def _describe(first: Scan, laser: LaserConfig) -> LaserConfig:
