@@ -234,11 +234,16 @@ def test_of_two_kinds_of_scans_the_more_frequent_is_used(
 
 def test_scans_of_another_geometry_are_left_out_and_counted(tmp_path: Path) -> None:
     lines = [flaser([1, 2, 3, 4], k, p) for k, p in enumerate(path_of(9))]
-    lines[4] = flaser([1, 2, 3], 4, path_of(5)[4])
+    lines[4], lines[6] = flaser([1, 2, 3], 4, path_of(5)[4]), flaser([], 6, path_of(7)[6])
     log = read(tmp_path, "".join(lines))
-    assert len(log.ticks) == 9 and len(log.scans) == 8
+    assert len(log.ticks) == 9 and len(log.scans) == 7
     assert log.ticks[4].scan is None and log.ticks[4].odometry.x == pytest.approx(0.2)
-    assert "1 scans of another geometry (3 beams) are left out" in log.remarks()
+    assert "2 scans of another geometry (0, 3 beams) are left out" in log.remarks()
+
+
+def test_a_log_of_a_single_beam_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="found scans of 1 beams, allowed: 2 to 100000"):
+        read(tmp_path, flaser([1.0]) + flaser([1.0], 2))
 
 
 def test_a_log_without_any_return_is_refused(tmp_path: Path) -> None:

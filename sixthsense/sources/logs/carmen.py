@@ -28,6 +28,8 @@ from sixthsense.sources.logs.laser_geometry import (
 )
 from sixthsense.sources.logs.log import Log
 
+_MOST_BEAMS = 100_000
+
 
 def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Collection[str] = ()) -> Log:
     """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
@@ -81,10 +83,12 @@ def _kind_of_scans(path: Path, content: CarmenLines, remarks: list[str]) -> byte
 def _geometry(path: Path, readings: Sequence[Reading], count: int | None, remarks: list[str]) -> Geometry:
     """The geometry of most scans, or of those with a stated number of beams; the other scans are left out."""
     found = Counter(reading.geometry for reading in readings if reading.geometry is not None)
-    fitting = {geometry: scans for geometry, scans in found.items() if count is None or geometry.beams == count}
+    wanted = range(2, _MOST_BEAMS + 1) if count is None else (count,)
+    fitting = {geometry: scans for geometry, scans in found.items() if geometry.beams in wanted}
     if not fitting:
         counts = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found}))
-        raise LogError(f"{path}: found scans of {counts} beams, allowed: {count} (laser.beams)")
+        allowed = f"2 to {_MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
+        raise LogError(f"{path}: found scans of {counts} beams, allowed: {allowed}")
     chosen = max(fitting, key=lambda geometry: fitting[geometry])
     others = found.total() - found[chosen]
     if others:

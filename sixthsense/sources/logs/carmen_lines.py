@@ -153,9 +153,8 @@ def _count(record: Record, place: int, what: str = "ranges") -> int:
     if len(record.fields) <= place:
         record.fail(f"found {kind} without {what}, a CARMEN line cut short")
     field_ = record.fields[place]
-    least = 2 if what == "ranges" else 0
-    if not field_.isdigit() or len(field_) > 12 or int(field_) < least:
-        record.fail(f"found {shown(field_)} {what} in {kind}, allowed: a whole number from {least} on")
+    if not field_.isdigit() or len(field_) > 12:
+        record.fail(f"found {shown(field_)} {what} in {kind}, allowed: a whole number")
     return int(field_)
 
 
