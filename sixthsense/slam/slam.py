@@ -226,6 +226,7 @@ class Slam:
         if self._result is None:
             self.estimator.predict(self._key_scans.take())
             estimate = self.estimate()
+            self._mapper.complete()
             self._result = SlamResult(
                 estimate,
                 self.estimator.joint_covariance(estimate.ids.tolist()),

@@ -94,7 +94,8 @@ class Grid:
         within `margin_m` of the points, so that a robot that near an obstacle can leave it, and a goal there can be
         reached. Raises ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
         """
-        space = FreeSpace(self._cells.cover > 0, self._cells.seen, self.origin, self._config.cell_m)
+        cells = self._counted()
+        space = FreeSpace(cells.cover > 0, cells.seen, self.origin, self._config.cell_m)
         if margin_m == 0.0:
             return space.covering(*points_world)
         if not margin_m < math.inf:
@@ -104,7 +105,7 @@ class Grid:
         check_inflation(inflation)
         stencil = disc(inflation)
         rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
-        blocked, seen = np.pad(self._cells.obstacles, rim), np.pad(self._cells.seen, rim)
+        blocked, seen = np.pad(cells.obstacles, rim), np.pad(cells.seen, rim)
         width = blocked.shape[1]
         stamp_discs(np.flatnonzero(blocked), stencil[:, 0] * width + stencil[:, 1], blocked)
         origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
@@ -120,31 +121,37 @@ class Grid:
     @property
     def hits(self) -> Ints:
         """(H, W) scans that ended, or had a wall fitted, in the cell."""
-        return self._cells.hits.copy()
+        return self._counted().hits.copy()
 
     @property
     def passes(self) -> Ints:
         """(H, W) scans that crossed the cell and did not hit it."""
-        return self._cells.passes.copy()
+        return self._counted().passes.copy()
 
     @property
     def seen(self) -> Bools:
         """(H, W) whether a beam has ever crossed the cell or ended in it: the sense grid, report section 4.5."""
-        return self._cells.seen.copy()
+        return self._counted().seen.copy()
 
     @property
     def obstacles(self) -> Bools:
         """(H, W) cells whose evidence says occupied; not inflated."""
-        return self._cells.obstacles.copy()
+        return self._counted().obstacles.copy()
 
     @property
     def origin(self) -> tuple[float, float]:
         """World x, y of the lower left corner of cell (0, 0), metres; it moves when the grid grows."""
+        self._counted()
         return self._first[1] * self._config.cell_m, self._first[0] * self._config.cell_m
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        return np.where(self._cells.obstacles, 100, np.where(self._cells.seen, 0, -1)).astype(np.int8)
+        cells = self._counted()
+        return np.where(cells.obstacles, 100, np.where(cells.seen, 0, -1)).astype(np.int8)
+
+    def _counted(self) -> Cells:
+        """The cells for a reader; a subclass may count what is due before."""
+        return self._cells
 
     def _grow(self, cells: Array) -> None:
         """Make room for (N, 2) cells (row, col from the world's origin), their inflation and a rim of free cells."""

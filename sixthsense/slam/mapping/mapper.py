@@ -1,51 +1,99 @@
-"""The grid with the key scans behind it: it is rebuilt when a smoother has moved their poses."""
+"""The map of the key scans at their present poses, drawn when someone reads it."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.slam.mapping.evidence import Cells
 from sixthsense.slam.mapping.grid import Grid
 
 
+class DrawnGrid(Grid):
+    """A grid that is brought up to date when it is read."""
+
+    def __init__(self, config: GridConfig, radius_m: float, draw: Callable[[], None]) -> None:
+        """Make an empty grid; `draw` adds to it what is due."""
+        super().__init__(config, radius_m)
+        self._draw: Callable[[], None] | None = draw
+
+    def _counted(self) -> Cells:
+        if self._draw is not None:
+            self._draw()
+        return self._cells
+
+    def complete(self) -> None:
+        """Draw what is due for the last time."""
+        self._counted()
+        self._draw = None
+
+
 class Mapper:
-    """Adds key scans to a grid, keeps them, and rebuilds the grid when one of them has moved by half a cell."""
+    """Keeps key scans, and draws them into a grid when it is read; again when one of them has moved by half a cell.
+
+    A key scan that nobody looks at costs nothing. Where the grid was read since the last key scan, as a navigator
+    reads it, the next one is drawn at once.
+    """
 
     def __init__(self, config: GridConfig, radius_m: float) -> None:
         """Begin with an empty grid for a robot that is a disc of `radius_m`."""
-        self.grid = Grid(config, radius_m)
+        self.grid = DrawnGrid(config, radius_m, self._read)
         self.rebuilds = 0
-        """number of times the grid was rebuilt"""
+        """number of times the grid was drawn again"""
         self._tolerance_m = 0.5 * config.cell_m
+        self._is_read = False
         self._scans: list[tuple[Scan, Array]] = []
-        self._mean_ranges = np.zeros(0)
-        """(K,) mean range of each scan, m: the lever of its heading"""
-        self._added_at = np.zeros((0, 3))
-        """(K, 3) pose at which each scan was added to the grid"""
+        self._mean_ranges: list[float] = []
+        """mean range of each scan, m: the lever of its heading"""
+        self._trajectory = np.zeros((0, 3))
+        """(K, 3) present pose of each scan"""
+        self._drawn_at = np.zeros((0, 3))
+        """(D, 3) pose at which each scan that is in the grid was drawn"""
 
     def add(self, trajectory: Array, scan: Scan, walls_robot: Array) -> None:
-        """Add the newest key scan, with the walls (W, 2, 2) fitted to it, at the last row of `trajectory` (K, 3).
+        """Take the newest key scan, with the walls (W, 2, 2) fitted to it, at the last row of `trajectory` (K, 3).
 
         The rows before are the present estimates of the earlier key scans' poses.
         """
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]
-        self._mean_ranges = np.append(self._mean_ranges, returned.mean() if len(returned) else 0.0)
-        if self._has_moved(trajectory[:-1]):
+        self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
+        self._trajectory = trajectory.copy()
+        if self._is_read:
+            self._is_read = False
+            self._draw()
+
+    def complete(self) -> None:
+        """Draw what is due for the last time, and let the scans go."""
+        self.grid.complete()
+        self._scans, self._mean_ranges = [], []
+
+    def _read(self) -> None:
+        self._is_read = True
+        self._draw()
+
+    def _draw(self) -> None:
+        """Draw the scans that are due, or all if one that is drawn has moved."""
+        drawn = len(self._drawn_at)
+        if drawn == len(self._trajectory):
+            return
+        if self._has_moved(drawn):
             self.grid.clear()
             self.rebuilds += 1
-            for (old, walls), row in zip(self._scans, trajectory, strict=True):
-                self.grid.add(Pose.from_array(row), old, walls)
-            self._added_at = trajectory.copy()
-        else:
-            self.grid.add(Pose.from_array(trajectory[-1]), scan, walls_robot)
-            self._added_at = np.vstack([self._added_at, trajectory[-1:]])
+            drawn = 0
+        for (scan, walls), row in zip(self._scans[drawn:], self._trajectory[drawn:], strict=True):
+            self.grid.add(Pose.from_array(row), scan, walls)
+        self._drawn_at = np.vstack([self._drawn_at[:drawn], self._trajectory[drawn:]])
 
-    def _has_moved(self, trajectory: Array) -> bool:
-        if len(trajectory) == 0:
+    def _has_moved(self, count: int) -> bool:
+        """Whether one of the first `count` scans, which are drawn, has moved by half a cell."""
+        if count == 0:
             return False
-        shift = trajectory - self._added_at
-        displacement = np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * self._mean_ranges[:-1]
+        shift = self._trajectory[:count] - self._drawn_at
+        lever_m = np.array(self._mean_ranges[:count])
+        displacement = np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m
         return bool(displacement.max() > self._tolerance_m)

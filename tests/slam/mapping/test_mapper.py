@@ -37,6 +37,7 @@ def test_without_movement_the_grid_is_not_rebuilt() -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1), scan, NO_WALLS)
+        assert mapper.grid.seen.any()
     assert mapper.rebuilds == 0
     assert np.array_equal(mapper.grid.occupancy(), by_hand(poses(6), scans).occupancy())
 
@@ -48,14 +49,43 @@ def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: 
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
         mapper.add(poses(k + 1), scans[k], NO_WALLS)
+        assert mapper.grid.seen.any()
     moved = poses(6)
     moved[2] += shift  # a heading's error moves what was seen, by its lever
     mapper.add(moved, scans[5], NO_WALLS)
-    assert mapper.rebuilds == rebuilt
     expected = by_hand(moved if rebuilt else poses(6), scans)
     assert np.array_equal(mapper.grid.occupancy(), expected.occupancy())
+    assert mapper.rebuilds == rebuilt
     mapper.add(np.vstack([moved, poses(7)[-1:]]), look(Pose.from_array(poses(7)[-1])), NO_WALLS)
+    assert mapper.grid.seen.any()
     assert mapper.rebuilds == rebuilt  # once is enough
+
+
+def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans, drawn, add = [look(Pose.from_array(row)) for row in poses(6)], [], Grid.add
+    monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
+    mapper = Mapper(GridConfig(), 0.2)
+    for k, scan in enumerate(scans):
+        mapper.add(poses(k + 1) + 0.1 * k, scan, NO_WALLS)
+    assert drawn == [] and mapper.rebuilds == 0
+    mapper.complete()
+    assert len(drawn) == 6 and mapper.rebuilds == 0
+    last = poses(6) + 0.5
+    assert np.array_equal(mapper.grid.occupancy(), by_hand(last, scans).occupancy())
+    assert mapper.grid.origin == by_hand(last, scans).origin
+
+
+@pytest.mark.parametrize("read_at", [(), (0,), (2, 3), (0, 1, 2, 3, 4, 5)])
+def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: tuple[int, ...]) -> None:
+    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    for k, scan in enumerate(scans):
+        mapper.add(poses(k + 1), scan, NO_WALLS)
+        if k in read_at:
+            assert mapper.grid.hits.sum() == by_hand(poses(k + 1), scans[: k + 1]).hits.sum()
+    expected = by_hand(poses(6), scans)
+    for name in ("hits", "passes", "seen", "obstacles", "origin"):
+        assert np.array_equal(getattr(mapper.grid, name), getattr(expected, name))
+    assert np.array_equal(mapper.grid.free_space().blocked, expected.free_space().blocked)
 
 
 def test_a_scan_without_a_return_causes_no_error() -> None:
