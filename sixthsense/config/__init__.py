@@ -27,6 +27,7 @@ from sixthsense.config.platform import (
 )
 from sixthsense.config.presets import PRESETS, preset
 from sixthsense.config.safety import SafetyConfig
+from sixthsense.config.scans import ScansConfig
 from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
 from sixthsense.config.tree import Config
 from sixthsense.config.values import Distribution
@@ -55,6 +56,7 @@ __all__ = [
     "Range",
     "RobotConfig",
     "SafetyConfig",
+    "ScansConfig",
     "Section",
     "SplitConfig",
     "WallsConfig",

@@ -37,3 +37,8 @@ class Names:
 
 ESTIMATORS = Names("ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 PLANNERS = Names("astar", "rrtstar")
+
+FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
+"""shipped estimators that do not keep the poses of all key scans"""
+KEEP_POSES = "allowed: with isam2, which keeps the poses of all key scans"
+"""of messages about the front end of scans"""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from sixthsense.config.explore import ExploreConfig
-from sixthsense.config.names import ESTIMATORS, PLANNERS
+from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
@@ -18,6 +18,7 @@ from sixthsense.config.pipeline import (
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
 from sixthsense.config.safety import SafetyConfig
+from sixthsense.config.scans import ScansConfig
 from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.config.values import Count
 
@@ -33,6 +34,9 @@ class Config(Section):
     estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
     """Back end: ekf-invariant, ekf-fej or ekf-oc, filters that stay consistent when the robot turns; ekf, the report's
     filter; isam2, a smoother."""
+    front_end: Literal["landmarks", "scans"] = "landmarks"
+    """What the estimator is given: landmarks, sightings of walls and points; scans, relative poses by aligning scans,
+    for estimators that keep their poses."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
@@ -55,6 +59,7 @@ class Config(Section):
     keyscans: KeyScanConfig = field(default_factory=KeyScanConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     association: AssociationConfig = field(default_factory=AssociationConfig)
+    scans: ScansConfig = field(default_factory=ScansConfig)
     isam2: ISAM2Config = field(default_factory=ISAM2Config)
     grid: GridConfig = field(default_factory=GridConfig)
     rrtstar: RRTStarConfig = field(default_factory=RRTStarConfig)
@@ -64,6 +69,8 @@ class Config(Section):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.front_end == "scans" and self.estimator in FILTERS:
+            raise ConfigError(f"front_end: found scans with estimator {self.estimator}, {KEEP_POSES}")
         between = self.laser.period_ticks * self.robot.control_period_s
         if self.laser.sweep_s > between * (1.0 + 1e-9):
             raise ConfigError(

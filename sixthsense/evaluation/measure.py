@@ -13,7 +13,7 @@ from sixthsense.evaluation.coverage import coverage, visible_area
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
-from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.stopwatch import SCAN_STAGES, STAGES
 from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:
@@ -169,5 +169,7 @@ def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:
     rows = trace.stopwatch.rows
     if rows:
         out |= metrics.scan_times(trace.stopwatch.key_scan_ms())
-        out |= {f"stage_ms_mean.{stage}": trace.stopwatch.totals[stage] / len(rows) for stage in STAGES}
+        totals = trace.stopwatch.totals
+        used = [stage for stage in STAGES if stage not in SCAN_STAGES or totals[stage] > 0.0]
+        out |= {f"stage_ms_mean.{stage}": totals[stage] / len(rows) for stage in used}
     return out

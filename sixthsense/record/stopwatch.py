@@ -11,7 +11,9 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 
-STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan")
+SCAN_STAGES = ("track", "link", "revisit")
+"""stages of the front end of scans alone"""
+STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan", *SCAN_STAGES)
 
 
 class Stopwatch:

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from sixthsense.config import AssumedConfig, Config
+from sixthsense.config import AssumedConfig, Config, ConfigError
+from sixthsense.config.names import KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
@@ -21,38 +22,15 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
-from sixthsense.slam.association.associator import Association, Associator, Record
-from sixthsense.slam.estimators import Estimate, make_estimator
-from sixthsense.slam.features import Features, extract
+from sixthsense.slam.association.associator import Associator, Record
+from sixthsense.slam.estimators import Estimate, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.key_scans import KeyScans
+from sixthsense.slam.front_end import FrontEnd, KeyScan, Timed
+from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 
-Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
-"""From the name of a stage and its function to the function that runs in its place."""
-
-_NO_WALLS = np.zeros((0, 2, 2))
-_NO_WALLS.flags.writeable = False
-
-
-@dataclass(frozen=True, slots=True)
-class KeyScan:
-    """What one key scan contributed."""
-
-    motion: Odometry
-    """since the key scan before"""
-    estimate: Estimate
-    """after the update"""
-    association: Association
-    """which sighting is of which landmark"""
-    features: Features | None
-    """robot's frame; None where the log itself gives the sightings"""
-
-    @property
-    def walls_robot(self) -> Array:
-        """(W, 2, 2) wall segments, metres."""
-        return _NO_WALLS if self.features is None else self.features.walls
+__all__ = ["KeyScan", "Slam", "SlamResult", "Step", "Timed", "untimed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,22 +73,13 @@ class SlamResult:
     """walls merged into older duplicates"""
     rebuilds: int
     """times the grid was drawn again because key poses had moved"""
+    since_key: Array | None = None
+    """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
 
 
 def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
     """The function as it is, not timed."""
     return function
-
-
-class _Stages(NamedTuple):
-    """The stages of a tick, in order; all but the first on key scans only."""
-
-    fold_odometry: Callable[[Tick], tuple[Odometry | None, Scan | None]]
-    predict: Callable[[Odometry], None]
-    extract: Callable[[Scan], Features]
-    associate: Callable[[Features | None, Tick], Association]
-    update: Callable[[Association], Estimate]
-    map: Callable[[Scan, Features], None]
 
 
 class Slam:
@@ -140,26 +109,19 @@ class Slam:
         the function that runs in its place, to measure stage times.
         """
         self.config = config or Config()
-        self._pose = start or Pose()
+        self._start = start or Pose()
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
-        self.estimator = make_estimator(self.config.estimator, self._pose, cov, self.config.isam2)
+        self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
         self.associator = Associator(self.config.association)
         self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
-        self._key_scans = KeyScans(self.config.keyscans)
         self._deskew = Deskewer(self.config.features.deskew)
-        self._ransac_rng = random_streams(self.config.seed).ransac
+        self._front_end = self._make_front_end(timed)
         self._odometry: Pose | None = None
         self._stamp_ns = 0
         self._T_world_odom = Pose()
         self._result: SlamResult | None = None
-        self._stages = _Stages(
-            fold_odometry=timed("predict", self._fold_odometry),
-            predict=timed("predict", self.estimator.predict),
-            extract=timed("extract", self._extract),
-            associate=timed("associate", self._associate),
-            update=timed("update", self._update),
-            map=timed("grid", self._map),
-        )
+        self._fold = timed("predict", self._fold_odometry)
+        self._map = timed("grid", self._mapped)
         self._blas = threadpool_limits(limits=1, user_api="blas")
 
     def __enter__(self) -> Slam:
@@ -174,17 +136,11 @@ class Slam:
 
     def take(self, tick: Tick) -> Step:
         """Process a tick: its odometry always, its sightings, and its scan if it is a key scan."""
-        increment, scan = self._stages.fold_odometry(tick)
-        if not self._key_scans.due(tick):
-            return self._step(tick, increment, scan, None)
-        motion = self._key_scans.take()
-        self._stages.predict(motion)
-        features = None if scan is None else self._stages.extract(scan)
-        association = self._stages.associate(features, tick)
-        estimate = self._stages.update(association)
-        if scan is not None and features is not None:
-            self._stages.map(scan, features)
-        return self._step(tick, increment, scan, KeyScan(motion, estimate, association, features))
+        increment, scan = self._fold(tick)
+        key_scan = self._front_end.take(tick, scan, increment)
+        if scan is not None and key_scan is not None:
+            self._map(scan, key_scan)
+        return self._step(tick, increment, scan, key_scan)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -206,7 +162,7 @@ class Slam:
     @property
     def pose(self) -> Pose:
         """`T_world_robot` now: the last estimate, and the odometry since."""
-        return self._pose
+        return self._front_end.pose
 
     @property
     def grid(self) -> Grid:
@@ -224,7 +180,7 @@ class Slam:
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
-            self.estimator.predict(self._key_scans.take())
+            since_key = self._front_end.finish()
             estimate = self.estimate()
             self._mapper.complete()
             self._result = SlamResult(
@@ -235,6 +191,7 @@ class Slam:
                 self.associator.culled,
                 self.associator.walls_merged,
                 self._mapper.rebuilds,
+                since_key,
             )
         return self._result
 
@@ -249,37 +206,31 @@ class Slam:
             raise RuntimeError("found a tick after finish, allowed: a new Slam")
         increment: Odometry | None = None
         if self._odometry is None:
-            self._T_world_odom = self._pose @ tick.odometry.inverse()
+            self._T_world_odom = self._start @ tick.odometry.inverse()
         else:
             increment = _increment(self._odometry, tick, self.config.assumed)
-            self._key_scans.moved(increment)
-            self._pose = self._pose @ increment.motion
         self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
 
-    def _extract(self, scan: Scan) -> Features:
-        return extract(scan, self.config.assumed, self.config.features, self._ransac_rng)
+    def _make_front_end(self, timed: Timed) -> FrontEnd:
+        """The configured front end; ConfigError for one that the estimator cannot use."""
+        if self.config.front_end == "landmarks":
+            rng = random_streams(self.config.seed).ransac
+            return LandmarkFrontEnd(self.config, self.estimator, self.associator, rng, self._start, timed)
+        if not keeps_poses(self.estimator):
+            raise ConfigError(f"front_end: found scans with {self.config.estimator}, {KEEP_POSES}")
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
 
-    def _associate(self, features: Features | None, tick: Tick) -> Association:
-        if features is None:
-            return self.associator.known(tick.sightings or {}, self.estimator)
-        return self.associator.associate(features.sightings, self.estimator)
+        return ScanFrontEnd(self.config, self.estimator, self._start, timed)
 
-    def _update(self, association: Association) -> Estimate:
-        self.estimator.update(association.sightings)
-        self.estimator.forget([*self.associator.cull(), *self.associator.merged(self.estimator)])
-        estimate = self.estimate()
-        self._pose = estimate.pose
-        return estimate
-
-    def _map(self, scan: Scan, features: Features) -> None:
-        self._mapper.add(self.trajectory(), scan, features.walls)
+    def _mapped(self, scan: Scan, key_scan: KeyScan) -> None:
+        self._mapper.add(self.trajectory(), scan, key_scan.walls_robot)
 
     def _step(self, tick: Tick, increment: Odometry | None, scan: Scan | None, key_scan: KeyScan | None) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry
-        since = self._key_scans.since.motion
-        return Step(tick.stamp_ns, self._pose, dead_reckoned, increment, since, scan, key_scan, self.grid)
+        since = self._front_end.since_key_scan
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, key_scan, self.grid)
 
 
 def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:

@@ -28,7 +28,9 @@ _THIN, _THICK = 1.0, 2.0  # of lines, pixels
 _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
 _FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
-_STAGE_COLORS = ("#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN)
+_STAGE_COLORS = (
+    "#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN, WALL_FOUND, LANDMARK, SIGHTING
+)  # fmt: skip
 
 
 class Drawing:

@@ -1,0 +1,67 @@
+"""The interface of front ends: what makes measurements for the estimator of a tick's odometry and scan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
+from sixthsense.slam.association.associator import Association
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.features import Features
+
+Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
+"""From the name of a stage and its function to the function that runs in its place."""
+
+_NO_WALLS = np.zeros((0, 2, 2))
+_NO_WALLS.flags.writeable = False
+
+
+@dataclass(frozen=True, slots=True)
+class KeyScan:
+    """What one key scan contributed."""
+
+    motion: Odometry
+    """since the key scan before"""
+    estimate: Estimate
+    """after the update"""
+    association: Association
+    """which sighting is of which landmark"""
+    features: Features | None
+    """robot's frame; None where the log itself gives the sightings, and where scans are aligned"""
+
+    @property
+    def walls_robot(self) -> Array:
+        """(W, 2, 2) wall segments, metres."""
+        return _NO_WALLS if self.features is None else self.features.walls
+
+
+class FrontEnd(Protocol):
+    """From ticks to what the estimator is given."""
+
+    @property
+    def pose(self) -> Pose:
+        """`T_world_robot` at the last tick."""
+        ...
+
+    @property
+    def since_key_scan(self) -> Pose:
+        """Motion since the last key scan."""
+        ...
+
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
+        """Process a tick with its de-skewed scan and the motion since the tick before; its key scan, if it is one."""
+        ...
+
+    def finish(self) -> Array | None:
+        """Predict up to the last tick.
+
+        (S, 3) motion from the last key scan to each scan, if that is known better now than when the scan was taken.
+        """
+        ...

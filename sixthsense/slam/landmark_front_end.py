@@ -1,0 +1,81 @@
+"""The front end of landmarks: predict, extract, associate, update."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
+from sixthsense.slam.association.associator import Association, Associator
+from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.features import Features, extract
+from sixthsense.slam.front_end import KeyScan, Timed
+from sixthsense.slam.key_scans import KeyScans
+
+
+class LandmarkFrontEnd:
+    """Sightings of landmarks in key scans, which are selected by odometry."""
+
+    def __init__(
+        self,
+        config: Config,
+        estimator: Estimator,
+        associator: Associator,
+        ransac_rng: np.random.Generator,
+        start: Pose,
+        timed: Timed,
+    ) -> None:
+        """Begin at `start`, `T_world_robot`."""
+        self._config, self._estimator, self._associator = config, estimator, associator
+        self._ransac_rng, self._pose = ransac_rng, start
+        self._key_scans = KeyScans(config.keyscans)
+        self._predict = timed("predict", estimator.predict)
+        self._extract = timed("extract", self._extracted)
+        self._associate = timed("associate", self._associated)
+        self._update = timed("update", self._updated)
+
+    @property
+    def pose(self) -> Pose:
+        """`T_world_robot`: the last estimate, and the odometry since."""
+        return self._pose
+
+    @property
+    def since_key_scan(self) -> Pose:
+        """Odometry since the last key scan."""
+        return self._key_scans.since.motion
+
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
+        """Process a tick: on key scans, sightings are extracted, matched with landmarks and fused."""
+        if increment is not None:
+            self._key_scans.moved(increment)
+            self._pose = self._pose @ increment.motion
+        if not self._key_scans.due(tick):
+            return None
+        motion = self._key_scans.take()
+        self._predict(motion)
+        features = None if scan is None else self._extract(scan)
+        association = self._associate(features, tick)
+        estimate = self._update(association)
+        self._pose = estimate.pose
+        return KeyScan(motion, estimate, association, features)
+
+    def finish(self) -> Array | None:
+        """Predict up to the last tick."""
+        self._estimator.predict(self._key_scans.take())
+        return None
+
+    def _extracted(self, scan: Scan) -> Features:
+        return extract(scan, self._config.assumed, self._config.features, self._ransac_rng)
+
+    def _associated(self, features: Features | None, tick: Tick) -> Association:
+        if features is None:
+            return self._associator.known(tick.sightings or {}, self._estimator)
+        return self._associator.associate(features.sightings, self._estimator)
+
+    def _updated(self, association: Association) -> Estimate:
+        self._estimator.update(association.sightings)
+        self._estimator.forget([*self._associator.cull(), *self._associator.merged(self._estimator)])
+        return self._estimator.estimate()

@@ -1,0 +1,164 @@
+"""The front end of scans: track, and on key scans update, link, revisit."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.source import Tick
+from sixthsense.slam.association.associator import Association
+from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
+from sixthsense.slam.front_end import KeyScan, Timed
+from sixthsense.slam.scans.final_pass import TrackedScan, refined
+from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.mount import laser_poses, seen_from
+from sixthsense.slam.scans.odometry_prior import prior_of, weakened, with_wheel_errors
+from sixthsense.slam.scans.revisits import Revisits
+from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.tracking import Tracked, track
+
+_RECENT, _OLD = 3, 2  # key scans that a scan is tracked against, before it and of other passes
+
+
+class _Last(NamedTuple):
+    """The last scan, as tracked."""
+
+    pose: Array
+    """(3,) `T_world_laser`"""
+    odometry: Pose
+    """of the robot, since the last key scan until then"""
+
+
+class ScanFrontEnd:
+    """Aligns every scan with key scans, and gives the estimator links between key scans."""
+
+    def __init__(self, config: Config, estimator: PoseGraphEstimator, start: Pose, timed: Timed) -> None:
+        """Begin at `start`, `T_world_robot`."""
+        self._config, self._estimator, self._pose = config, estimator, start
+        self._store = ScanStore(config.scans.max_range_m)
+        self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
+        self.revisits = Revisits(config.scans, self._graph)
+        """the search for old places, with what it has found"""
+        self._mount = Pose()
+        self._since = STANDSTILL
+        """odometry of the robot since the last key scan"""
+        self._last: _Last | None = None
+        self._scans: list[TrackedScan] = []
+        self._predict = timed("predict", estimator.predict)
+        self._track = timed("track", self._tracked)
+        self._update = timed("update", self._updated)
+        self._link = timed("link", self._linked)
+        self._revisit = timed("revisit", self._revisited)
+
+    @property
+    def pose(self) -> Pose:
+        """`T_world_robot`: that of the last scan, and the odometry since."""
+        return self._pose
+
+    @property
+    def since_key_scan(self) -> Pose:
+        """Motion since the last key scan, by the last scan and the odometry since."""
+        if not self._store.count:
+            return self._since.motion
+        return self._key_pose().inverse() @ self._pose
+
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
+        """Process a tick: every scan is tracked; key scans are linked with earlier ones."""
+        if increment is not None:
+            self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
+            self._pose = self._pose @ increment.motion
+        if scan is None:
+            return None
+        self._mount = scan.T_robot_laser
+        tracked = self._track(scan)
+        if not self._is_due():
+            self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
+            return None
+        motion = self._since if tracked is None else weakened(with_wheel_errors(self._since), tracked.slip)
+        self._predict(motion)
+        predicted = self._estimator.estimate()
+        key = self._update(tracked)
+        self._link(key)
+        self._revisit(key)
+        estimate = self._stand_at_key_scan()
+        association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
+        return KeyScan(motion, estimate, association, None)
+
+    def finish(self) -> Array | None:
+        """Predict up to the last tick, and align the scans between key scans once more."""
+        self._estimator.predict(self._since)
+        if not self._config.scans.final_pass:
+            return None
+        return refined(self._store, self._graph.poses, self._scans, self._mount)
+
+    def _tracked(self, scan: Scan) -> Tracked | None:
+        """Track a scan against recent and linked key scans; None for the first scan."""
+        row = self._store.put(scan)
+        if not self._store.count:
+            return None
+        poses, last = self._graph.poses, self._last
+        assert last is not None
+        prior = prior_of(poses[-1], self._since_of_laser())
+        step = seen_from(
+            self._mount.inverse(), Odometry(last.odometry.inverse() @ self._since.motion, np.zeros((3, 3)))
+        )
+        start = (Pose.from_array(last.pose) @ step.motion).array()
+        tracked = track(self._store.returns, row, self._references(), poses, prior, start)
+        self._last = _Last(tracked.pose, self._since.motion)
+        self._pose = Pose.from_array(tracked.pose) @ self._mount.inverse()
+        return tracked
+
+    def _since_of_laser(self) -> Odometry:
+        return seen_from(self._mount.inverse(), with_wheel_errors(self._since))
+
+    def _references(self) -> NDArray[np.int64]:
+        """Key scans to track against."""
+        newest = self._store.count
+        recent = np.arange(max(0, newest - _RECENT), newest)
+        return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
+
+    def _is_due(self) -> bool:
+        """Whether the newest scan is far enough from the last key scan."""
+        if not self._store.count:
+            return True
+        motion, limits = self.since_key_scan, self._config.keyscans
+        distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
+        return (distance >= limits.distance_m or turn >= limits.turn_rad) and not self._since.is_standstill()
+
+    def _updated(self, tracked: Tracked | None) -> int:
+        """Keep the newest scan as key scan, and add its pose; its index."""
+        self._estimator.update({})
+        key = self._store.keep()
+        guess = laser_poses(self._estimator.trajectory()[-1:], self._mount)[0] if tracked is None else tracked.pose
+        information = np.asarray(np.linalg.inv(self._since_of_laser().cov), dtype=np.float64)
+        self._graph.add(guess, self._mount)
+        self.revisits.moved(key, tracked, information)
+        return key
+
+    def _linked(self, key: int) -> None:
+        """Link a new key scan to recent ones."""
+        self._graph.link_recent(key)
+        self._graph.refresh()
+
+    def _revisited(self, key: int) -> None:
+        """Link a new key scan to old ones."""
+        if self._config.scans.revisits:
+            self.revisits.look(key)
+
+    def _stand_at_key_scan(self) -> Estimate:
+        """Begin anew at the key scan that was added; the estimate there."""
+        estimate = self._estimator.estimate()
+        self._pose, self._since = estimate.pose, STANDSTILL
+        self._last = _Last(self._graph.poses[-1].copy(), Pose())
+        self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
+        return estimate
+
+    def _key_pose(self) -> Pose:
+        return Pose.from_array(self._graph.poses[-1]) @ self._mount.inverse()

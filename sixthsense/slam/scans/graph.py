@@ -1,0 +1,137 @@
+"""The graph of key scans: their poses, and the links between them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators import Link, PoseGraphEstimator
+from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs
+from sixthsense.slam.scans.mount import laser_poses, seen_from
+from sixthsense.slam.scans.poses import between
+from sixthsense.slam.scans.scan_store import ScanStore
+
+_RECENT = 6  # key scans before a key scan that it is linked to
+_OLD = 6  # most links of a key scan to old ones
+_OLD_AGE = 20  # key scans; nearer ones are of the same pass
+_LINKED_LATELY = 6  # key scans back from the newest whose old partners' neighbours are linked
+_ALONG = 8  # key scans to either side of an old partner
+_REACH_M, _REACH_RAD = 3.0, 2.0  # between the poses of linked scans: the views must overlap
+_M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are selected
+_RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
+_MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
+_RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
+
+
+class ScanGraph:
+    """Key scans with their poses as the estimator has them, and the links that it was given."""
+
+    def __init__(self, store: ScanStore, estimator: PoseGraphEstimator, sigma_m: float) -> None:
+        """Begin empty; `sigma_m` is the least sigma of a return."""
+        self.store, self.estimator = store, estimator
+        self._sigma_m = sigma_m
+        self._rows = np.zeros((64, 3))
+        self.mount = Pose()
+        """`T_robot_laser`"""
+        self.old_links: dict[int, list[int]] = {}
+        """of a key scan: the older ones of another pass that it is linked to"""
+        self._recent = np.zeros(64, dtype=np.int64)
+        self._old = np.zeros(64, dtype=np.int64)
+        """links of each key scan, to recent ones before it and to those of other passes"""
+        self.count = 0
+
+    @property
+    def poses(self) -> Array:
+        """(K, 3) `T_world_laser` of the key scans; a view."""
+        return self._rows[: self.count]
+
+    def add(self, pose: Array, mount: Pose) -> None:
+        """Add the newest key scan at `pose` (3,), `T_world_laser`."""
+        if self.count == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
+            self._recent = np.concatenate([self._recent, np.zeros_like(self._recent)])
+            self._old = np.concatenate([self._old, np.zeros_like(self._old)])
+        self._rows[self.count], self.mount = pose, mount
+        self.count += 1
+
+    def refresh(self) -> None:
+        """Take the poses from the estimator."""
+        self._rows[: self.count] = laser_poses(self.estimator.trajectory(), self.mount)
+
+    def link_recent(self, key: int) -> int:
+        """Link a new key scan to those just before it, and return the number of links."""
+        targets = np.arange(max(0, key - _RECENT), key)
+        found = self.align(targets, key, RECENT_GATES_M)
+        good = np.flatnonzero(found.agree(self.store.returns, _RECENT_AGREEMENT))
+        # As many later scans will be linked to this one, and see the same surfaces.
+        self._recent[key] = len(good)
+        self.estimator.link([self._link(found, int(k), _RECENT_LOSS) for k in good])
+        return len(good)
+
+    def link_old(self, key: int, targets: NDArray[np.int64]) -> tuple[list[int], NDArray[np.int64], Alignments]:
+        """Link a key scan to old ones near it, whose poses relative to it are known to some decimetres.
+
+        The ids of the links, the rows of the alignments that were good, and the alignments.
+        """
+        found = self.align(targets, key, NEAR_GATES_M)
+        shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
+        near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
+        good = np.flatnonzero(found.agree(self.store.returns, OLD_AGREEMENT) & near)
+        return self.give(found, good, OLD_LOSS), good, found
+
+    def align(self, targets: NDArray[np.int64], key: int, gates_m: Array) -> Alignments:
+        """Align a key scan with others, from the present poses."""
+        starts = between(self.poses[targets], self.poses[key])
+        return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gates_m)
+
+    def give(self, found: Alignments, good: NDArray[np.int64], loss_scale: float) -> list[int]:
+        """Give the estimator links between scans of different passes; their ids."""
+        for k in good:
+            target, source = int(found.targets[k]), int(found.sources[k])
+            self._old[target] += 1
+            self._old[source] += 1
+            self.old_links.setdefault(source, []).append(target)
+        return self.estimator.link([self._link(found, int(k), loss_scale) for k in good])
+
+    def forget(self, pairs: list[tuple[int, int]]) -> None:
+        """Forget that these pairs (target, source) are linked."""
+        for target, source in pairs:
+            self._old[target] -= 1
+            self._old[source] -= 1
+            self.old_links[source].remove(target)
+            if not self.old_links[source]:
+                del self.old_links[source]
+
+    def near_linked(self, key: int) -> NDArray[np.int64]:
+        """Old key scans around those that the last key scans are linked to, the nearest first."""
+        around: set[int] = set()
+        for recent in range(max(0, key - _LINKED_LATELY), key):
+            for old in self.old_links.get(recent, ()):
+                around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - _OLD_AGE)))
+        return self.nearest(key, np.array(sorted(around), dtype=np.int64))
+
+    def nearest(self, key: int, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of the candidates whose views overlap that of a key scan most, by their poses."""
+        off = between(self.poses[key], self.poses[candidates])
+        distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+        near = np.flatnonzero((distance < _REACH_M) & (turn < _REACH_RAD))
+        order = np.argsort(distance[near] + _M_PER_RAD * turn[near], kind="stable")
+        return candidates[near[order][:_OLD]]
+
+    def linked_old(self, key: int) -> NDArray[np.int64]:
+        """Old key scans that a key scan is linked to."""
+        return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
+
+    def covariance(self, found: Alignments, k: int) -> Array:
+        """(3, 3) of the error of an aligned pair, axes of the target's laser."""
+        ends = [int(found.targets[k]), int(found.sources[k])]
+        # Of the scans that see what a pair sees, each is linked with the others; recent links go both ways in time.
+        shared_by = 1.0 + float(np.mean(2 * self._recent[ends] + self._old[ends]))
+        return found.covariance(k, shared_by, self._sigma_m)
+
+    def _link(self, found: Alignments, k: int, loss_scale: float) -> Link:
+        """The link of an aligned pair, in the robot's frames."""
+        of_laser = Odometry(Pose.from_array(found.poses[k]), self.covariance(found, k))
+        return Link(int(found.targets[k]), int(found.sources[k]), seen_from(self.mount, of_laser), loss_scale)

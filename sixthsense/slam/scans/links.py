@@ -1,0 +1,116 @@
+"""Links: relative poses of two key scans by alignment both ways, with the covariance that the scans support."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.slam.scans.alignment import (
+    GRADIENT,
+    HESSIAN,
+    HITS,
+    SPREAD,
+    SQUARES,
+    SUMS,
+    WEIGHT,
+    Loss,
+    add_both_ways,
+    inverse,
+    matrix,
+)
+from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.see_through import compare_views
+
+RECENT_GATES_M = np.array([0.15, *[0.12] * 8])
+"""of pairs whose relative pose is known to some centimetres"""
+NEAR_GATES_M = np.array([0.25, 0.2, 0.2, 0.15, 0.15, *[0.12] * 6])
+"""of pairs whose relative pose is known to two decimetres"""
+WIDE_GATES_M = np.array([0.5, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15, 0.12, 0.12, 0.12, 0.12])
+"""of pairs whose relative pose is known to half a metre"""
+_SCALE_M = 0.05  # of the loss on points' distances
+_ANCHOR = 1.0  # points' worth that holds the start value where the scans say nothing; no information of the link
+_STEP_M, _STEP_RAD = 3e-4, 1e-4
+_LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
+_MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
+_SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
+_FLOOR_M, _FLOOR_RAD = 0.003, 0.001  # of what no alignment knows: beams' geometry, clocks, a tilted laser
+_UNOBSERVED = 100.0  # sigma, m or rad, along a direction of which the scans say nothing
+
+
+@dataclass(frozen=True, slots=True)
+class Alignments:
+    """Aligned pairs of key scans; arrays of m rows."""
+
+    targets: NDArray[np.int64]
+    sources: NDArray[np.int64]
+    poses: Array
+    """(m, 3) of the source in the target's frame"""
+    sums: Array
+    """(m, SUMS) at these poses"""
+    views: NDArray[np.int64]
+    """(m, 2, 3) hits, violations and returns, of the source seen by the target and the other way round"""
+
+    def agree(self, returns: Returns, least_agreement: float) -> NDArray[np.bool_]:
+        """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
+
+        `least_agreement` is the least share of hits among hits and violations.
+        """
+        cells = 2 * returns.bearings.beams // returns.bearings.stride
+        hits, weights = self.sums[:, HITS], self.sums[:, WEIGHT]
+        enough = (hits >= max(_LEAST_HITS, _LEAST_HIT_SHARE * cells)) & (weights >= _MEAN_WEIGHT * hits)
+        seen, through, count = self.views[:, :, 0], self.views[:, :, 1], self.views[:, :, 2]
+        shared = (seen >= _SEEN_SHARE * count).all(axis=1)
+        return np.asarray(enough & shared & (seen >= least_agreement * (seen + through)).all(axis=1))
+
+    def covariance(self, k: int, shared_by: float, sigma_m: float) -> Array:
+        """(3, 3) of the error of (x, y, theta) of pair k, axes of the target.
+
+        `shared_by` is the number of scans that each return is compared among, at least 2, and `sigma_m` the least
+        sigma of a return. n scans of one surface have n (n - 1) / 2 pairs, but only the information of the deviations
+        from their mean: that of each pair's residual is 2 / n of what it would be alone. The residuals themselves
+        give their variance. What the noise of the normals adds to the Hessian is no information: along a corridor it
+        would feign some.
+        """
+        sums = self.sums[k]
+        variance = max(sums[SQUARES] / max(sums[WEIGHT], 1.0), 2.0 * sigma_m**2)
+        # Both ways the returns of a pair are counted twice.
+        information = 0.5 * (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / variance
+        values, axes = np.linalg.eigh(2.0 / max(shared_by, 2.0) * information)
+        variances = 1.0 / np.maximum(values, _UNOBSERVED**-2)
+        return np.asarray((axes * variances) @ axes.T + np.diag([_FLOOR_M**2, _FLOOR_M**2, _FLOOR_RAD**2]))
+
+
+def align_pairs(
+    returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gates_m: Array
+) -> Alignments:
+    """Align pairs of scans from the relative poses `starts` (m, 3), and compare their views."""
+    m = len(targets)
+    poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
+    for k in range(m):
+        _align(returns, int(targets[k]), int(sources[k]), gates_m, poses[k], sums[k], views[k])
+    poses[:, 2] = wrap_angle(poses[:, 2])
+    return Alignments(targets, sources, poses, sums, views)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _align(
+    returns: Returns, target: int, source: int, gates_m: Array, pose: Array, sums: Array, views: NDArray[np.int64]
+) -> None:
+    """Gauss-Newton steps from and into `pose` (3,); fills `sums` (SUMS,) and `views` (2, 3) at its end."""
+    start = pose.copy()
+    for step in range(len(gates_m)):
+        sums[:] = 0.0
+        add_both_ways(returns, target, source, pose, Loss(gates_m[step], _SCALE_M), sums)
+        if sums[HITS] < _LEAST_HITS:
+            return
+        hessian = matrix(sums, HESSIAN) + _ANCHOR * np.eye(3)
+        move = np.linalg.solve(hessian, -(sums[GRADIENT : GRADIENT + 3] + _ANCHOR * (pose - start)))
+        pose += move
+        if gates_m[step] == gates_m[-1] and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
+            break
+    views[0, 0], views[0, 1], views[0, 2] = compare_views(returns, target, source, pose)
+    views[1, 0], views[1, 1], views[1, 2] = compare_views(returns, source, target, inverse(pose))

@@ -1,0 +1,36 @@
+"""What the odometry since the last key scan says, with errors of wheels that its noise does not state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.scans.tracking import Prior
+
+# Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
+_SIGMA_M, _M_PER_M = 0.01, 0.05
+_SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
+_SLIP_SIGMAS = 6.0
+
+
+def with_wheel_errors(odometry: Odometry) -> Odometry:
+    """Odometry whose covariance has systematic errors of the wheels added."""
+    distance, turn = math.hypot(odometry.motion.x, odometry.motion.y), abs(odometry.motion.theta)
+    position = (_SIGMA_M + _M_PER_M * distance) ** 2
+    heading = (_SIGMA_RAD + _RAD_PER_RAD * turn + _RAD_PER_M * distance) ** 2
+    return Odometry(odometry.motion, odometry.cov + np.diag([position, position, heading]))
+
+
+def weakened(odometry: Odometry, slip: float) -> Odometry:
+    """Odometry that the scans have contradicted by the squared Mahalanobis distance `slip`."""
+    return Odometry(odometry.motion, odometry.cov * (1.0 + slip / _SLIP_SIGMAS**2))
+
+
+def prior_of(key_pose: Array, odometry: Odometry) -> Prior:
+    """The prior of a pose, from that of the last key scan (3,), world frame, and the odometry since then."""
+    pose = Pose.from_array(key_pose)
+    turn = Pose(theta=pose.theta).adjoint()
+    return Prior((pose @ odometry.motion).array(), np.asarray(np.linalg.inv(turn @ odometry.cov @ turn.T)))

@@ -1,0 +1,139 @@
+"""Revisits: old places that the robot is at again.
+
+How uncertain an old key scan is relative to the newest one, along the graph, decides what is done. One that is certain
+is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass. The best pose is believed if
+it is not ambiguous, if pairs of scans align at it and agree, and if another vote some metres later, by other scans,
+says the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.scans import ScansConfig
+from sixthsense.core.geometry import Array
+from sixthsense.slam.scans.closing import Closings
+from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.links import Alignments
+from sixthsense.slam.scans.place_search import Hypothesis, PlaceSearch
+from sixthsense.slam.scans.poses import between, compose
+from sixthsense.slam.scans.tracking import Tracked
+from sixthsense.slam.scans.uncertainty import UncertaintyGraph
+from sixthsense.slam.scans.verification import verified
+
+_PERIOD_M = 0.6  # of travel between two looks for revisits
+_M_PER_RAD = 0.3  # what a turn counts as travel
+_OLD_AGE = 25  # key scans; nearer ones are of the same pass
+_CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a key scan is linked without a search
+_DRIFT_M, _DRIFT_RAD = 0.01, 0.004  # sigmas that a chain of tracked key scans adds per key scan
+_VOTE_APART_M, _VOTE_LASTS_M = 2.5, 10.0  # travel between two votes that count both, and after which one is dropped
+_VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
+_VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
+
+
+class _Vote(NamedTuple):
+    """A verified hypothesis."""
+
+    key: int
+    pose: Array
+    """(3,) of the key scan, world frame"""
+    travelled_m: float
+    links: list[tuple[Alignments, int]]
+
+
+@dataclass(slots=True)
+class RevisitCounts:
+    """What the search has done."""
+
+    searches: int = 0
+    ambiguous: int = 0
+
+
+class Revisits:
+    """Finds old places, and links key scans to them."""
+
+    def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
+        self._config, self._graph = config, graph
+        self._uncertainty = UncertaintyGraph()
+        self.closings = Closings(graph, self._uncertainty)
+        self._search = PlaceSearch(config, graph)
+        self._votes: list[_Vote] = []
+        self._travelled = np.zeros(64)
+        """(K,) m, at each key scan"""
+        self._looked_m = 0.0
+        self.counts = RevisitCounts()
+
+    def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
+        """Add a key scan that was tracked; `odometry_information` (3, 3) is the prior's."""
+        if key == len(self._travelled):
+            self._travelled = np.concatenate([self._travelled, np.zeros_like(self._travelled)])
+        if tracked is None or key == 0:
+            return
+        step = between(self._graph.poses[key - 1], self._graph.poses[key])
+        self._travelled[key] = self._travelled[key - 1] + math.hypot(step[0], step[1]) + _M_PER_RAD * abs(step[2])
+        values, axes = np.linalg.eigh(tracked.information)
+        cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
+        position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2
+        self._uncertainty.add(key - 1, key, position, float(cov[2, 2]) + _DRIFT_RAD**2)
+
+    def look(self, key: int) -> None:
+        """Link the newest key scan to old ones, and look for a revisit from time to time."""
+        self.closings.link_old(key, self._graph.near_linked(key))
+        if self._travelled[key] - self._looked_m >= _PERIOD_M:
+            self._looked_m = float(self._travelled[key])
+            self._look_around(key)
+        self._graph.refresh()
+
+    def _look_around(self, key: int) -> None:
+        old = np.arange(max(0, key - _OLD_AGE))
+        if not len(old):
+            return
+        sigma_m, sigma_rad = self._uncertainty.sigmas(key, self._graph.poses)
+        is_certain = (sigma_m < _CERTAIN_M) & (sigma_rad < _CERTAIN_RAD)
+        certain = self._graph.nearest(key, old[is_certain[old]])
+        self.closings.link_old(key, np.setdiff1d(certain, self._graph.linked_old(key)))
+        if self._config.search_radius_m > 0.0:
+            self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
+
+    def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
+        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
+        if found is None:
+            return
+        self.counts.searches += 1
+        if found.is_ambiguous:
+            self.counts.ambiguous += 1
+            return
+        if (vote := self._verified(key, found)) is not None and self._count(vote):
+            self._search.forget()
+
+    def _verified(self, key: int, found: Hypothesis) -> _Vote | None:
+        recent = np.flatnonzero(self._travelled[: key + 1] > self._travelled[key] - _VOTE_APART_M)
+        good = verified(self._graph, key, recent, found)
+        if good is None:
+            return None
+        return _Vote(key, good.pose, float(self._travelled[key]), good.links)
+
+    def _count(self, vote: _Vote) -> bool:
+        """Count a vote, and close the loop if enough agree; whether that was done."""
+        self._votes = [v for v in self._votes if vote.travelled_m - v.travelled_m < _VOTE_LASTS_M] + [vote]
+        agreeing = [v for v in self._votes if self._agree(v, vote)]
+        span = vote.travelled_m - agreeing[0].travelled_m
+        if span < _VOTE_APART_M or 2 * len(agreeing) <= len(self._votes):
+            return False
+        self._votes = []
+        links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
+        self.closings.close(list(links.values()))
+        return True
+
+    def _agree(self, one: _Vote, newest: _Vote) -> bool:
+        """Whether two votes say the same of the newest key scan's pose."""
+        poses = self._graph.poses
+        said = compose(one.pose, between(poses[one.key], poses[newest.key]))
+        off, apart = between(said, newest.pose), newest.travelled_m - one.travelled_m
+        near = math.hypot(off[0], off[1]) < _VOTE_M + _VOTE_M_PER_M * apart
+        return near and abs(off[2]) < _VOTE_RAD + _VOTE_RAD_PER_M * apart

@@ -1,0 +1,135 @@
+"""Tracking: the pose of a scan among key scans near it, with the odometry as a prior that can lose."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.slam.scans.alignment import GRADIENT, HESSIAN, SPREAD, SUMS, WEIGHT, Loss, add_one_way, matrix
+from sixthsense.slam.scans.scan_store import Returns
+
+_SIGMA_M = 0.03  # of a point's distance from a line: noise, roughness and curvature of real walls
+_SCALE_M = 0.05  # of the loss on these distances
+_GATES_M = np.array([0.25, 0.2, 0.15, *[0.12] * 9])
+_WIDE_GATES_M = np.array([0.5, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15, *[0.12] * 6])
+_LAST_GATES_M = np.array([0.12] * 6)
+_STEP_M, _STEP_RAD = 5e-4, 2e-4  # smaller steps end the iteration
+_SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
+_POOR_SUPPORT, _GAIN = 0.35, 0.15  # share of returns on known lines, and by how much another heading must raise it
+_OTHER_HEADINGS_RAD = (0.15, -0.15, 0.3, -0.3, 0.5, -0.5)
+
+
+class Prior(NamedTuple):
+    """What the odometry says about a pose."""
+
+    pose: Array
+    """(3,) world frame"""
+    information: Array
+    """(3, 3) of the error of (x, y, theta), world axes"""
+
+
+class Tracked(NamedTuple):
+    """A scan's pose among key scans."""
+
+    pose: Array
+    """(3,) `T_world_laser`"""
+    information: Array
+    """(3, 3) of the error of (x, y, theta), world axes: by the scans alone, without what normals' noise feigns"""
+    support: float
+    """share of the returns that lie on lines of one key scan"""
+    slip: float
+    """squared Mahalanobis distance of the odometry from the pose"""
+
+
+def track(
+    returns: Returns, source: int, references: NDArray[np.int64], poses: Array, prior: Prior, start: Array
+) -> Tracked:
+    """The pose of scan `source` among the key scans `references` (R,), whose poses are rows of `poses` (n, 3).
+
+    `start` (3,) is the initial pose. Where few returns find a line, other initial headings are tried with less
+    odometry, and one of them is taken if it explains clearly more.
+    """
+    best = _solved(returns, source, references, poses, prior, start, _GATES_M)
+    if best.support >= _POOR_SUPPORT:
+        return best
+    best = _solved(returns, source, references, poses, prior, start, _WIDE_GATES_M)
+    least = best.support + _GAIN
+    weak = Prior(prior.pose, 0.05 * prior.information)
+    for turn in _OTHER_HEADINGS_RAD:
+        other = _solved(returns, source, references, poses, weak, start + np.array([0.0, 0.0, turn]), _WIDE_GATES_M)
+        if other.support > least:
+            best, least = other, other.support
+    return best
+
+
+def refine(returns: Returns, source: int, references: NDArray[np.int64], poses: Array, prior: Prior) -> Tracked:
+    """As `track`, from the prior's pose, which is nearly right."""
+    return _solved(returns, source, references, poses, prior, prior.pose, _LAST_GATES_M)
+
+
+def _solved(
+    returns: Returns,
+    source: int,
+    references: NDArray[np.int64],
+    poses: Array,
+    prior: Prior,
+    start: Array,
+    gates_m: Array,
+) -> Tracked:
+    pose, information = np.array(start, dtype=np.float64), np.zeros((3, 3))
+    support = _iterate(returns, source, references, poses, prior, gates_m, pose, information)
+    pose[2] = wrap_angle(float(pose[2]))
+    off = pose - prior.pose
+    off[2] = wrap_angle(float(off[2]))
+    return Tracked(pose, information, support, float(off @ prior.information @ off))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _iterate(
+    returns: Returns,
+    source: int,
+    references: NDArray[np.int64],
+    poses: Array,
+    prior: Prior,
+    gates_m: Array,
+    pose: Array,
+    information: Array,
+) -> float:
+    """Gauss-Newton steps from and into `pose` (3,); fills `information` (3, 3) and returns the support."""
+    count = 0
+    for k in range(0, returns.bearings.beams, returns.bearings.stride):
+        count += returns.points[source, k, 2] > 0.0
+    support = 0.0
+    for step in range(len(gates_m)):
+        hessian, gradient, feigned = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
+        most = 0.0
+        for target in references:
+            c, s = math.cos(poses[target, 2]), math.sin(poses[target, 2])
+            dx, dy = pose[0] - poses[target, 0], pose[1] - poses[target, 1]
+            seen = np.array([c * dx + s * dy, c * dy - s * dx, pose[2] - poses[target, 2]])
+            sums = np.zeros(SUMS)
+            add_one_way(returns, target, source, seen, Loss(gates_m[step], _SCALE_M), sums)
+            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+            hessian += turn @ matrix(sums, HESSIAN) @ turn.T
+            feigned += turn @ matrix(sums, SPREAD) @ turn.T
+            gradient += turn @ sums[GRADIENT : GRADIENT + 3].copy()
+            most = max(most, sums[WEIGHT])
+        # Key scans see the same surfaces: together they count as one.
+        scale = 1.0 / (_SIGMA_M * _SIGMA_M * max(1, len(references)))
+        off = pose - prior.pose
+        off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+        pull = prior.information @ off
+        weight = 1.0 / (1.0 + off @ pull / (_SLIP_SIGMAS * _SLIP_SIGMAS))
+        move = np.linalg.solve(scale * hessian + weight * prior.information, -(scale * gradient + weight * pull))
+        pose += move
+        support = most / max(count, 1)
+        information[:] = scale * (hessian - feigned)
+        is_last_gate = gates_m[step] == gates_m[-1]
+        if is_last_gate and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
+            break
+    return support

@@ -1,0 +1,71 @@
+"""Verification of a place: pairs of scans are aligned at it, see each other's surfaces, and agree about the pose."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.links import WIDE_GATES_M, Alignments, align_pairs
+from sixthsense.slam.scans.place_search import Hypothesis
+from sixthsense.slam.scans.poses import between, compose
+
+_PARTNERS = 3  # old key scans that each recent one is aligned with
+_REACH_M, _REACH_RAD = 4.0, 2.2
+_LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
+_AGREEMENT = 0.75  # least share of hits among hits and views through
+_APART_M, _APART_RAD = 0.35, 0.06  # of the poses that good pairs imply, from their median
+
+
+class Verified(NamedTuple):
+    """A place that pairs of scans agree about."""
+
+    pose: Array
+    """(3,) of the newest key scan, world frame"""
+    links: list[tuple[Alignments, int]]
+    """the alignments and their good rows"""
+
+
+def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
+    """Align the key scans `recent`, moved with `key` to the hypothesis, with those of its submap.
+
+    None if too few pairs align, or if they do not agree.
+    """
+    poses = graph.poses
+    moved = compose(found.pose, between(poses[key], poses[recent]))
+    targets, sources, starts = _pairs(poses, found.old, recent, moved)
+    if len(targets) < _LEAST_PAIRS:
+        return None
+    aligned = align_pairs(graph.store.returns, targets, sources, starts, WIDE_GATES_M)
+    good = aligned.agree(graph.store.returns, _AGREEMENT)
+    least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
+    if np.count_nonzero(good) < least:
+        return None
+    said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
+    middle = np.median(said[good], axis=0)
+    off = said - middle
+    good &= (np.hypot(off[:, 0], off[:, 1]) < _APART_M) & (np.abs(wrap_angle(off[:, 2])) < _APART_RAD)
+    rows = np.flatnonzero(good)
+    if len(rows) < least or len(set(sources[rows].tolist())) < 2:
+        return None
+    return Verified(middle, [(aligned, int(k)) for k in rows])
+
+
+def _pairs(
+    poses: Array, old: NDArray[np.int64], recent: NDArray[np.int64], moved: Array
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent key scan is used."""
+    targets, sources, starts = [], [], []
+    for k in range(len(recent) - 1, -1, -2):
+        off = between(poses[old], moved[k])
+        distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+        nearest = np.argsort(distance + turn, kind="stable")[:_PARTNERS]
+        for q in nearest[(distance[nearest] < _REACH_M) & (turn[nearest] < _REACH_RAD)]:
+            targets.append(int(old[q]))
+            sources.append(int(recent[k]))
+            starts.append(off[q])
+    ends = np.array([targets, sources], dtype=np.int64).reshape(2, -1)
+    return ends[0], ends[1], np.array(starts).reshape(-1, 3)
