@@ -24,7 +24,7 @@ walls = [[0.9, 0.9, 2.0, 0.9], [0.9, 0.9, 0.9, 2.0]]
 [[polygons]]
 points = [[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]
 """
-FLASER = "FLASER 4 1.0 2.0 3.0 4.0 0.0 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
+FLASER = "FLASER 4 1.0 2.0 3.0 4.0 {x} 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
 LOG = "".join(FLASER.format(x=0.1 * k, stamp=float(k)) for k in range(5))
 SHORT_LOG = ("--laser.beams", "4", "--laser.fov", "1.5")
 
@@ -182,16 +182,16 @@ def test_a_scene_without_goals_names_the_tasks_that_are_left(here: Path, capsys:
     [
         (
             "cut.log",
-            LOG[:-30],
+            LOG[:-30] + "\n" + LOG,
             "cut.log line 5: found FLASER with 4 ranges of 9 fields, allowed: 15 (a CARMEN line cut",
         ),
-        ("cut.clf", LOG + "FLAS", "cut.clf line 6: found 'FLAS', a CARMEN line cut short"),
+        ("cut.clf", LOG + "FLAS\n" + LOG, "cut.clf line 6: found 'FLAS', a CARMEN line cut short"),
         ("log.csv", LOG, "log.csv: found no known kind of log, allowed: CARMEN (.log, .clf, .carmen"),
-        ("empty.log", "", "empty.log: found no FLASER line"),
+        ("empty.log", "", "empty.log: found no FLASER or ROBOTLASER1 line"),
         (
             "other.log",
             LOG.replace("FLASER 4 1.0", "FLASER 3"),
-            "other.log line 1: found FLASER with 3 ranges, allowed: 4",
+            "other.log: found scans of 3 beams, allowed: 4 (laser.beams)",
         ),
     ],
 )
@@ -205,11 +205,6 @@ def test_a_bad_log_ends_in_one_line(
 @pytest.mark.parametrize(
     ("relation", "options", "said"),
     [
-        (
-            "1 9 0 0 0 0 0 0",
-            (),
-            "relation 2 names 9.000000: no scan has that stamp, allowed: stamps of scans in some.log",
-        ),
         ("1 2 0 0 0 0", (), " line 2: found 6 fields, allowed: 8"),
     ],
 )
@@ -221,6 +216,24 @@ def test_relations_that_cannot_be_used_are_told_before_anything_is_written(
     told = complaint(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG, *options], capsys, here)
     assert told.startswith("some.relations")
     assert said in told
+
+
+def test_relations_between_other_stamps_than_those_of_scans_are_counted_and_left_out(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "some.log").write_text(LOG)
+    (here / "some.relations").write_text("1 2 0.1 0 0 0 0 0\n1 9 5 0 0 0 0 0\n")
+    assert cli.main(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG]) == cli.DONE
+    assert "1 of 2 relations" in capsys.readouterr().err
+    (here / "some.relations").write_text("1 9 5 0 0 0 0 0\n")
+    told = complaint(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG], capsys, here)
+    assert told.startswith("some.relations: found no relation between scans of the log")
+
+
+def test_a_log_cut_in_its_last_line_is_replayed_up_to_it(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (here / "cut.log").write_text(LOG[:-30])
+    assert cli.main(["replay", "cut.log", *SHORT_LOG]) == cli.DONE
+    assert re.search(r"note: cut.log: .*line 5", capsys.readouterr().err)
 
 
 def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,7 +68,9 @@ class Mapper:
             self._draw()
 
     def complete(self) -> None:
-        """Draw what is due for the last time, and let the scans go."""
+        """Draw the map for the last time, at the final poses whoever read it before, and let the scans go."""
+        if not np.array_equal(self._drawn_at, self._trajectory[: len(self._drawn_at)]):
+            self._clear()
         self.grid.complete()
         self._scans, self._mean_ranges = [], []
 
@@ -82,12 +84,16 @@ class Mapper:
         if drawn == len(self._trajectory):
             return
         if self._has_moved(drawn):
-            self.grid.clear()
-            self.rebuilds += 1
+            self._clear()
             drawn = 0
         for (scan, walls), row in zip(self._scans[drawn:], self._trajectory[drawn:], strict=True):
             self.grid.add(Pose.from_array(row), scan, walls)
         self._drawn_at = np.vstack([self._drawn_at[:drawn], self._trajectory[drawn:]])
+
+    def _clear(self) -> None:
+        self.grid.clear()
+        self.rebuilds += 1
+        self._drawn_at = np.zeros((0, 3))
 
     def _has_moved(self, count: int) -> bool:
         """Whether one of the first `count` scans, which are drawn, has moved by half a cell."""
