@@ -182,11 +182,12 @@ class Slam:
         if self._result is None:
             since_key = self._front_end.finish()
             estimate = self.estimate()
-            self._mapper.complete()
+            trajectory = self.trajectory()
+            self._mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
                 self.estimator.joint_covariance(estimate.ids.tolist()),
-                self.trajectory(),
+                trajectory,
                 self.associator.records,
                 self.associator.culled,
                 self.associator.walls_merged,

@@ -67,8 +67,9 @@ class Mapper:
             self._is_read = False
             self._draw()
 
-    def complete(self) -> None:
-        """Draw the map for the last time, at the final poses whoever read it before, and let the scans go."""
+    def complete(self, trajectory: Array) -> None:
+        """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
+        self._trajectory = trajectory[: len(self._scans)]
         if not np.array_equal(self._drawn_at, self._trajectory[: len(self._drawn_at)]):
             self._clear()
         self.grid.complete()

@@ -48,23 +48,23 @@ class Closings:
         self.undone = 0
         """revisits taken back so far"""
 
+    def link(self, key: int) -> None:
+        """Link a new key scan to those before it, and to old ones around those that they are linked to."""
+        self._keep(*self._graph.link(key, self._graph.near_linked(key)))
+
     def link_old(self, key: int, targets: NDArray[np.int64]) -> None:
         """Link a key scan to old ones near it."""
         if len(targets):
-            ids, good, found = self._graph.link_old(key, targets)
-            self._keep(ids, [(found, int(k)) for k in good])
+            self._keep(*self._graph.link_old(key, targets))
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
         """Close a loop with a revisit's links, rows of alignments; whether the revisit stands."""
         graph = self._graph
         self._latest = self.accepted
         self.accepted += 1
-        wide = [i for found, k in links for i in graph.give(found, np.array([k]), np.inf)]
-        graph.refresh()
-        graph.estimator.unlink(wide)
+        graph.estimator.unlink(graph.give(links, np.inf))
         graph.forget([_pair(found, k) for found, k in links])
-        ids = [i for found, k in links for i in graph.give(found, np.array([k]), OLD_LOSS)]
-        graph.refresh()
+        ids = graph.give(links, OLD_LOSS)
         group = self._groups[self._latest] = _Group(
             targets=np.array([found.targets[k] for found, k in links]),
             sources=np.array([found.sources[k] for found, k in links]),

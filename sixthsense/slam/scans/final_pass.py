@@ -10,14 +10,14 @@ from scipy.spatial import cKDTree
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.scans.mount import seen_from
+from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import prior_of, with_wheel_errors
-from sixthsense.slam.scans.poses import compose
+from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import refine
 
 _REACH_M, _REACH_RAD = 1.5, 1.0  # to key scans that a scan is aligned with
-_MOST = 10
+_MOST = 4
 
 
 class TrackedScan(NamedTuple):
@@ -33,7 +33,7 @@ class TrackedScan(NamedTuple):
     """of the robot since then, as tracked"""
 
 
-def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Pose) -> Array:
+def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mount) -> Array:
     """(S, 3) motion of the robot from the last key scan to each scan; `poses` (K, 3) of key scans, `T_world_laser`."""
     motions = np.array([scan.motion.array() for scan in scans]).reshape(-1, 3)
     if not len(poses):
@@ -42,17 +42,14 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Pos
     for k, scan in enumerate(scans):
         if scan.scan is None:
             continue
-        start = compose(
-            poses[scan.key], seen_from(mount.inverse(), Odometry(scan.motion, np.zeros((3, 3)))).motion.array()
-        )
+        start = compose(poses[scan.key], mount.laser_motion(scan.motion).array())
         near = np.array(sorted(tree.query_ball_point(start[:2], _REACH_M)), dtype=np.int64)
         near = near[np.abs(wrap_angle(poses[near, 2] - start[2])) < _REACH_RAD]
         if len(near) < 2:
             continue
         references = near[np.argsort(np.abs(near - scan.key), kind="stable")[:_MOST]]
-        by_wheels = prior_of(poses[scan.key], seen_from(mount.inverse(), with_wheel_errors(scan.odometry)))
+        by_wheels = prior_of(poses[scan.key], mount.laser_odometry(with_wheel_errors(scan.odometry)))
         tracked = refine(store.returns, store.put(scan.scan), references, poses, by_wheels._replace(pose=start))
-        motions[k] = (
-            mount @ Pose.from_array(poses[scan.key]).inverse() @ Pose.from_array(tracked.pose) @ mount.inverse()
-        ).array()
+        motion = Pose.from_array(between(poses[scan.key], tracked.pose))
+        motions[k] = mount.robot_motion(motion).array()
     return motions

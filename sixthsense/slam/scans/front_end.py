@@ -18,7 +18,7 @@ from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
 from sixthsense.slam.front_end import KeyScan, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.mount import laser_poses, seen_from
+from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import prior_of, weakened, with_wheel_errors
 from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
@@ -46,7 +46,7 @@ class ScanFrontEnd:
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.revisits = Revisits(config.scans, self._graph)
         """the search for old places, with what it has found"""
-        self._mount = Pose()
+        self._mount = Mount(Pose())
         self._since = STANDSTILL
         """odometry of the robot since the last key scan"""
         self._last: _Last | None = None
@@ -54,7 +54,7 @@ class ScanFrontEnd:
         self._predict = timed("predict", estimator.predict)
         self._track = timed("track", self._tracked)
         self._update = timed("update", self._updated)
-        self._link = timed("link", self._linked)
+        self._link = timed("link", self.revisits.closings.link)
         self._revisit = timed("revisit", self._revisited)
 
     @property
@@ -76,7 +76,8 @@ class ScanFrontEnd:
             self._pose = self._pose @ increment.motion
         if scan is None:
             return None
-        self._mount = scan.T_robot_laser
+        if scan.T_robot_laser is not self._mount.T_robot_laser:
+            self._mount = Mount(scan.T_robot_laser)
         tracked = self._track(scan)
         if not self._is_due():
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
@@ -106,17 +107,15 @@ class ScanFrontEnd:
         poses, last = self._graph.poses, self._last
         assert last is not None
         prior = prior_of(poses[-1], self._since_of_laser())
-        step = seen_from(
-            self._mount.inverse(), Odometry(last.odometry.inverse() @ self._since.motion, np.zeros((3, 3)))
-        )
-        start = (Pose.from_array(last.pose) @ step.motion).array()
+        step = self._mount.laser_motion(last.odometry.inverse() @ self._since.motion)
+        start = (Pose.from_array(last.pose) @ step).array()
         tracked = track(self._store.returns, row, self._references(), poses, prior, start)
         self._last = _Last(tracked.pose, self._since.motion)
-        self._pose = Pose.from_array(tracked.pose) @ self._mount.inverse()
+        self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
 
     def _since_of_laser(self) -> Odometry:
-        return seen_from(self._mount.inverse(), with_wheel_errors(self._since))
+        return self._mount.laser_odometry(with_wheel_errors(self._since))
 
     def _references(self) -> NDArray[np.int64]:
         """Key scans to track against."""
@@ -136,19 +135,14 @@ class ScanFrontEnd:
         """Keep the newest scan as key scan, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
-        guess = laser_poses(self._estimator.trajectory()[-1:], self._mount)[0] if tracked is None else tracked.pose
+        guess = self._mount.laser_poses(self._estimator.trajectory()[-1]) if tracked is None else tracked.pose
         information = np.asarray(np.linalg.inv(self._since_of_laser().cov), dtype=np.float64)
         self._graph.add(guess, self._mount)
         self.revisits.moved(key, tracked, information)
         return key
 
-    def _linked(self, key: int) -> None:
-        """Link a new key scan to recent ones."""
-        self._graph.link_recent(key)
-        self._graph.refresh()
-
     def _revisited(self, key: int) -> None:
-        """Link a new key scan to old ones."""
+        """Look for old places."""
         if self._config.scans.revisits:
             self.revisits.look(key)
 
@@ -161,4 +155,4 @@ class ScanFrontEnd:
         return estimate
 
     def _key_pose(self) -> Pose:
-        return Pose.from_array(self._graph.poses[-1]) @ self._mount.inverse()
+        return self._mount.robot_pose(self._graph.poses[-1])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator
 from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs
-from sixthsense.slam.scans.mount import laser_poses, seen_from
+from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import ScanStore
 
@@ -25,6 +27,15 @@ _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
 
+class OldLinks(NamedTuple):
+    """Links between scans of different passes."""
+
+    ids: list[int]
+    """of the estimator's links"""
+    rows: list[tuple[Alignments, int]]
+    """of the alignments that they are"""
+
+
 class ScanGraph:
     """Key scans with their poses as the estimator has them, and the links that it was given."""
 
@@ -33,21 +44,22 @@ class ScanGraph:
         self.store, self.estimator = store, estimator
         self._sigma_m = sigma_m
         self._rows = np.zeros((64, 3))
-        self.mount = Pose()
-        """`T_robot_laser`"""
+        self.mount = Mount(Pose())
         self.old_links: dict[int, list[int]] = {}
         """of a key scan: the older ones of another pass that it is linked to"""
         self._recent = np.zeros(64, dtype=np.int64)
         self._old = np.zeros(64, dtype=np.int64)
         """links of each key scan, to recent ones before it and to those of other passes"""
         self.count = 0
+        self._waiting: list[Link] = []
+        """links to recent key scans, given together with those to old ones: each time costs the estimator a solution"""
 
     @property
     def poses(self) -> Array:
         """(K, 3) `T_world_laser` of the key scans; a view."""
         return self._rows[: self.count]
 
-    def add(self, pose: Array, mount: Pose) -> None:
+    def add(self, pose: Array, mount: Mount) -> None:
         """Add the newest key scan at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
@@ -58,42 +70,43 @@ class ScanGraph:
 
     def refresh(self) -> None:
         """Take the poses from the estimator."""
-        self._rows[: self.count] = laser_poses(self.estimator.trajectory(), self.mount)
+        self._rows[: self.count] = self.mount.laser_poses(self.estimator.trajectory())
 
-    def link_recent(self, key: int) -> int:
-        """Link a new key scan to those just before it, and return the number of links."""
-        targets = np.arange(max(0, key - _RECENT), key)
-        found = self.align(targets, key, RECENT_GATES_M)
-        good = np.flatnonzero(found.agree(self.store.returns, _RECENT_AGREEMENT))
-        # As many later scans will be linked to this one, and see the same surfaces.
+    def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
+        """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
+        recent = self._align(np.arange(max(0, key - _RECENT), key), key, RECENT_GATES_M)
+        good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._recent[key] = len(good)
-        self.estimator.link([self._link(found, int(k), _RECENT_LOSS) for k in good])
-        return len(good)
+        self._waiting = [self._link(recent, int(k), _RECENT_LOSS) for k in good]
+        return self.link_old(key, old)
 
-    def link_old(self, key: int, targets: NDArray[np.int64]) -> tuple[list[int], NDArray[np.int64], Alignments]:
-        """Link a key scan to old ones near it, whose poses relative to it are known to some decimetres.
-
-        The ids of the links, the rows of the alignments that were good, and the alignments.
-        """
-        found = self.align(targets, key, NEAR_GATES_M)
+    def link_old(self, key: int, targets: NDArray[np.int64]) -> OldLinks:
+        """Link a key scan to old ones near it, whose poses relative to it are known to some decimetres."""
+        found = self._align(targets, key, NEAR_GATES_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
         good = np.flatnonzero(found.agree(self.store.returns, OLD_AGREEMENT) & near)
-        return self.give(found, good, OLD_LOSS), good, found
+        rows = [(found, int(k)) for k in good]
+        return OldLinks(self.give(rows, OLD_LOSS), rows)
 
-    def align(self, targets: NDArray[np.int64], key: int, gates_m: Array) -> Alignments:
+    def _align(self, targets: NDArray[np.int64], key: int, gates_m: Array) -> Alignments:
         """Align a key scan with others, from the present poses."""
         starts = between(self.poses[targets], self.poses[key])
         return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gates_m)
 
-    def give(self, found: Alignments, good: NDArray[np.int64], loss_scale: float) -> list[int]:
-        """Give the estimator links between scans of different passes; their ids."""
-        for k in good:
+    def give(self, rows: list[tuple[Alignments, int]], loss_scale: float) -> list[int]:
+        """Give the estimator links between scans of different passes, rows of alignments; their ids."""
+        for found, k in rows:
             target, source = int(found.targets[k]), int(found.sources[k])
             self._old[target] += 1
             self._old[source] += 1
             self.old_links.setdefault(source, []).append(target)
-        return self.estimator.link([self._link(found, int(k), loss_scale) for k in good])
+        links = [*self._waiting, *(self._link(found, k, loss_scale) for found, k in rows)]
+        first, self._waiting = len(self._waiting), []
+        ids = self.estimator.link(links)[first:]
+        if links:
+            self.refresh()
+        return ids
 
     def forget(self, pairs: list[tuple[int, int]]) -> None:
         """Forget that these pairs (target, source) are linked."""
@@ -134,4 +147,4 @@ class ScanGraph:
     def _link(self, found: Alignments, k: int, loss_scale: float) -> Link:
         """The link of an aligned pair, in the robot's frames."""
         of_laser = Odometry(Pose.from_array(found.poses[k]), self.covariance(found, k))
-        return Link(int(found.targets[k]), int(found.sources[k]), seen_from(self.mount, of_laser), loss_scale)
+        return Link(int(found.targets[k]), int(found.sources[k]), self.mount.robot_odometry(of_laser), loss_scale)

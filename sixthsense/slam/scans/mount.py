@@ -6,6 +6,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.motion import Odometry
+from sixthsense.slam.scans.poses import compose
 
 
 def seen_from(T_a_b: Pose, motion: Odometry) -> Odometry:
@@ -23,8 +24,32 @@ def seen_from(T_a_b: Pose, motion: Odometry) -> Odometry:
     return Odometry(T_a_b @ motion.motion @ T_b_a, jacobian @ motion.cov @ jacobian.T)
 
 
-def laser_poses(trajectory: Array, T_robot_laser: Pose) -> Array:
-    """(K, 3) `T_world_laser` of the robot's poses (K, 3)."""
-    from sixthsense.slam.scans.poses import compose
+class Mount:
+    """Changes between the robot's poses and those of its laser."""
 
-    return compose(trajectory, T_robot_laser.array())
+    def __init__(self, T_robot_laser: Pose) -> None:
+        self.T_robot_laser, self.T_laser_robot = T_robot_laser, T_robot_laser.inverse()
+
+    def laser_motion(self, motion: Pose) -> Pose:
+        """The laser's motion of the robot's."""
+        return self.T_laser_robot @ motion @ self.T_robot_laser
+
+    def robot_motion(self, motion: Pose) -> Pose:
+        """The robot's motion of the laser's."""
+        return self.T_robot_laser @ motion @ self.T_laser_robot
+
+    def robot_pose(self, T_world_laser: Array) -> Pose:
+        """`T_world_robot` of `T_world_laser` (3,)."""
+        return Pose.from_array(T_world_laser) @ self.T_laser_robot
+
+    def laser_odometry(self, odometry: Odometry) -> Odometry:
+        """The laser's odometry of the robot's."""
+        return seen_from(self.T_laser_robot, odometry)
+
+    def robot_odometry(self, odometry: Odometry) -> Odometry:
+        """The robot's odometry of the laser's."""
+        return seen_from(self.T_robot_laser, odometry)
+
+    def laser_poses(self, trajectory: Array) -> Array:
+        """(K, 3) `T_world_laser` of the robot's poses (K, 3)."""
+        return compose(trajectory, self.T_robot_laser.array())

@@ -82,12 +82,10 @@ class Revisits:
         self._uncertainty.add(key - 1, key, position, float(cov[2, 2]) + _DRIFT_RAD**2)
 
     def look(self, key: int) -> None:
-        """Link the newest key scan to old ones, and look for a revisit from time to time."""
-        self.closings.link_old(key, self._graph.near_linked(key))
+        """From time to time, link the newest key scan to old ones around it, and look for a revisit."""
         if self._travelled[key] - self._looked_m >= _PERIOD_M:
             self._looked_m = float(self._travelled[key])
             self._look_around(key)
-        self._graph.refresh()
 
     def _look_around(self, key: int) -> None:
         old = np.arange(max(0, key - _OLD_AGE))
