@@ -17,7 +17,7 @@ from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import refine
 
 _REACH_M, _REACH_RAD = 1.5, 1.0  # to key scans that a scan is aligned with
-_MOST = 4
+_MOST = 3
 
 
 class TrackedScan(NamedTuple):

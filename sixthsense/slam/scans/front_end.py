@@ -24,7 +24,7 @@ from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Tracked, track
 
-_RECENT, _OLD = 3, 2  # key scans that a scan is tracked against, before it and of other passes
+_RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
 
 
 class _Last(NamedTuple):

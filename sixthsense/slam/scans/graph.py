@@ -15,8 +15,8 @@ from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import ScanStore
 
-_RECENT = 6  # key scans before a key scan that it is linked to
-_OLD = 6  # most links of a key scan to old ones
+_RECENT = 4  # key scans before a key scan that it is linked to
+_OLD = 4  # most links of a key scan to old ones
 _OLD_AGE = 20  # key scans; nearer ones are of the same pass
 _LINKED_LATELY = 6  # key scans back from the newest whose old partners' neighbours are linked
 _ALONG = 8  # key scans to either side of an old partner

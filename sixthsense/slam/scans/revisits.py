@@ -30,8 +30,8 @@ _PERIOD_M = 0.6  # of travel between two looks for revisits
 _M_PER_RAD = 0.3  # what a turn counts as travel
 _OLD_AGE = 25  # key scans; nearer ones are of the same pass
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a key scan is linked without a search
-_DRIFT_M, _DRIFT_RAD = 0.01, 0.004  # sigmas that a chain of tracked key scans adds per key scan
-_VOTE_APART_M, _VOTE_LASTS_M = 2.5, 10.0  # travel between two votes that count both, and after which one is dropped
+_DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked key scans adds, per square root of travel in m
+_VOTE_APART_M, _VOTE_LASTS_M = 1.2, 10.0  # travel between two votes that count both, and after which one is dropped
 _VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
 _VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
 
@@ -75,11 +75,12 @@ class Revisits:
         if tracked is None or key == 0:
             return
         step = between(self._graph.poses[key - 1], self._graph.poses[key])
-        self._travelled[key] = self._travelled[key - 1] + math.hypot(step[0], step[1]) + _M_PER_RAD * abs(step[2])
+        travel = math.hypot(step[0], step[1]) + _M_PER_RAD * abs(step[2])
+        self._travelled[key] = self._travelled[key - 1] + travel
         values, axes = np.linalg.eigh(tracked.information)
         cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
-        position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2
-        self._uncertainty.add(key - 1, key, position, float(cov[2, 2]) + _DRIFT_RAD**2)
+        position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2 * travel
+        self._uncertainty.add(key - 1, key, position, float(cov[2, 2]) + _DRIFT_RAD**2 * travel)
 
     def look(self, key: int) -> None:
         """From time to time, link the newest key scan to old ones around it, and look for a revisit."""
