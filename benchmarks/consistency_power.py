@@ -36,6 +36,7 @@ from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 from sixthsense.running.warmup import warm_up
+from sixthsense.slam import landmark_front_end
 from sixthsense.slam import slam as pipeline
 from sixthsense.slam.features import Features
 from sixthsense.slam.slam import Slam
@@ -127,7 +128,9 @@ def replayed(
 def scaled(what: str, factor: float) -> AbstractContextManager[object]:
     """A context in which `Slam` scales the covariance of all "sightings", or that of the "odometry", by `factor`."""
     if what == "sightings":
-        return mock.patch.object(pipeline, "extract", partial(_scaled_sightings, pipeline.extract, factor))
+        return mock.patch.object(
+            landmark_front_end, "extract", partial(_scaled_sightings, landmark_front_end.extract, factor)
+        )
     return mock.patch.object(pipeline, "odometry", partial(_scaled_odometry, pipeline.odometry, factor))
 
 

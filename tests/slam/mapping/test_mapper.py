@@ -68,7 +68,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1) + 0.1 * k, scan, NO_WALLS)
     assert drawn == [] and mapper.rebuilds == 0
-    mapper.complete()
+    mapper.complete(poses(6) + 0.5)
     assert len(drawn) == 6 and mapper.rebuilds == 0
     last = poses(6) + 0.5
     assert np.array_equal(mapper.grid.occupancy(), by_hand(last, scans).occupancy())
