@@ -1,8 +1,9 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+SCALE ?= 1
 
-.PHONY: run test test-all notebooks check kernels bench docs clean
+.PHONY: run test test-all notebooks check kernels bench evidence guard docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -35,6 +36,12 @@ check: $(VENV)/installed  ## style, types, imports
 bench: $(VENV)/installed  ## the figures in benchmarks/RESULTS.md
 	$(BIN)/python benchmarks/kernels.py
 	$(BIN)/python benchmarks/ekf_scaling.py
+
+evidence: $(VENV)/installed kernels  ## the headline tables of README.md and RESULTS.md; resumes; SCALE=0.1: a tenth
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence.py --seeds-scale $(SCALE)
+
+guard: $(VENV)/installed kernels  ## has a headline figure become worse than its spread explains?
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/guard.py
 
 docs: $(VENV)/installed  ## site/index.html; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

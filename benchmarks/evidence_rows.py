@@ -1,0 +1,219 @@
+"""Rows of the evidence: what is measured, over how many seeds, and one function per kind of row.
+
+A row is a kind, with a setting, over seeds. Its function takes the setting and a seed and returns the figures of one
+run. Simulated rows begin at seed 1,000, which no parameter was chosen on. The replay of a log is as the plain command
+makes it, with its default seed, which only affects RANSAC.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import kernels
+import mrclam
+import victoria_park
+from harness import replay, run, single_threaded
+from tours import judge, nees_of
+
+import sixthsense as ss
+from sixthsense.config import preset
+from sixthsense.config.errors import InputError
+from sixthsense.evaluation.measure import measure
+from sixthsense.sources.logs.graph import read_graph
+from sixthsense.sources.logs.mrclam import read_mrclam
+
+FIRST_SEED = 1000
+TOUR_S = 200.0
+
+Figures = dict[str, Any]
+"""numbers by name, and the run's `outcome`"""
+
+Kind = Literal["tour", "explore", "relations", "mrclam", "victoria", "kernels"]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row of the evidence."""
+
+    kind: Kind
+    setting: tuple[str, ...]
+    """scene and estimator, or log"""
+    seeds: int
+    """number of seeds at scale 1; 1 where nothing is drawn"""
+    needs: str = ""
+    """file or folder in SIXTHSENSE_DATA"""
+
+    @property
+    def key(self) -> str:
+        """Its name in the JSON."""
+        return ".".join((self.kind, *self.setting))
+
+    def seed_list(self, scale: float = 1.0) -> list[int]:
+        """The seeds of its runs; at least one."""
+        if self.seeds == 1:
+            return [0]
+        first = 0 if self.kind == "kernels" else FIRST_SEED
+        return list(range(first, first + max(round(self.seeds * scale), 1)))
+
+    def is_possible(self) -> bool:
+        """Whether its data is there."""
+        return not self.needs or data_path(self.needs).exists()
+
+
+def data_path(name: str) -> Path:
+    """A file of the real data; one that does not exist where SIXTHSENSE_DATA is not set."""
+    return Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / name
+
+
+# The longest first, so that two processes end at about the same time.
+ROWS = (
+    Row("victoria", (), 1),
+    Row("relations", ("intel",), 1, "intel/intel.clf.bz2"),
+    Row("relations", ("fr079",), 1, "fr079/fr079.clf.bz2"),
+    *(
+        Row("tour", (scene, estimator), 20)
+        for estimator in ("isam2", "ekf-invariant", "ekf")
+        for scene in ("apartment", "office")
+    ),
+    *(Row("explore", (scene,), 10) for scene in ("office", "loop", "apartment", "block", "rectangle")),
+    *(Row("mrclam", (estimator,), 1, "mrclam6") for estimator in ("ekf", "ekf-invariant", "isam2")),
+    Row("kernels", (), 3),
+)
+
+
+def tour_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """A tour in closed loop with unknown association."""
+    scene, estimator = setting
+    made = run(preset(scene=scene, estimator=estimator, task="tour", max_time=TOUR_S, seed=seed))
+    row, metrics = judge(made.trace), made.metrics
+    return {
+        "outcome": row["outcome"],
+        "nees": nees_of(row),
+        "landmark_nees": metrics["landmark_nees_mean"],
+        "nis": row["nis"] / max(row["nis_dof"], 1),
+        "wrong_per_1000": 1e3 * row["wrong"] / max(row["sightings"], 1),
+        "discarded_share": row["discarded_share"],
+        "ate_m": row["ate_rmse_m"],
+    }
+
+
+def explore_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """An exploration with the default configuration."""
+    metrics = run(preset(scene=setting[0], task="explore", max_time=3600.0, seed=seed)).metrics
+    names = ("outcome", "coverage", "collisions", "home_error_m", "path_length_m", "ate_rmse_m", "realtime_factor")
+    return {name: metrics[name] for name in names if name in metrics}
+
+
+def relations_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """`sixthsense replay LOG --relations FILE`, without another option; a log that needs one is "rejected"."""
+    assert seed == 0
+    name = setting[0]
+    log, relations = data_path(f"{name}/{name}.clf.bz2"), data_path(f"{name}/{name}.relations")
+    try:
+        metrics = ss.replay(log, relations=relations, progress=False).metrics
+    except InputError:
+        return {"outcome": "rejected"}
+    names = ("trans_m_mean", "trans_m_std", "rot_deg_mean", "rot_deg_std")
+    figures = {name: metrics[f"relations_{name}"] for name in names}
+    return figures | {"outcome": metrics["outcome"], "realtime_factor": metrics["realtime_factor"]}
+
+
+def mrclam_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """MRCLAM set 6, robot 3, landmarks identified by barcodes, against Vicon."""
+    assert seed == 0
+    config = preset("mrclam", estimator=setting[0])
+    log = read_mrclam(data_path("mrclam6"), config.assumed, mrclam.ROBOT)
+    trace = replay(log, config).trace
+    found = mrclam.estimator_figures(trace, log)
+    names = {"per_axis_m": "position_rmse_per_axis_m", "nees": "nees3", "nis": "nis_per_dof"}
+    return {"outcome": measure(trace)["outcome"]} | {name: found[key] for name, key in names.items()}
+
+
+def victoria_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """Victoria Park with known landmarks: `isam2` against direct calls of GTSAM, the filters against the smoother."""
+    assert not setting and seed == 0
+    steps, config = victoria_park.steps_of(read_graph(victoria_park.FILE)), preset("victoria").isam2
+    with single_threaded():
+        figures, smoother = victoria_park.smoother_figures(steps, config, 1)
+        others, _ = victoria_park.filter_figures(steps, smoother.trajectory())
+    found = {"graph_error_ratio": figures["graph_error_ratio"], "step_ratio": figures["step_ratio"]}
+    return found | {
+        key.replace(".", "_"): value for key, value in others.items() if key.endswith("rms_from_smoothed_m")
+    }
+
+
+def kernel_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """Ratios of the compiled kernels to their references; `seed` only counts the repetitions."""
+    assert not setting and seed >= 0
+    with single_threaded():
+        found = kernels.raycast_figures() | kernels.astar_figures(grids=2)
+    return {name: found[name] for name in ("raycast_speedup_numpy", "astar_speedup_heapq")}
+
+
+KINDS: dict[Kind, Callable[[tuple[str, ...], int], Figures]] = {
+    "tour": tour_figures,
+    "explore": explore_figures,
+    "relations": relations_figures,
+    "mrclam": mrclam_figures,
+    "victoria": victoria_figures,
+    "kernels": kernel_figures,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """How a figure is judged and shown."""
+
+    name: str
+    title: str
+    form: str
+    best: float | Literal["low", "high", ""] = ""
+    """the value that is best, or the direction; empty where it depends on the machine and is not judged"""
+    scale: float = 1.0
+    """factor of the value as it is shown"""
+
+
+FIGURES: dict[Kind, tuple[Figure, ...]] = {
+    "tour": (
+        Figure("nees", "pose NEES (3)", ".2f", 3.0),
+        Figure("landmark_nees", "landmark NEES (2)", ".2f", 2.0),
+        Figure("nis", "NIS per dof (1)", ".3f", 1.0),
+        Figure("wrong_per_1000", "wrong matches per 1,000", ".3f", "low"),
+        Figure("discarded_share", "discarded, %", ".2f", "low", 100.0),
+        Figure("ate_m", "ATE, mm", ".1f", "low", 1000.0),
+    ),
+    "explore": (
+        Figure("coverage", "coverage", ".4f", "high"),
+        Figure("collisions", "collisions", ".0f", "low"),
+        Figure("home_error_m", "home, m", ".3f", "low"),
+        Figure("path_length_m", "travel, m", ".0f", "low"),
+        Figure("ate_rmse_m", "ATE, mm", ".1f", "low", 1000.0),
+        Figure("realtime_factor", "times real time", ".0f"),
+    ),
+    "relations": (
+        Figure("trans_m_mean", "translation, m", ".3f", "low"),
+        Figure("trans_m_std", "its spread", ".3f", "low"),
+        Figure("rot_deg_mean", "rotation, °", ".2f", "low"),
+        Figure("rot_deg_std", "its spread", ".2f", "low"),
+        Figure("realtime_factor", "times real time", ".0f"),
+    ),
+    "mrclam": (
+        Figure("per_axis_m", "position per axis, m", ".3f", "low"),
+        Figure("nees", "pose NEES (3)", ".2f", 3.0),
+        Figure("nis", "NIS per dof (1)", ".3f", 1.0),
+    ),
+    "victoria": (
+        Figure("graph_error_ratio", "graph error, `isam2` over GTSAM (1)", ".4f", "low"),
+        Figure("step_ratio", "time per step, `isam2` over GTSAM", ".2f", "low"),
+        Figure("ekf_rms_from_smoothed_m", "`ekf` from smoothed, m", ".1f", "low"),
+        Figure("ekf_invariant_rms_from_smoothed_m", "`ekf-invariant`, m", ".1f", "low"),
+    ),
+    "kernels": (
+        Figure("raycast_speedup_numpy", "ray casting over NumPy", ".1f", "high"),
+        Figure("astar_speedup_heapq", "A\\* over a binary heap in Python", ".0f", "high"),
+    ),
+}
