@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_sightings
@@ -82,7 +82,7 @@ class ISAM2:
         places = self._solve_waiting()
         for (i, sighting), place, is_new in zip(sightings.items(), places[first:], is_first, strict=True):
             self._factors.add(self._poses - 1, i, place, sighting, is_new)
-        self._relinearize(guess, self._config.iterations)
+        self._relinearize(guess)
         self._read()
         if self._poses % _REJECT_PERIOD == 0:
             self._reject_outliers()
@@ -98,8 +98,9 @@ class ISAM2:
             self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
         guess = Pose.from_array(self.trajectory()[-1])
         ids = self._links.add(self._solve_waiting()[first:])
-        self._relinearize(guess, _MAX_ITERATIONS)
         self._read()
+        if self._is_far(guess, self._pose):
+            self._converge()
         return ids
 
     def unlink(self, ids: Collection[int]) -> None:
@@ -107,8 +108,8 @@ class ISAM2:
         places = self._links.drop(ids)
         if places:
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
-            self._relinearize(Pose.from_array(self._solved[-1]), _MAX_ITERATIONS)
             self._read()
+            self._converge()
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks with all their factors: their information about the poses is lost."""
@@ -214,15 +215,30 @@ class ISAM2:
     def _with_loss(self, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Base:
         return noise if self._loss is None else gtsam.noiseModel.Robust.Create(self._loss, noise)
 
-    def _relinearize(self, guess: Pose, iterations: int) -> None:
+    def _relinearize(self, guess: Pose) -> None:
         """Iterate while the newest pose is farther than the threshold from its linearization point."""
         linearized = to_pose2(guess)
-        for _ in range(iterations - 1):
+        for _ in range(self._config.iterations - 1):
             solved = self._solver.isam.calculateEstimatePose2(self._last_solved)
             if np.abs(linearized.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
                 return
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
             linearized = solved
+
+    def _converge(self) -> None:
+        """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
+        for _ in range(_MAX_ITERATIONS):
+            before = self._solved
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
+            self._read()
+            shift = self._solved - before
+            shift[:, 2] = wrap_angle(shift[:, 2])
+            if np.abs(shift).max() <= 0.1 * self._config.relinearize_threshold:
+                return
+
+    def _is_far(self, one: Pose, other: Pose) -> bool:
+        """Whether two poses are farther apart than the threshold of relinearization."""
+        return bool(np.abs(to_pose2(one).localCoordinates(to_pose2(other))).max() > self._config.relinearize_threshold)
 
     def _remove(self, places: list[int]) -> None:
         """Take factors out of the graph and solve."""

@@ -62,9 +62,11 @@ class Closings:
         graph = self._graph
         self._latest = self.accepted
         self.accepted += 1
-        graph.estimator.unlink(graph.give(links, np.inf))
-        graph.forget([_pair(found, k) for found, k in links])
+        wide = graph.give(links, np.inf)
         ids = graph.give(links, OLD_LOSS)
+        graph.estimator.unlink(wide)
+        graph.forget([_pair(found, k) for found, k in links])
+        graph.refresh()
         group = self._groups[self._latest] = _Group(
             targets=np.array([found.targets[k] for found, k in links]),
             sources=np.array([found.sources[k] for found, k in links]),
