@@ -6,6 +6,7 @@ Cells are aligned to multiples of `cell_m` in the world, and indexed [row = y, c
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, line_cells
 from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, FreeSpace, cell_box
 from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamp_discs
+from sixthsense.slam.mapping.submap import Submap, add_submap, mark_obstacles, submap_of
 
 __all__ = ["FreeSpace", "Grid", "line_cells"]
 
@@ -86,6 +88,21 @@ class Grid:
         self._scans += 1
         touched = ScanCells(local[0], local[1 : 1 + len(ends)], returned, local[1 + len(ends) :])
         count_scan(self._cells, touched, self._scans, self._flat_stencil, self._rules)
+
+    def submap(self) -> Submap:
+        """The evidence of this grid, to compose another one."""
+        return submap_of(self._counted(), self._first)
+
+    def compose(self, submaps: Sequence[Submap]) -> None:
+        """Replace all evidence by that of submaps in the order of their scans."""
+        self.clear()
+        corners = np.concatenate([np.zeros((0, 2)), *(submap.corners for submap in submaps)])
+        if len(corners) == 0:
+            return
+        self._grow(corners)
+        for submap in submaps:
+            add_submap(self._cells, self._first, submap, self._rules)
+        mark_obstacles(self._cells, self._flat_stencil, self._rules)
 
     def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0) -> FreeSpace:
         """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.

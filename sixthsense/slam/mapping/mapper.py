@@ -1,4 +1,4 @@
-"""The map of the key scans at their present poses, drawn when someone reads it."""
+"""The map of the key scans at their present poses, in submaps, drawn when someone reads it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.evidence import Cells
+from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.submap import Submap
+
+SCANS_PER_SUBMAP = 10
+"""Key scans of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
 
 
 class DrawnGrid(Grid):
@@ -33,10 +38,11 @@ class DrawnGrid(Grid):
 
 
 class Mapper:
-    """Keeps key scans, and draws them into a grid when it is read; again when one of them has moved by half a cell.
+    """Keeps key scans, and draws them into a grid when it is read.
 
     A key scan that nobody looks at costs nothing. Where the grid was read since the last key scan, as a navigator
-    reads it, the next one is drawn at once.
+    reads it, the next one is drawn at once. When a key scan that is drawn has moved by half a cell, its submap is drawn
+    again, and the grid is composed of the submaps.
     """
 
     def __init__(self, config: GridConfig, radius_m: float) -> None:
@@ -44,6 +50,7 @@ class Mapper:
         self.grid = DrawnGrid(config, radius_m, self._read)
         self.rebuilds = 0
         """number of times the grid was drawn again"""
+        self._config, self._radius_m = config, radius_m
         self._tolerance_m = 0.5 * config.cell_m
         self._is_read = False
         self._scans: list[tuple[Scan, Array]] = []
@@ -51,6 +58,8 @@ class Mapper:
         """mean range of each scan, m: the lever of its heading"""
         self._trajectory = np.zeros((0, 3))
         """(K, 3) present pose of each scan"""
+        self._submaps: list[Submap] = []
+        """of `SCANS_PER_SUBMAP` scans each, from the first on; made when the grid is composed for the first time"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
 
@@ -71,36 +80,49 @@ class Mapper:
         """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
         self._trajectory = trajectory[: len(self._scans)]
         if not np.array_equal(self._drawn_at, self._trajectory[: len(self._drawn_at)]):
-            self._clear()
+            self.grid.clear()
+            self.rebuilds += 1
+            self._drawn_at = np.zeros((0, 3))
         self.grid.complete()
-        self._scans, self._mean_ranges = [], []
+        self._scans, self._mean_ranges, self._submaps = [], [], []
 
     def _read(self) -> None:
         self._is_read = True
         self._draw()
 
     def _draw(self) -> None:
-        """Draw the scans that are due, or all if one that is drawn has moved."""
+        """Draw the scans that are due, and compose the grid anew if one that is drawn has moved."""
         drawn = len(self._drawn_at)
         if drawn == len(self._trajectory):
             return
-        if self._has_moved(drawn):
-            self._clear()
-            drawn = 0
-        for (scan, walls), row in zip(self._scans[drawn:], self._trajectory[drawn:], strict=True):
-            self.grid.add(Pose.from_array(row), scan, walls)
+        moved = self._moved(drawn)
+        if moved.any():
+            drawn = self._compose(moved)
+            self.rebuilds += 1
+        self._add(self.grid, slice(drawn, None))
         self._drawn_at = np.vstack([self._drawn_at[:drawn], self._trajectory[drawn:]])
 
-    def _clear(self) -> None:
-        self.grid.clear()
-        self.rebuilds += 1
-        self._drawn_at = np.zeros((0, 3))
-
-    def _has_moved(self, count: int) -> bool:
-        """Whether one of the first `count` scans, which are drawn, has moved by half a cell."""
-        if count == 0:
-            return False
+    def _moved(self, count: int) -> Bools:
+        """(count,) which of the first scans, which are drawn, have moved by half a cell."""
         shift = self._trajectory[:count] - self._drawn_at
         lever_m = np.array(self._mean_ranges[:count])
         displacement = np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m
-        return bool(displacement.max() > self._tolerance_m)
+        return np.asarray(displacement > self._tolerance_m)
+
+    def _compose(self, moved: Bools) -> int:
+        """Compose the grid of submaps, those with a moved scan drawn again; the number of scans that are in it."""
+        count = len(moved) // SCANS_PER_SUBMAP
+        for k in range(count):
+            scans = slice(k * SCANS_PER_SUBMAP, (k + 1) * SCANS_PER_SUBMAP)
+            if k == len(self._submaps) or moved[scans].any():
+                own = Grid(self._config, self._radius_m)
+                self._add(own, scans)
+                self._submaps[k : k + 1] = [own.submap()]
+                self._drawn_at[scans] = self._trajectory[scans]
+        self.grid.compose(self._submaps)
+        return count * SCANS_PER_SUBMAP
+
+    def _add(self, grid: Grid, scans: slice) -> None:
+        """Add scans to a grid at their present poses."""
+        for (scan, walls), row in zip(self._scans[scans], self._trajectory[scans], strict=True):
+            grid.add(Pose.from_array(row), scan, walls)

@@ -1,0 +1,128 @@
+"""A grid composed of submaps."""
+
+import numpy as np
+import pytest
+
+from sixthsense.config import GridConfig, LaserConfig
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
+from sixthsense.slam.mapping.restore import restore_grid
+from sixthsense.slam.mapping.submap import Submap, add_submap
+
+LASER = LaserConfig(beams=120)
+ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
+NO_WALLS = np.zeros((0, 2, 2))
+RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)
+
+
+def look(row: np.ndarray) -> Scan:
+    bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
+    return Scan.from_config(cast_rays(Pose.from_array(row), bearings, ROOM, LASER.max_range), LASER)
+
+
+def poses(count: int) -> np.ndarray:
+    return np.array([[1.5 * np.sin(0.2 * k), 0.8 * np.cos(0.3 * k), 0.25 * k] for k in range(count)])
+
+
+def drawn(rows: np.ndarray, config: GridConfig | None = None) -> Grid:
+    grid = Grid(config or GridConfig(), 0.2)
+    for row in rows:
+        grid.add(Pose.from_array(row), look(row), NO_WALLS)
+    return grid
+
+
+def plain_add(grid: Cells, first: tuple[int, int], submap: Submap, rules: EvidenceRules) -> None:
+    """The reference of `add_submap`, on whole arrays; no cell is in a submap twice."""
+    at = submap.cells[:, 0] - first[0], submap.cells[:, 1] - first[1]
+    is_hit = submap.hits > 0
+    hits = np.where(is_hit, np.minimum(grid.hits[at] + submap.hits, rules.max_hits), grid.hits[at])
+    most = np.floor(rules.passes_per_hit * hits)
+    passes = np.where(is_hit, np.minimum(grid.passes[at], most), grid.passes[at]) + submap.passes
+    is_obstacle = is_hit & (submap.passes <= rules.passes_per_hit * submap.hits)
+    grid.hits[at], grid.passes[at] = hits, np.where(is_obstacle, np.minimum(passes, most), passes)
+    grid.seen[at] |= submap.seen
+
+
+def random_submap(rng: np.random.Generator) -> Submap:
+    cells = np.argwhere(rng.random((20, 30)) < 0.4) + np.array([-5, 7])
+    count = len(cells)
+    hits = (rng.integers(0, 4, count) * rng.integers(0, 2, count)).astype(np.int32)
+    return Submap.of(cells, hits, rng.integers(0, 30, count).astype(np.int32), rng.random(count) < 0.8)
+
+
+def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        fast, plain = Cells.empty(20, 30), Cells.empty(20, 30)
+        for _ in range(6):
+            submap = random_submap(rng)
+            add_submap(fast, (-5, 7), submap, RULES)
+            plain_add(plain, (-5, 7), submap, RULES)
+        for name in ("hits", "passes", "seen"):
+            assert np.array_equal(getattr(fast, name), getattr(plain, name))
+
+
+@pytest.mark.parametrize("config", [GridConfig(), GridConfig(min_hits=2, passes_per_hit=0.5)])
+def test_a_grid_composed_of_one_submap_is_the_grid_it_was_taken_from(config: GridConfig) -> None:
+    grid, composed = drawn(poses(12), config), Grid(config, 0.2)
+    composed.compose([grid.submap()])
+    for name in ("hits", "passes", "seen", "obstacles"):
+        there, here = np.argwhere(getattr(grid, name)), np.argwhere(getattr(composed, name))
+        shift = np.round(np.subtract(grid.origin, composed.origin)[::-1] / config.cell_m).astype(int)
+        assert np.array_equal(there + shift, here)
+        assert np.array_equal(getattr(grid, name)[tuple(there.T)], getattr(composed, name)[tuple(here.T)])
+
+
+def test_obstacles_of_a_composed_grid_are_inflated_as_those_of_any_other() -> None:
+    composed = Grid(GridConfig(), 0.2)
+    composed.compose([drawn(poses(24)[k : k + 8]).submap() for k in (0, 8, 16)])
+    again = restore_grid(GridConfig(), 0.2, composed.origin, composed.hits, composed.passes, composed.seen)
+    assert np.array_equal(composed.obstacles, again.obstacles)
+    assert np.array_equal(composed.free_space().blocked, again.free_space().blocked)
+    row = poses(30)[-1]
+    for grid in (composed, again):
+        grid.add(Pose.from_array(row), look(row), NO_WALLS)
+    assert np.array_equal(composed.free_space().blocked, again.free_space().blocked)
+
+
+def test_a_static_room_is_the_same_in_submaps_as_scan_by_scan() -> None:
+    whole, composed = drawn(poses(40)), Grid(GridConfig(), 0.2)
+    composed.compose([drawn(poses(40)[k : k + 10]).submap() for k in range(0, 40, 10)])
+    for name in ("obstacles", "seen"):
+        assert getattr(composed, name).sum() == pytest.approx(getattr(whole, name).sum(), rel=0.02)
+
+
+def test_an_obstacle_of_the_last_submap_is_one_however_long_it_was_free() -> None:
+    cell = np.array([[3, 4]])
+    free = Submap.of(cell, np.zeros(1, np.int32), np.full(1, 500, np.int32), np.ones(1, np.bool_))
+    wall = Submap.of(cell, np.ones(1, np.int32), np.full(1, 3, np.int32), np.ones(1, np.bool_))
+    gone = Submap.of(cell, np.zeros(1, np.int32), np.full(1, 41, np.int32), np.ones(1, np.bool_))
+    grid = Grid(GridConfig(), 0.0)
+    for submaps, is_obstacle in (([free], False), ([free, wall], True), ([free, wall, gone], False)):
+        grid.compose(submaps)
+        assert grid.obstacles.any() == is_obstacle
+
+
+def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 3 * SCANS_PER_SUBMAP + 4
+    mapper, added, add = Mapper(GridConfig(), 0.2), [], Grid.add
+    monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
+    rows = poses(count + 2)
+    for k in range(count):
+        mapper.add(rows[: k + 1], look(rows[k]), NO_WALLS)
+        assert mapper.grid.seen.any()
+    assert len(added) == count and mapper.rebuilds == 0
+    moved = rows.copy()
+    for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
+        added.clear()
+        moved[scan, 0] += 0.04
+        mapper.add(moved[: count + 1 + k], look(moved[count + k]), NO_WALLS)
+        assert mapper.grid.seen.any()
+        assert mapper.rebuilds == k + 1
+        assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet
+    shift = np.abs(mapper._drawn_at - moved[: len(mapper._drawn_at)])
+    assert shift.max() == 0.0
+    assert mapper.grid.obstacles.sum() == pytest.approx(drawn(moved[: count + 2]).obstacles.sum(), rel=0.1)
