@@ -47,6 +47,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     # its data sheet: statistical error 5 mm, systematic error 15 mm. Real walls are cluttered, hence the floors, and
     # free ends are less accurate than walls. Half a circle of beams 1 degree apart shows short pieces of walls.
     "log": {
+        "estimator": "isam2",
+        "front_end": "scans",
         "assumed": {
             "motion": {
                 "slip_position_per_sqrt_m": 0.03,

@@ -83,6 +83,10 @@ class Section:
         for name, hint in _hints(type(self)).items():
             object.__setattr__(self, name, _checked(name, hint, getattr(self, name)))
 
+    def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The fields that are to be replaced, with those that follow from them."""
+        return table
+
 
 def _hints(cls: type) -> dict[str, Any]:
     return typing.get_type_hints(cls, include_extras=True)
@@ -136,7 +140,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     """
     known = {f.name: f for f in dataclasses.fields(typing.cast(Any, base))}
     changes: dict[str, Any] = {}
-    for key, value in table.items():
+    for key, value in base.completed(table).items():
         name = key.replace("-", "_")
         if name not in known:
             near = difflib.get_close_matches(name, known, 1) if len(name) <= 80 else []

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from sixthsense.config.explore import ExploreConfig
 from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
@@ -35,8 +36,8 @@ class Config(Section):
     """Back end: ekf-invariant, ekf-fej or ekf-oc, filters that stay consistent when the robot turns; ekf, the report's
     filter; isam2, a smoother."""
     front_end: Literal["landmarks", "scans"] = "landmarks"
-    """What the estimator is given: landmarks, sightings of walls and points; scans, relative poses by aligning scans,
-    for estimators that keep their poses."""
+    """What the estimator is given: landmarks, sightings of walls and points; scans, relative poses of aligned scans,
+    for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an estimator is named."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
@@ -66,6 +67,17 @@ class Config(Section):
     follow: FollowConfig = field(default_factory=FollowConfig)
     explore: ExploreConfig = field(default_factory=ExploreConfig)
     safety: SafetyConfig = field(default_factory=SafetyConfig)
+
+    def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The front end that a named estimator can use, and an estimator that a named front end can use."""
+        estimator, front_end = (
+            table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
+        )
+        if estimator is not None and front_end is None and self.front_end == "scans" and estimator != "isam2":
+            return {**table, "front_end": "landmarks"}
+        if front_end == "scans" and estimator is None and self.estimator in FILTERS:
+            return {**table, "estimator": "isam2"}
+        return table
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -24,6 +24,7 @@ from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Tracked, track
 
+_SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
 _RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
 
 
@@ -47,10 +48,14 @@ class ScanFrontEnd:
         self.revisits = Revisits(config.scans, self._graph)
         """the search for old places, with what it has found"""
         self._mount = Mount(Pose())
+        self._T_key_world = Pose()
+        """of the robot at the last key scan"""
         self._since = STANDSTILL
         """odometry of the robot since the last key scan"""
         self._last: _Last | None = None
         self._scans: list[TrackedScan] = []
+        self._support = 0.0
+        """share of returns on known lines that scans have lately had"""
         self._predict = timed("predict", estimator.predict)
         self._track = timed("track", self._tracked)
         self._update = timed("update", self._updated)
@@ -67,7 +72,7 @@ class ScanFrontEnd:
         """Motion since the last key scan, by the last scan and the odometry since."""
         if not self._store.count:
             return self._since.motion
-        return self._key_pose().inverse() @ self._pose
+        return self._T_key_world @ self._pose
 
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
         """Process a tick: every scan is tracked; key scans are linked with earlier ones."""
@@ -108,8 +113,9 @@ class ScanFrontEnd:
         assert last is not None
         prior = prior_of(poses[-1], self._since_of_laser())
         step = self._mount.laser_motion(last.odometry.inverse() @ self._since.motion)
-        start = (Pose.from_array(last.pose) @ step).array()
-        tracked = track(self._store.returns, row, self._references(), poses, prior, start)
+        starts = np.array([(Pose.from_array(last.pose) @ step).array(), last.pose])
+        tracked = track(self._store.returns, row, self._references(), poses, prior, starts, self._support)
+        self._support += _SUPPORT_SHARE * (tracked.support - self._support)
         self._last = _Last(tracked.pose, self._since.motion)
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
@@ -149,10 +155,7 @@ class ScanFrontEnd:
     def _stand_at_key_scan(self) -> Estimate:
         """Begin anew at the key scan that was added; the estimate there."""
         estimate = self._estimator.estimate()
-        self._pose, self._since = estimate.pose, STANDSTILL
+        self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose())
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
         return estimate
-
-    def _key_pose(self) -> Pose:
-        return self._mount.robot_pose(self._graph.poses[-1])

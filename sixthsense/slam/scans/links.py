@@ -38,7 +38,7 @@ _LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their 
 _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _FLOOR_M, _FLOOR_RAD = 0.003, 0.001  # of what no alignment knows: beams' geometry, clocks, a tilted laser
-_UNOBSERVED = 100.0  # sigma, m or rad, along a direction of which the scans say nothing
+_UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say nothing
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -20,7 +21,9 @@ _WIDE_GATES_M = np.array([0.5, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15, *[0.12] * 6
 _LAST_GATES_M = np.array([0.12] * 6)
 _STEP_M, _STEP_RAD = 5e-4, 2e-4  # smaller steps end the iteration
 _SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
-_POOR_SUPPORT, _GAIN = 0.35, 0.15  # share of returns on known lines, and by how much another heading must raise it
+_POOR_SUPPORT, _DROP = 0.35, 0.1  # share of returns on known lines, and below the usual, at which slip is suspected
+_GAIN = 0.1  # by how much another start must raise it
+_WEAK = 0.05  # weight of odometry that is under suspicion
 _OTHER_HEADINGS_RAD = (0.15, -0.15, 0.3, -0.3, 0.5, -0.5)
 
 
@@ -47,23 +50,30 @@ class Tracked(NamedTuple):
 
 
 def track(
-    returns: Returns, source: int, references: NDArray[np.int64], poses: Array, prior: Prior, start: Array
+    returns: Returns,
+    source: int,
+    references: NDArray[np.int64],
+    poses: Array,
+    prior: Prior,
+    starts: Array,
+    usual: float,
 ) -> Tracked:
     """The pose of scan `source` among the key scans `references` (R,), whose poses are rows of `poses` (n, 3).
 
-    `start` (3,) is the initial pose. Where few returns find a line, other initial headings are tried with less
-    odometry, and one of them is taken if it explains clearly more.
+    `starts` (2, 3) are the pose by odometry since the scan before, and that scan's. `usual` is the support that scans
+    have lately had. Where fewer returns find a line, wheels may have slipped: partners are sought farther away, and
+    from the scan before; where few do, at other headings, too. What explains clearly more is taken.
     """
-    best = _solved(returns, source, references, poses, prior, start, _GATES_M)
-    if best.support >= _POOR_SUPPORT:
+    best = _solved(returns, source, references, poses, prior, starts[0], _GATES_M)
+    if best.support >= usual - _DROP and best.support >= _POOR_SUPPORT:
         return best
-    best = _solved(returns, source, references, poses, prior, start, _WIDE_GATES_M)
+    weak = Prior(prior.pose, _WEAK * prior.information)
+    turns = (0.0, *_OTHER_HEADINGS_RAD) if best.support < _POOR_SUPPORT else (0.0,)
     least = best.support + _GAIN
-    weak = Prior(prior.pose, 0.05 * prior.information)
-    for turn in _OTHER_HEADINGS_RAD:
+    for turn, start in itertools.product(turns, starts):
         other = _solved(returns, source, references, poses, weak, start + np.array([0.0, 0.0, turn]), _WIDE_GATES_M)
         if other.support > least:
-            best, least = other, other.support
+            best, least = other._replace(slip=other.slip / _WEAK), other.support
     return best
 
 

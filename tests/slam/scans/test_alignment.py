@@ -1,0 +1,159 @@
+"""Normals, point-to-line alignment of two scans, its covariance, and the see-through test."""
+
+import math
+
+import numpy as np
+import pytest
+from rooms import CORRIDOR, HALF, ROOM, ROUND, scan_at, stored
+from scipy.stats import chi2
+
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.slam.scans.alignment import (
+    GRADIENT,
+    HESSIAN,
+    HITS,
+    SQUARES,
+    SUMS,
+    WEIGHT,
+    Loss,
+    add_both_ways,
+    add_one_way,
+    inverse,
+)
+from sixthsense.slam.scans.links import NEAR_GATES_M, align_pairs
+from sixthsense.slam.scans.see_through import compare_views
+
+A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
+LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])
+
+
+def pair(laser, rng=None, a=A, b=B, walls=ROOM):
+    return stored(scan_at(a, walls, laser, rng=rng), scan_at(b, walls, laser, rng=rng)).returns, (
+        a.inverse() @ b
+    ).array()
+
+
+def reference(returns, target, source, pose, loss):
+    """The sums of `add_one_way`, with the partner sought among all returns of the target."""
+    points, normals = returns.points.astype(float), returns.normals.astype(float)
+    sums, seen = np.zeros(SUMS), points[target, :, 2] > 0
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    for k in range(0, points.shape[1], returns.bearings.stride):
+        if points[source, k, 2] == 0:
+            continue
+        arm = np.array([[c, -s], [s, c]]) @ points[source, k, :2]
+        gap = np.where(seen, np.linalg.norm(pose[:2] + arm - points[target, :, :2], axis=1), np.inf)
+        q = gap.argmin()
+        n = normals[target, q, :2]
+        turned = np.array([[c, -s], [s, c]]) @ normals[source, k, :2]
+        if gap[q] >= loss.gate_m or not n.any() or (turned.any() and turned @ n < 0.7):
+            continue
+        r = n @ (pose[:2] + arm - points[target, q, :2])
+        row = np.array([*n, n @ [-arm[1], arm[0]]])
+        w = 1 / (1 + (r / loss.scale_m) ** 2)
+        sums[HESSIAN:GRADIENT] += w * np.outer(row, row)[np.triu_indices(3)]
+        sums[GRADIENT:WEIGHT] += w * row * r
+        sums[[WEIGHT, HITS, SQUARES]] += w, 1, w * r * r
+    return sums
+
+
+@LASERS
+def test_the_kernel_agrees_with_its_reference(laser):
+    returns, true = pair(laser, np.random.default_rng(1))
+    loss, pose = Loss(0.1, 0.05), true + np.array([0.02, -0.01, 0.01])
+    sums = np.zeros(SUMS)
+    add_one_way(returns, 0, 1, pose, loss, sums)
+    expected = reference(returns, 0, 1, pose, loss)
+    assert sums[HITS] > 80
+    assert np.allclose(sums[:12], expected[:12], rtol=0.05, atol=0.05 * sums[WEIGHT] ** 0.5)
+
+
+@LASERS
+@pytest.mark.parametrize("add", [add_one_way, add_both_ways])
+def test_the_gradient_is_that_of_the_squares(laser, add):
+    returns, true = pair(laser, np.random.default_rng(2))
+    loss, pose = Loss(0.3, 1e6), true + np.array([0.01, 0.005, 0.004])
+
+    def at(x):
+        sums = np.zeros(SUMS)
+        add(returns, 0, 1, x, loss, sums)
+        return sums
+
+    here = at(pose)
+    for k, step in enumerate(1e-7 * np.eye(3)):
+        ahead, behind = at(pose + step), at(pose - step)
+        if ahead[HITS] == behind[HITS]:
+            slope = 0.5 * (ahead[SQUARES] - behind[SQUARES]) / 2e-7
+            assert slope == pytest.approx(here[GRADIENT + k], rel=0.02, abs=0.02)
+
+
+def test_the_inverse_of_a_pose_is_its_inverse():
+    assert np.allclose(inverse(B.array()), B.inverse().array())
+
+
+def test_a_full_circle_has_normals_where_it_begins_and_ends():
+    returns = stored(scan_at(Pose(3.0, 0.5, 0.0), laser=ROUND)).returns  # the first beam looks at the far wall
+    turned = stored(scan_at(Pose(3.0, 0.5, math.pi), laser=ROUND)).returns
+    for one in (returns, turned):
+        assert (np.abs(np.hypot(*one.normals[0, :, :2].T) - 1.0) < 1e-3).mean() > 0.9
+    assert np.allclose(np.abs(returns.normals[0, [0, 1, -1], 0]), 1.0, atol=1e-3)
+
+
+def test_normals_point_to_the_laser_and_are_those_of_the_walls():
+    points, normals, _ = stored(scan_at(A)).returns
+    is_fitted = np.hypot(*normals[0, :, :2].T) > 0
+    assert ((normals[0, :, :2] * points[0, :, :2]).sum(axis=1)[is_fitted] < 0).all()
+    world = np.arctan2(normals[0, is_fitted, 1], normals[0, is_fitted, 0]) + A.theta
+    assert np.mean(np.abs(wrap_angle(4 * world)) < 0.05) > 0.9  # all walls are parallel to an axis
+
+
+@LASERS
+def test_alignment_finds_the_motion_within_its_covariance(laser):
+    squared, rng = [], np.random.default_rng(3)
+    for _ in range(60):
+        a = Pose(rng.uniform(-1, 0.5), rng.uniform(-1, 1), rng.uniform(-3, 3))
+        b = a @ Pose(*rng.normal(0, [0.2, 0.2, 0.2]))
+        returns, true = pair(laser, rng, a, b)
+        start = true + rng.normal(0, [0.03, 0.03, 0.02])
+        found = align_pairs(returns, np.array([0]), np.array([1]), start[None], NEAR_GATES_M)
+        if not found.agree(returns, 0.6)[0]:
+            continue
+        off = found.poses[0] - true
+        off[2] = wrap_angle(float(off[2]))
+        squared.append(off @ np.linalg.solve(found.covariance(0, 2.0, 0.01), off))
+    assert len(squared) > 40
+    assert np.sum(squared) < chi2.ppf(0.999, 3 * len(squared))  # not overconfident
+    assert np.mean(squared) > 0.3  # nor worthless
+
+
+def test_along_a_corridor_the_covariance_claims_nothing():
+    rng = np.random.default_rng(4)
+    returns, true = pair(HALF, rng, Pose(0.0, 0.2, 0.1), Pose(0.5, 0.25, 0.05), CORRIDOR)
+    found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATES_M)
+    values, axes = np.linalg.eigh(found.covariance(0, 2.0, 0.01)[:2, :2])
+    assert np.sqrt(values[1]) > 0.5 and np.sqrt(values[0]) < 0.02
+    assert abs(axes[:, 1] @ [math.cos(0.1), -math.sin(0.1)]) > 0.999
+
+
+def test_more_scans_of_one_surface_make_each_link_less_certain():
+    returns, true = pair(ROUND, np.random.default_rng(5))
+    found = align_pairs(returns, np.array([0]), np.array([1]), true[None], NEAR_GATES_M)
+    two, ten = (found.covariance(0, n, 0.01) for n in (2.0, 10.0))
+    assert np.linalg.eigvalsh(ten - two).min() > 0
+
+
+def test_a_scan_that_looks_through_a_wall_is_rejected():
+    """Two rooms of one width, the second deeper: its scan fits the side walls of the first."""
+    deep = np.array([[[-4, -3], [9, -3]], [[9, -3], [9, 3]], [[9, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=float)
+    store = stored(*(scan_at(Pose(2.0, y, 0.0), walls) for y, walls in ((0.0, ROOM[:4]), (0.0, deep), (0.1, ROOM[:4]))))
+    ends = np.array([0, 0]), np.array([1, 2])
+    found = align_pairs(store.returns, *ends, np.zeros((2, 3)), NEAR_GATES_M)
+    assert found.agree(store.returns, 0.8).tolist() == [False, True]
+
+
+def test_views_are_compared_beam_by_beam():
+    store = stored(scan_at(Pose(), ROOM[:4]), scan_at(Pose(), 0.5 * ROOM[:4]))
+    hits, through, count = compare_views(store.returns, 0, 1, np.zeros(3))
+    assert through == count and hits == 0  # the small room stands in the view of the large one
+    hits, through, count = compare_views(store.returns, 1, 0, np.zeros(3))
+    assert through == hits == 0  # the large room is hidden by the small one

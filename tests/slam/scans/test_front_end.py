@@ -1,0 +1,171 @@
+"""The front end of scans in simulated drives: loops close, estimates are honest, wrong revisits are undone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from rooms import ROOM, scan_at
+
+from sixthsense.config import ConfigError, merge, preset
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
+from sixthsense.slam.estimators import register_estimator
+from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.scans.closing import Closings
+from sixthsense.slam.scans.mount import Mount, seen_from
+from sixthsense.slam.slam import Slam
+
+# A ring of corridors, 2 m wide, around a block of 16 m by 10 m, with niches that make its places different.
+RING = np.array(
+    [[[-10, -7], [10, -7]], [[10, -7], [10, 7]], [[10, 7], [-10, 7]], [[-10, 7], [-10, -7]],
+     [[-8, -5], [8, -5]], [[8, -5], [8, 5]], [[8, 5], [-8, 5]], [[-8, 5], [-8, -5]],
+     [[-3, -7], [-3, -6.6]], [[-3, -6.6], [-1.5, -6.6]], [[-1.5, -6.6], [-1.5, -7]], [[4, -5], [4, -5.4]],
+     [[4, -5.4], [5, -5.4]], [[5, -5.4], [5, -5]], [[10, -2], [9.5, -2]], [[9.5, -2], [9.5, -1]],
+     [[9.5, -1], [10, -1]], [[8, 2], [8.4, 2.6]], [[8.4, 2.6], [8, 3.1]], [[6, 7], [6.5, 6.5]],
+     [[6.5, 6.5], [7.5, 7]], [[1, 5], [1.3, 5.5]], [[1.3, 5.5], [2.2, 5]], [[-5, 7], [-5, 6.4]],
+     [[-5, 6.4], [-6, 6.4]], [[-6, 6.4], [-6, 7]], [[-10, 3], [-9.4, 2.5]], [[-9.4, 2.5], [-10, 1.5]],
+     [[-8, -2], [-8.5, -1.5]], [[-8.5, -1.5], [-8, -0.5]]], dtype=float)  # fmt: skip
+CORNERS = [(9.0, -6.0), (9.0, 6.0), (-9.0, 6.0), (-9.0, -6.0)]
+
+
+def drive(start, corners, step=0.12, turn=0.12) -> list[Pose]:
+    """Poses along straight lines between corners, turning on the spot."""
+    poses = [start]
+    for corner in corners:
+        to = np.array(corner) - poses[-1].position
+        off = wrap_angle(float(np.arctan2(to[1], to[0]) - poses[-1].theta))
+        n = max(1, round(abs(off) / turn))
+        for _ in range(n):
+            poses.append(poses[-1] @ Pose(theta=off / n))
+        n = max(1, round(float(np.hypot(*to)) / step))
+        for _ in range(n):
+            poses.append(poses[-1] @ Pose(x=float(np.hypot(*to)) / n))
+    return poses
+
+
+def ticks(poses, walls, seed=0, scale=1.0, drift=0.0, mount=None, laser=None):
+    """Ticks of a drive whose wheels are wrong by a scale and by a drift in rad per m."""
+    rng, odometry, config = np.random.default_rng(seed), poses[0], laser or preset().laser
+    config = config if mount is None else dataclasses.replace(config, mount=tuple(mount.array()))
+    for k, pose in enumerate(poses):
+        if k:
+            step = poses[k - 1].inverse() @ pose
+            wrong = Pose(scale * step.x, step.y, step.theta + drift * step.x)
+            odometry = odometry @ wrong @ Pose(*(1e-3 * rng.standard_normal(3)))
+        scan = scan_at(pose if mount is None else pose @ mount, walls, config, rng=rng)
+        yield Tick(100_000_000 * k, odometry, scan, log_stamp_s=0.1 * k)
+
+
+def run(config, poses, walls, **wheels):
+    """The finished Slam, its result, the steps' poses, and the number of key scans at each step."""
+    slam, causal = Slam(config, poses[0]), []
+    last_key: list[int] = []
+    with slam:
+        for tick in ticks(poses, walls, **wheels):
+            step = slam.take(tick)
+            causal.append(step.pose.array())
+            last_key.append((last_key[-1] if last_key else -1) + (step.key_scan is not None))
+        return slam, slam.finish(), np.array(causal), np.array(last_key)
+
+
+def scan_poses(result, last_key) -> Array:
+    return np.array(
+        [
+            (Pose.from_array(result.trajectory[k]) @ Pose.from_array(m)).array()
+            for k, m in zip(last_key, result.since_key, strict=True)
+        ]
+    )
+
+
+CONFIG = preset(front_end="scans")
+
+
+def test_two_loops_with_bad_wheels_close():
+    poses = drive(Pose(-9.0, -6.0, 0.0), CORNERS + CORNERS[:2])
+    slam, result, _, last_key = run(CONFIG, poses, RING, scale=1.05, drift=0.03)
+    truth = np.array([pose.array() for pose in poses])
+    off = scan_poses(result, last_key) - truth
+    assert slam._front_end.revisits.closings.undone == 0
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1 and np.abs(wrap_angle(off[:, 2])).max() < 0.03
+    links = slam._front_end._graph.old_links
+    second_lap = [k for k in range(len(result.trajectory)) if last_key.tolist().index(k) > len(poses) * 0.75]
+    assert np.mean([k in links for k in second_lap]) > 0.7
+
+
+def test_without_revisits_no_old_scan_is_linked():
+    config = merge(CONFIG, {"scans": {"revisits": False, "final_pass": False}})
+    slam, result, *_ = run(config, drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1), (0, 1)]), ROOM)
+    assert not slam._front_end._graph.old_links and result.since_key is None
+
+
+@pytest.mark.parametrize("mount", [Pose(-0.3, 0.1, 0.5), Pose(0.2, 0.0, np.pi)])
+def test_a_laser_beside_the_robot_gives_the_robots_poses(mount):
+    laser = preset().laser
+    config = merge(CONFIG, {"laser": {"mount": tuple(mount.array())}})
+    poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1)])
+    _, result, causal, last_key = run(config, poses, ROOM, scale=1.04, mount=mount, laser=laser)
+    truth = np.array([pose.array() for pose in poses])
+    for found in (causal, scan_poses(result, last_key)):
+        assert np.abs(found - truth)[:, :2].max() < 0.02 and np.abs(wrap_angle(found - truth)[:, 2]).max() < 0.01
+
+
+def test_a_robot_that_slips_is_tracked_by_its_scans():
+    poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2)])
+    stuck = [*poses, *[poses[-1]] * 2]
+    slam = Slam(CONFIG, poses[0])
+    with slam:
+        for k, tick in enumerate(ticks(stuck, ROOM)):
+            slip = Pose(x=0.4) if k >= len(poses) else Pose()
+            step = slam.take(dataclasses.replace(tick, odometry=tick.odometry @ slip))
+    assert np.hypot(*(step.pose.position - poses[-1].position)) < 0.03
+
+
+def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():
+    with pytest.raises(ConfigError, match="front_end: found scans with estimator ekf, allowed: with isam2"):
+        preset(front_end="scans", estimator="ekf")
+    register_estimator("own-filter", EKF)
+    with pytest.raises(ConfigError, match="found scans with own-filter, allowed: with isam2"):
+        Slam(preset(front_end="scans", estimator="own-filter"))
+
+
+def test_an_estimator_that_is_named_alone_gets_the_front_end_that_it_can_use():
+    assert (preset("intel").estimator, preset("intel").front_end) == ("isam2", "scans")
+    assert preset("intel", estimator="ekf-invariant").front_end == "landmarks"
+    assert preset("intel", front_end="landmarks").estimator == "isam2"
+    assert preset(front_end="scans").estimator == "isam2" and preset().front_end == "landmarks"
+
+
+def test_the_same_drive_gives_the_same_bits():
+    poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2)])
+    one, two = (run(CONFIG, poses, ROOM)[1] for _ in range(2))
+    assert np.array_equal(one.trajectory, two.trajectory) and np.array_equal(one.since_key, two.since_key)
+
+
+def test_a_revisit_that_contradicts_the_graph_is_undone_with_what_followed():
+    slam, *_ = run(CONFIG, drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1), (0, 1)]), ROOM)
+    front_end = slam._front_end
+    graph, before = front_end._graph, slam.trajectory()
+    links_before = {key: list(old) for key, old in graph.old_links.items()}
+    last = graph.count - 1
+    found = graph._align(np.array([0, 1, 2]), last, np.array([0.12]))
+    found.poses[:] = found.poses + np.array([0.8, -0.5, 0.3])  # a wrong place
+    closings: Closings = front_end.revisits.closings
+    stands = closings.close([(found, k) for k in range(3)])
+    assert not stands and closings.undone == 1 and graph.old_links == links_before
+    assert np.allclose(slam.trajectory(), before, atol=1e-3)
+
+
+def test_the_motion_of_a_mounted_frame_has_the_covariance_of_finite_differences():
+    mount, motion = Pose(0.4, -0.2, 0.7), Pose(0.5, 0.1, 0.3)
+    cov = np.array([[0.02, 0.003, 0.001], [0.003, 0.01, -0.002], [0.001, -0.002, 0.005]])
+
+    def moved(x):
+        return (mount @ Pose.from_array(x) @ mount.inverse()).array()
+
+    steps = 1e-6 * np.eye(3)
+    jacobian = np.column_stack([(moved(motion.array() + h) - moved(motion.array() - h)) / 2e-6 for h in steps])
+    there = seen_from(mount, Odometry(motion, cov))
+    assert np.allclose(there.cov, jacobian @ cov @ jacobian.T, atol=1e-9)
+    back = Mount(mount).laser_odometry(there)
+    assert np.allclose(back.motion.array(), motion.array()) and np.allclose(back.cov, cov)

@@ -1,0 +1,95 @@
+"""Uncertainty along the graph, submaps, branch and bound."""
+
+import math
+
+import numpy as np
+import pytest
+from rooms import scan_at, stored
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from sixthsense.core.geometry import Pose
+from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Excluded, Window, best_pose
+from sixthsense.slam.scans.submap import CELL_M, pyramid, submap_points
+from sixthsense.slam.scans.uncertainty import UncertaintyGraph
+
+
+def test_without_headings_the_uncertainty_is_the_shortest_path():
+    rng = np.random.default_rng(0)
+    graph, n = UncertaintyGraph(), 200
+    arcs = [(k, k + 1) for k in range(n - 2)] + [tuple(rng.choice(n - 1, 2, replace=False)) for _ in range(150)]
+    variances = rng.uniform(0.001, 0.1, len(arcs))
+    for (a, b), variance in zip(arcs, variances, strict=True):
+        graph.add(int(a), int(b), float(variance), 0.0)
+    sigma_m, _ = graph.sigmas(17, rng.uniform(-5, 5, (n, 3)))
+    best = {}
+    for (a, b), variance in zip(arcs, variances, strict=True):
+        for pair in ((a, b), (b, a)):
+            best[pair] = min(best.get(pair, math.inf), variance)
+    rows, columns = np.array(list(best)).T
+    expected = dijkstra(coo_matrix((list(best.values()), (rows, columns)), (n, n)).tocsr(), indices=17)
+    assert np.allclose(sigma_m**2, expected) and np.isinf(sigma_m[-1])
+
+
+def test_an_uncertain_heading_counts_with_the_distance():
+    graph = UncertaintyGraph()
+    graph.add(0, 1, 0.0, 0.01)
+    sigma_m, sigma_rad = graph.sigmas(0, np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]]))
+    assert sigma_m[1] ** 2 == pytest.approx(0.01 * 36 / 3) and sigma_rad[1] == pytest.approx(0.1)
+
+
+def test_removed_arcs_do_not_count():
+    graph = UncertaintyGraph()
+    graph.add(0, 1, 1.0, 0.0)
+    graph.add(0, 1, 0.01, 0.0, group=3)
+    poses = np.zeros((2, 3))
+    assert graph.sigmas(0, poses)[0][1] == pytest.approx(0.1)
+    graph.remove([3])
+    assert graph.sigmas(0, poses)[0][1] == pytest.approx(1.0)
+
+
+@pytest.fixture(scope="module")
+def room():
+    scans = [Pose(-1.0, 0.5, 0.0), Pose(0.0, -1.0, 1.0), Pose(-3.0, 1.0, 2.0)]
+    store = stored(*(scan_at(pose) for pose in scans))
+    poses = np.array([pose.array() for pose in scans])
+    return submap_points(store.returns, np.arange(3), poses, np.zeros(3), 0.05)
+
+
+def brute_force(cells, points, window):
+    """The best score in the window, and the score of each heading, column and row."""
+    values, n = cells.values[0].astype(float), int(window.half_m / CELL_M)
+    scores = {}
+    turns = int(window.half_rad / STEP_RAD)
+    for a in range(-turns, turns + 1):
+        x, y, theta = window.centre + np.array([0, 0, a * STEP_RAD])
+        c, s = math.cos(theta), math.sin(theta)
+        at = np.floor((points @ np.array([[c, s], [-s, c]]) + [x - cells.x0, y - cells.y0]) / CELL_M).astype(int)
+        for dx in range(-n, n + 1):
+            for dy in range(-n, n + 1):
+                i, j = (at + np.array([dx, dy])).T
+                inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
+                scores[a, dx, dy] = values[i[inside], j[inside]].sum() / (255 * len(points))
+    return scores
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_branch_and_bound_finds_what_brute_force_finds(room, seed):
+    rng = np.random.default_rng(seed)
+    pose = Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3))
+    points = pose.inverse() @ room[rng.choice(len(room), 80, replace=False)]
+    centre = pose.array() + rng.uniform(-0.5, 0.5, 3) * [1.0, 1.0, 0.1]
+    window = Window(centre, 0.8, 0.1)
+    cells = pyramid(room)
+    found = best_pose(cells, points, window, 0.2)
+    scores = brute_force(cells, points, window)
+    assert found is not None and found.score == pytest.approx(max(scores.values()), abs=1e-12)
+    assert np.hypot(*(found.pose[:2] - pose.position)) < 2 * CELL_M
+    assert best_pose(cells, points, window, found.score) is None  # nothing is better
+
+
+def test_excluded_poses_are_not_found(room):
+    window, cells = Window(np.zeros(3), 1.5, 0.1), pyramid(room)
+    best = best_pose(cells, room, window, 0.1)
+    second = best_pose(cells, room, window, 0.1, Excluded(best.pose, 0.7, 0.2))
+    assert second.score < best.score and np.hypot(*(second.pose - best.pose)[:2]) >= 0.7
