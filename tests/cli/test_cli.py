@@ -242,12 +242,12 @@ def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.Captur
     assert cli.main(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG]) == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.endswith("written to runs/some-ekf-invariant-1/\n")
-    values = metrics(here / "runs" / "some-ekf-invariant-1")
+    assert out.endswith("written to runs/some-isam2-1/\n")
+    values = metrics(here / "runs" / "some-isam2-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
     assert not {"ate_rmse_m", "coverage", "collisions"} & values.keys()
-    assert not (here / "runs" / "some-ekf-invariant-1" / "truth.tum").exists()
+    assert not (here / "runs" / "some-isam2-1" / "truth.tum").exists()
 
 
 def test_a_replay_that_ends_early_is_measured_by_the_relations_it_has_reached(
@@ -257,7 +257,7 @@ def test_a_replay_that_ends_early_is_measured_by_the_relations_it_has_reached(
     (here / "some.relations").write_text("1 2 0.1 0 0 0 0 0\n1 4 99 0 0 0 0 0\n")
     words = ["replay", "some.log", "--relations", "some.relations", "--max-time", "2", *SHORT_LOG]
     assert cli.main(words) == cli.DONE
-    values = metrics(here / "runs" / "some-ekf-invariant-1")
+    values = metrics(here / "runs" / "some-isam2-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
 
