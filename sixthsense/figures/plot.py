@@ -42,8 +42,8 @@ def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
     return np.asarray(mean + circle * np.sqrt(CHI2_95 * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def draw_grid(ax: Any, trace: Trace) -> None:
-    """Draw the grid, if the trace has one: seen cells light, obstacles dark."""
+def draw_grid(ax: Any, trace: Trace, obstacle_shade: float = 0.7) -> None:
+    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
     if trace.grid is None:
         return
     occupancy = trace.grid.occupancy()
@@ -52,7 +52,7 @@ def draw_grid(ax: Any, trace: Trace) -> None:
         return
     rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    shade = np.select([part == 100, part == 0], [0.7, 0.94], 1.0)
+    shade = np.select([part == 100, part == 0], [obstacle_shade, 0.94], 1.0)
     cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
     extent = (
         x0 + cols[0] * cell,
@@ -104,13 +104,18 @@ def label_plane(ax: Any) -> None:
 
 
 def draw_map(ax: Any, trace: Trace) -> None:
-    """Draw truth, estimate, landmarks with 95 % ellipses, detected walls, and planned and driven paths."""
-    draw_grid(ax, trace)
+    """Draw truth, estimate, landmarks with 95 % ellipses, detected walls, and planned and driven paths.
+
+    Without walls, as from aligned scans, the grid's obstacles are dark, and the path is that of the final poses.
+    """
+    found = walls_found(trace)
+    draw_grid(ax, trace, 0.7 if len(found) else 0.2)
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="true walls", zorder=1)
     # The more scans, the fainter their walls, so that thousands of them do not hide everything else.
     style = {"colors": WALL_FOUND, "linewidths": 0.7, "alpha": min(1.0, 15.0 / (1.0 + len(trace.trajectory)) ** 0.5)}
-    draw_segments(ax, walls_found(trace), label="detected walls", zorder=2, **style)
+    if len(found):
+        draw_segments(ax, found, label="detected walls", zorder=2, **style)
     for k, plan in enumerate(reversed(trace.plans)):
         # Earlier plans, each replaced by the next one, stay in the background.
         style = (
@@ -121,7 +126,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
         ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
     odometry = np.array(trace.odometry).reshape(-1, 3)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
-    estimates = np.array(trace.estimates).reshape(-1, 3)
+    estimates = np.array(trace.estimates).reshape(-1, 3) if len(found) else trace.scan_poses()
     if trace.truths:
         truth = np.array(trace.truths)
         ax.plot(
