@@ -19,7 +19,7 @@ from sixthsense.slam.front_end import KeyScan, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.odometry_prior import prior_of, weakened, with_wheel_errors
+from sixthsense.slam.scans.odometry_prior import has_slipped, prior_of, weakened, with_wheel_errors
 from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Tracked, track
@@ -35,6 +35,8 @@ class _Last(NamedTuple):
     """(3,) `T_world_laser`"""
     odometry: Pose
     """of the robot, since the last key scan until then"""
+    motion: Pose
+    """of the laser, from the scan before to this one"""
 
 
 class ScanFrontEnd:
@@ -53,6 +55,8 @@ class ScanFrontEnd:
         self._since = STANDSTILL
         """odometry of the robot since the last key scan"""
         self._last: _Last | None = None
+        self._doubts_wheels = False
+        """whether scans contradicted the odometry at the last key scan"""
         self._scans: list[TrackedScan] = []
         self._support = 0.0
         """share of returns on known lines that scans have lately had"""
@@ -88,6 +92,7 @@ class ScanFrontEnd:
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
             return None
         motion = self._since if tracked is None else weakened(with_wheel_errors(self._since), tracked.slip)
+        self._doubts_wheels = tracked is not None and has_slipped(tracked.slip)
         self._predict(motion)
         predicted = self._estimator.estimate()
         key = self._update(tracked)
@@ -113,10 +118,15 @@ class ScanFrontEnd:
         assert last is not None
         prior = prior_of(poses[-1], self._since_of_laser())
         step = self._mount.laser_motion(last.odometry.inverse() @ self._since.motion)
-        starts = np.array([(Pose.from_array(last.pose) @ step).array(), last.pose])
-        tracked = track(self._store.returns, row, self._references(), poses, prior, starts, self._support)
+        before = Pose.from_array(last.pose)
+        # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
+        motions = (last.motion, step, Pose()) if self._doubts_wheels else (step, last.motion, Pose())
+        starts = np.array([(before @ motion).array() for motion in motions])
+        trusted = prior.doubted() if self._doubts_wheels else prior
+        tracked = track(self._store.returns, row, self._references(), poses, trusted, starts, self._support)
+        tracked = tracked.judged_by(prior)
         self._support += _SUPPORT_SHARE * (tracked.support - self._support)
-        self._last = _Last(tracked.pose, self._since.motion)
+        self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
 
@@ -156,6 +166,6 @@ class ScanFrontEnd:
         """Begin anew at the key scan that was added; the estimate there."""
         estimate = self._estimator.estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
-        self._last = _Last(self._graph.poses[-1].copy(), Pose())
+        self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
         return estimate

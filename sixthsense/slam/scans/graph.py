@@ -47,11 +47,10 @@ class ScanGraph:
         self.mount = Mount(Pose())
         self.old_links: dict[int, list[int]] = {}
         """of a key scan: the older ones of another pass that it is linked to"""
-        self._recent = np.zeros(64, dtype=np.int64)
-        self._old = np.zeros(64, dtype=np.int64)
-        """links of each key scan, to recent ones before it and to those of other passes"""
+        self._links = np.zeros(64, dtype=np.int64)
+        """links of each key scan to earlier ones"""
         self.count = 0
-        self._waiting: list[Link] = []
+        self._waiting: list[tuple[Alignments, int]] = []
         """links to recent key scans, given together with those to old ones: each time costs the estimator a solution"""
 
     @property
@@ -63,8 +62,7 @@ class ScanGraph:
         """Add the newest key scan at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._recent = np.concatenate([self._recent, np.zeros_like(self._recent)])
-            self._old = np.concatenate([self._old, np.zeros_like(self._old)])
+            self._links = np.concatenate([self._links, np.zeros_like(self._links)])
         self._rows[self.count], self.mount = pose, mount
         self.count += 1
 
@@ -76,8 +74,7 @@ class ScanGraph:
         """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
         recent = self._align(np.arange(max(0, key - _RECENT), key), key, RECENT_GATES_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
-        self._recent[key] = len(good)
-        self._waiting = [self._link(recent, int(k), _RECENT_LOSS) for k in good]
+        self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old)
 
     def link_old(self, key: int, targets: NDArray[np.int64]) -> OldLinks:
@@ -97,13 +94,13 @@ class ScanGraph:
     def give(self, rows: list[tuple[Alignments, int]], loss_scale: float) -> list[int]:
         """Give the estimator links between scans of different passes, rows of alignments; their ids."""
         for found, k in rows:
-            target, source = int(found.targets[k]), int(found.sources[k])
-            self._old[target] += 1
-            self._old[source] += 1
-            self.old_links.setdefault(source, []).append(target)
-        links = [*self._waiting, *(self._link(found, k, loss_scale) for found, k in rows)]
-        first, self._waiting = len(self._waiting), []
-        ids = self.estimator.link(links)[first:]
+            self.old_links.setdefault(int(found.sources[k]), []).append(int(found.targets[k]))
+        recent, self._waiting = self._waiting, []
+        for found, k in (*recent, *rows):
+            self._links[found.sources[k]] += 1
+        links = [self._link(found, k, _RECENT_LOSS) for found, k in recent]
+        links += [self._link(found, k, loss_scale) for found, k in rows]
+        ids = self.estimator.link(links)[len(recent) :]
         if links:
             self.refresh()
         return ids
@@ -111,8 +108,7 @@ class ScanGraph:
     def forget(self, pairs: list[tuple[int, int]]) -> None:
         """Forget that these pairs (target, source) are linked."""
         for target, source in pairs:
-            self._old[target] -= 1
-            self._old[source] -= 1
+            self._links[source] -= 1
             self.old_links[source].remove(target)
             if not self.old_links[source]:
                 del self.old_links[source]
@@ -139,10 +135,8 @@ class ScanGraph:
 
     def covariance(self, found: Alignments, k: int) -> Array:
         """(3, 3) of the error of an aligned pair, axes of the target's laser."""
-        ends = [int(found.targets[k]), int(found.sources[k])]
-        # Of the scans that see what a pair sees, each is linked with the others; recent links go both ways in time.
-        shared_by = 1.0 + float(np.mean(2 * self._recent[ends] + self._old[ends]))
-        return found.covariance(k, shared_by, self._sigma_m)
+        # The links of a scan are together worth its alignment with a map of that many scans: each return counts once.
+        return found.covariance(k, 1.0 + float(self._links[found.sources[k]]), self._sigma_m)
 
     def _link(self, found: Alignments, k: int, loss_scale: float) -> Link:
         """The link of an aligned pair, in the robot's frames."""

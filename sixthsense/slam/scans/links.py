@@ -37,7 +37,8 @@ _STEP_M, _STEP_RAD = 3e-4, 1e-4
 _LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
 _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
-_FLOOR_M, _FLOOR_RAD = 0.003, 0.001  # of what no alignment knows: beams' geometry, clocks, a tilted laser
+_SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
+_FLOOR_M = 3e-4
 _UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say nothing
 
 
@@ -69,19 +70,22 @@ class Alignments:
     def covariance(self, k: int, shared_by: float, sigma_m: float) -> Array:
         """(3, 3) of the error of (x, y, theta) of pair k, axes of the target.
 
-        `shared_by` is the number of scans that each return is compared among, at least 2, and `sigma_m` the least
-        sigma of a return. n scans of one surface have n (n - 1) / 2 pairs, but only the information of the deviations
-        from their mean: that of each pair's residual is 2 / n of what it would be alone. The residuals themselves
-        give their variance. What the noise of the normals adds to the Hessian is no information: along a corridor it
-        would feign some.
+        `shared_by` is the number of scans that share the information, at least 2, and `sigma_m` the least sigma of a
+        return. A scan of m links has the information of its returns once: against a map of m scans, whose points have
+        1 / m of its variance, that is m / (m + 1) of what a map without noise would give, and m + 1 share it. The
+        residuals themselves give their variance. What the noise of the normals adds to the Hessian is no information:
+        along a corridor it would feign some. What the residuals have beyond the noise of the laser is shape, common to
+        neighbouring returns: a part of it stays in the pose, however many returns there are.
         """
         sums = self.sums[k]
-        variance = max(sums[SQUARES] / max(sums[WEIGHT], 1.0), 2.0 * sigma_m**2)
+        noise = 2.0 * sigma_m**2
+        variance = max(sums[SQUARES] / max(sums[WEIGHT], 1.0), noise)
+        floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
         # Both ways the returns of a pair are counted twice.
         information = 0.5 * (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / variance
         values, axes = np.linalg.eigh(2.0 / max(shared_by, 2.0) * information)
         variances = 1.0 / np.maximum(values, _UNOBSERVED**-2)
-        return np.asarray((axes * variances) @ axes.T + np.diag([_FLOOR_M**2, _FLOOR_M**2, _FLOOR_RAD**2]))
+        return np.asarray((axes * variances) @ axes.T + np.diag([floor, floor, floor / _LEVER_M**2]))
 
 
 def align_pairs(

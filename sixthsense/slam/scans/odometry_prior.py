@@ -16,6 +16,11 @@ _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
 _SLIP_SIGMAS = 6.0
 
 
+def has_slipped(slip: float) -> bool:
+    """Whether the scans contradict the odometry, by the squared Mahalanobis distance between them."""
+    return slip > _SLIP_SIGMAS**2
+
+
 def with_wheel_errors(odometry: Odometry) -> Odometry:
     """Odometry whose covariance has systematic errors of the wheels added."""
     distance, turn = math.hypot(odometry.motion.x, odometry.motion.y), abs(odometry.motion.theta)

@@ -20,6 +20,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import Alignments
+from sixthsense.slam.scans.odometry_prior import has_slipped
 from sixthsense.slam.scans.place_search import Hypothesis, PlaceSearch
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.tracking import Tracked
@@ -31,6 +32,7 @@ _M_PER_RAD = 0.3  # what a turn counts as travel
 _OLD_AGE = 25  # key scans; nearer ones are of the same pass
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a key scan is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked key scans adds, per square root of travel in m
+_DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
 _VOTE_APART_M, _VOTE_LASTS_M = 1.2, 10.0  # travel between two votes that count both, and after which one is dropped
 _VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
 _VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
@@ -80,7 +82,11 @@ class Revisits:
         values, axes = np.linalg.eigh(tracked.information)
         cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
         position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2 * travel
-        self._uncertainty.add(key - 1, key, position, float(cov[2, 2]) + _DRIFT_RAD**2 * travel)
+        heading = float(cov[2, 2]) + _DRIFT_RAD**2 * travel
+        if has_slipped(tracked.slip):
+            position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
+            heading += _DOUBT**2 * float(tracked.off[2]) ** 2
+        self._uncertainty.add(key - 1, key, position, heading)
 
     def look(self, key: int) -> None:
         """From time to time, link the newest key scan to old ones around it, and look for a revisit."""

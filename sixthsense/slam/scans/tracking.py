@@ -22,7 +22,7 @@ _LAST_GATES_M = np.array([0.12] * 6)
 _STEP_M, _STEP_RAD = 5e-4, 2e-4  # smaller steps end the iteration
 _SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
 _POOR_SUPPORT, _DROP = 0.35, 0.1  # share of returns on known lines, and below the usual, at which slip is suspected
-_GAIN = 0.1  # by how much another start must raise it
+_GAIN, _GAIN_OF_TURN = 0.03, 0.15  # by how much another start, and another heading, must raise it
 _WEAK = 0.05  # weight of odometry that is under suspicion
 _OTHER_HEADINGS_RAD = (0.15, -0.15, 0.3, -0.3, 0.5, -0.5)
 
@@ -34,6 +34,10 @@ class Prior(NamedTuple):
     """(3,) world frame"""
     information: Array
     """(3, 3) of the error of (x, y, theta), world axes"""
+
+    def doubted(self) -> Prior:
+        """The prior with the weight of odometry that is under suspicion."""
+        return Prior(self.pose, _WEAK * self.information)
 
 
 class Tracked(NamedTuple):
@@ -47,6 +51,12 @@ class Tracked(NamedTuple):
     """share of the returns that lie on lines of one key scan"""
     slip: float
     """squared Mahalanobis distance of the odometry from the pose"""
+    off: Array
+    """(3,) of the pose from the odometry, world axes"""
+
+    def judged_by(self, prior: Prior) -> Tracked:
+        """The same, with the slip by another prior of the same pose."""
+        return self._replace(slip=float(self.off @ prior.information @ self.off))
 
 
 def track(
@@ -60,20 +70,26 @@ def track(
 ) -> Tracked:
     """The pose of scan `source` among the key scans `references` (R,), whose poses are rows of `poses` (n, 3).
 
-    `starts` (2, 3) are the pose by odometry since the scan before, and that scan's. `usual` is the support that scans
-    have lately had. Where fewer returns find a line, wheels may have slipped: partners are sought farther away, and
-    from the scan before; where few do, at other headings, too. What explains clearly more is taken.
+    `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. `usual` is the support that
+    scans have lately had. Where fewer returns find a line, wheels may have slipped: the other starts are tried, with
+    partners farther away; where few do, at other headings, too. What explains clearly more is taken.
     """
     best = _solved(returns, source, references, poses, prior, starts[0], _GATES_M)
-    if best.support >= usual - _DROP and best.support >= _POOR_SUPPORT:
+    if best.support >= max(usual - _DROP, _POOR_SUPPORT):
         return best
-    weak = Prior(prior.pose, _WEAK * prior.information)
-    turns = (0.0, *_OTHER_HEADINGS_RAD) if best.support < _POOR_SUPPORT else (0.0,)
-    least = best.support + _GAIN
-    for turn, start in itertools.product(turns, starts):
-        other = _solved(returns, source, references, poses, weak, start + np.array([0.0, 0.0, turn]), _WIDE_GATES_M)
+    tried = prior.doubted()
+    for start in starts:
+        other = _solved(returns, source, references, poses, tried, start, _WIDE_GATES_M)
+        if other.support > best.support + _GAIN:
+            best = other.judged_by(prior)
+    if best.support >= _POOR_SUPPORT:
+        return best
+    least = best.support + _GAIN_OF_TURN
+    for turn, start in itertools.product(_OTHER_HEADINGS_RAD, starts):
+        turned = start + np.array([0.0, 0.0, turn])
+        other = _solved(returns, source, references, poses, tried, turned, _WIDE_GATES_M)
         if other.support > least:
-            best, least = other._replace(slip=other.slip / _WEAK), other.support
+            best, least = other.judged_by(prior), other.support
     return best
 
 
@@ -96,7 +112,7 @@ def _solved(
     pose[2] = wrap_angle(float(pose[2]))
     off = pose - prior.pose
     off[2] = wrap_angle(float(off[2]))
-    return Tracked(pose, information, support, float(off @ prior.information @ off))
+    return Tracked(pose, information, support, float(off @ prior.information @ off), off)
 
 
 @numba.njit(cache=True, error_model="numpy")
