@@ -85,7 +85,8 @@ def main() -> int:
         print("intel.py: SIXTHSENSE_DATA must be a folder with intel/intel.clf.bz2 and .relations", file=sys.stderr)
         return 2
     warm_up()
-    config = preset("log", estimator=options.estimator, assumed={} if options.uncalibrated else CALIBRATED)
+    assumed = {} if options.uncalibrated else CALIBRATED
+    config = preset("log", estimator=options.estimator, front_end="landmarks", assumed=assumed)
     began = time.perf_counter()
     log, relations = open_log(files[0]), read_relations(files[1])
     config = of_log(config, log)
