@@ -39,16 +39,20 @@ def is_interactive() -> bool:
 
 
 class Progress:
-    """A hook of the loop that shows the elapsed part of a run's time, and the seen area of the map.
+    """A hook of the loop that shows the elapsed part of a run's time, and the seen area of the map if asked for.
 
     With `realtime` it also slows the source down to real time.
     """
 
-    def __init__(self, label: str, total_s: float, realtime: bool = False, shown: bool | None = None) -> None:
+    def __init__(
+        self, label: str, total_s: float, realtime: bool = False, shown: bool | None = None, area: bool = False
+    ) -> None:
         """Make a bar for `total_s` seconds of the source; `shown` is by default whether the output is interactive.
 
+        `area` is for runs whose map is read at every key scan anyway: in a replay it would be drawn for the bar alone.
         TQDM_DISABLE=1 in the environment hides all bars.
         """
+        self._shows_area = area
         self._label = label
         self._total_s = total_s
         self._realtime = realtime
@@ -77,7 +81,7 @@ class Progress:
             self._first_ns, self._start = tick.stamp_ns, now
         now_s = 1e-9 * (tick.stamp_ns - self._first_ns)
         if now_s - self._shown_s >= 0.1:
-            if self._is_shown and now - self._area_updated >= 1.0 and trace.grid is not None:
+            if self._is_shown and self._shows_area and now - self._area_updated >= 1.0 and trace.grid is not None:
                 self._area_updated = now
                 area = float(trace.grid.seen.sum()) * trace.config.grid.cell_m**2
                 self._bar.set_postfix_str(f"{area:.0f} m² seen" if area else "", refresh=False)

@@ -60,7 +60,7 @@ def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | Non
     from sixthsense.sources.scene import load_scene
 
     there = scene or load_scene(config.scene)
-    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress)
+    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, area=True)
     return _watched(lambda hook: loop.run(config, hook, there), there.name, bar, folder, watch)
 
 
