@@ -1,7 +1,8 @@
 """Closing a loop: the links of a revisit, how they are given to the estimator, and how they are taken back.
 
 A loop that is off by metres cannot be closed with a loss that lets go of large residuals. The links of a new revisit
-are given as squares first, which distributes the error over the loop, and then with their loss.
+are given as squares first, which distributes the error over the loop, and then with their loss. A revisit is undone if
+its own links contradict the graph then, or if it has made more other links contradict than it has.
 """
 
 from __future__ import annotations
@@ -11,13 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.graph import OLD_LOSS, ScanGraph
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
-_CONTRADICTION = 60.0  # median squared Mahalanobis distance of a revisit's links, 3 degrees of freedom
+_CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 _ARCS = 2  # per key scan: further links hardly make it more certain
 
 
@@ -29,11 +30,10 @@ class _Group:
     """of the estimator's links"""
     pairs: list[tuple[int, int]] = field(default_factory=list)
     """target and source of each"""
-    targets: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """of the revisit's own links, as `sources`, `poses` and `informations`"""
-    sources: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    poses: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    informations: Array = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    measured: list[tuple[int, int, Array, Array]] = field(default_factory=list)
+    """of each link: target, source, pose (3,) and information (3, 3)"""
+    own: int = 0
+    """how many of them, the first ones, are the revisit's own"""
 
 
 class Closings:
@@ -62,20 +62,18 @@ class Closings:
         graph = self._graph
         self._latest = self.accepted
         self.accepted += 1
+        broken = self._broken(self._latest)
         wide = graph.give(links, np.inf)
         ids = graph.give(links, OLD_LOSS)
         graph.estimator.unlink(wide)
         graph.forget([_pair(found, k) for found, k in links])
         graph.refresh()
-        group = self._groups[self._latest] = _Group(
-            targets=np.array([found.targets[k] for found, k in links]),
-            sources=np.array([found.sources[k] for found, k in links]),
-            poses=np.array([found.poses[k] for found, k in links]),
-            informations=np.array([np.linalg.inv(graph.covariance(found, k)) for found, k in links]),
-        )
+        group = self._groups[self._latest] = _Group(own=len(links))
         self._keep(ids, links)
         while contradicted := [g for g in self._groups if self._contradiction(g) > _CONTRADICTION]:
             self._undo(max(contradicted, key=self._contradiction))
+        if self._groups.get(self._latest) is group and self._broken(self._latest) - broken > len(links):
+            self._undo(self._latest)
         return self._groups.get(self._latest) is group
 
     def _keep(self, ids: list[int], links: list[tuple[Alignments, int]]) -> None:
@@ -86,6 +84,8 @@ class Closings:
         for found, k in links:
             target, source = _pair(found, k)
             group.pairs.append((target, source))
+            information = np.asarray(np.linalg.inv(self._graph.covariance(found, k)), dtype=np.float64)
+            group.measured.append((target, source, found.poses[k], information))
             arcs[source] = arcs.get(source, 0) + 1
             if arcs[source] <= _ARCS:
                 cov = self._graph.covariance(found, k)
@@ -94,12 +94,20 @@ class Closings:
 
     def _contradiction(self, g: int) -> float:
         """Median squared Mahalanobis distance of a revisit's own links from the estimate."""
-        group, poses = self._groups[g], self._graph.poses
-        if not len(group.targets):
-            return 0.0
-        off = group.poses - between(poses[group.targets], poses[group.sources])
-        off[:, 2] = (off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-        return float(np.median(np.einsum("ni,nij,nj->n", off, group.informations, off)))
+        own = self._groups[g].measured[: self._groups[g].own]
+        return float(np.median(self._squared(own))) if own else 0.0
+
+    def _broken(self, newest: int) -> int:
+        """How many links of all groups but the newest one contradict the estimate."""
+        others = [link for g, group in self._groups.items() if g != newest for link in group.measured]
+        return int(np.count_nonzero(self._squared(others) > _CONTRADICTION)) if others else 0
+
+    def _squared(self, links: list[tuple[int, int, Array, Array]]) -> Array:
+        """Squared Mahalanobis distances of links from the estimate."""
+        targets, sources, measured, informations = (np.array(column) for column in zip(*links, strict=True))
+        off = measured - between(self._graph.poses[targets], self._graph.poses[sources])
+        off[:, 2] = wrap_angle(off[:, 2])
+        return np.asarray(np.einsum("ni,nij,nj->n", off, informations, off))
 
     def _undo(self, g: int) -> None:
         """Take back a revisit and all links that followed from it."""
