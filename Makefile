@@ -25,7 +25,7 @@ notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritt
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
 
 kernels: $(VENV)/installed  ## compile the Numba kernels once, before two processes each do
-	$(BIN)/python -c "from sixthsense.running.warmup import warm_up; warm_up()"
+	$(BIN)/python -c "from sixthsense.running.warmup import warm_up, warm_up_scans; warm_up(); warm_up_scans()"
 
 check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/ruff check .

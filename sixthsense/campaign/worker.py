@@ -59,7 +59,7 @@ def run_row(config: Config, version: str) -> dict[str, Any]:
         row = {**row_of(config), "host": socket.gethostname(), "version": version}
         began = time.perf_counter()
         try:
-            prepare(lambda _: None)  # keeps the compilation out of the run's time
+            prepare(lambda _: None, config)  # keeps the compilation out of the run's time
             began = time.perf_counter()
             row |= _metrics(config)
         except Exception as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
@@ -61,7 +62,7 @@ def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | Non
 
     there = scene or load_scene(config.scene)
     bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, area=True)
-    return _watched(lambda hook: loop.run(config, hook, there), there.name, bar, folder, watch)
+    return _watched(lambda hook: loop.run(config, hook, there), there.name, config, bar, folder, watch)
 
 
 def replay_log(recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
@@ -70,19 +71,22 @@ def replay_log(recorded: Recorded, folder: RunFolder | None = None, watch: Watch
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
-    return _watched(lambda hook: loop.replay(log, config, relations, hook), recorded.name, bar, folder, watch)
+    go = functools.partial(loop.replay, log, config, relations)
+    return _watched(go, recorded.name, config, bar, folder, watch)
 
 
-def _watched(go: Callable[[OnTick], Trace], name: str, bar: Progress, folder: RunFolder | None, watch: Watch) -> Run:
+def _watched(
+    go: Callable[[OnTick], Trace], name: str, config: Config, bar: Progress, folder: RunFolder | None, watch: Watch
+) -> Run:
     """What `go` makes of a run, called after each tick with the hooks that record, show and watch it."""
     from sixthsense.running.warmup import prepare
 
     if watch.say is not None:
-        prepare(watch.say)
+        prepare(watch.say, config)
     with ExitStack() as open_hooks:
         open_hooks.enter_context(bar)
         if watch.say is None:
-            prepare(bar.say)
+            prepare(bar.say, config)
             bar.say("")
         hooks: list[OnTick] = [bar, *watch.hooks]
         if folder is not None:

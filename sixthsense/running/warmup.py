@@ -22,17 +22,27 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.scans.branch_and_bound import Window, best_pose
+from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.submap import pyramid, submap_points
+from sixthsense.slam.scans.uncertainty import UncertaintyGraph
+from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import Scene
 from sixthsense.sources.world import World
+
+WALLS = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+"""of the room that the hot loops are compiled in"""
 
 COMPILING = "compiling the hot loops, once; this takes about half a minute ..."
 
 
-def prepare(say: Callable[[str], object]) -> None:
-    """Compile the hot loops, or load them compiled, once per process; `say` is told where that takes long."""
+def prepare(say: Callable[[str], object], config: Config | None = None) -> None:
+    """Compile the hot loops of a run, or load them compiled, once per process; `say` is told where that takes long."""
     if not is_compiled():
         say(COMPILING)
     _warm_up_once()
+    if config is not None and config.front_end == "scans":
+        _warm_up_scans_once()
 
 
 def is_compiled() -> bool:
@@ -49,17 +59,21 @@ def _warm_up_once() -> None:
     warm_up()
 
 
+@functools.cache
+def _warm_up_scans_once() -> None:
+    warm_up_scans()
+
+
 def warm_up() -> None:
     """Compile the hot loops, or load them compiled, so that the first key scan is as quick as the rest."""
-    walls = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
     config = Config(max_time=3.0)
-    scene = Scene("room", walls, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
+    scene = Scene("room", WALLS, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
     rng = np.random.default_rng(0)
     follower = Follower(config.follow, config.robot)
     planner = make_planner("astar")
     driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
-    recorded_drive(World(walls, Pose(), 0.2, config, rng), Pose(), driver, trace)
+    recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), driver, trace)
     measure(trace)
     assert trace.grid is not None
     space = trace.grid.free_space()
@@ -67,7 +81,7 @@ def warm_up() -> None:
         planner.plan(space, (0.0, 0.0), (1.0, 1.0))
     # What most runs do without: scans that take time, and a search that is bounded.
     swept = merge(config, {"laser": {"sweep_s": 0.1}})
-    deskew, tick = Deskewer(), World(walls, Pose(), 0.2, swept, rng).step(Command())
+    deskew, tick = Deskewer(), World(WALLS, Pose(), 0.2, swept, rng).step(Command())
     deskew.moved(0, STANDSTILL)
     assert tick is not None and tick.scan is not None
     extract(deskew(tick.scan), config.assumed, config.features, rng)
@@ -77,3 +91,23 @@ def warm_up() -> None:
     # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
     gc.collect()
     gc.freeze()
+
+
+def warm_up_scans() -> None:
+    """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and the search for revisits."""
+    config = merge(Config(), {"front_end": "scans"})
+    source, store = World(WALLS, Pose(), 0.2, config, np.random.default_rng(0)), ScanStore(config.scans.max_range_m)
+    with Slam(config) as slam:
+        for _ in range(150):
+            tick = source.step(Command(0.3, 0.3))
+            assert tick is not None
+            slam.take(tick)
+            if tick.scan is not None:
+                store.put(tick.scan)
+                store.keep()
+        slam.finish()
+    points = submap_points(store.returns, np.arange(1), np.zeros((1, 3)), np.zeros(3), 0.05)
+    best_pose(pyramid(points), points, Window(np.zeros(3), 0.8, 0.1), 0.2)
+    graph = UncertaintyGraph()
+    graph.add(0, 1, 1.0, 1.0)
+    graph.sigmas(0, np.zeros((2, 3)))
