@@ -74,6 +74,8 @@ def measured(due: Due) -> Figures:
         return found
     began = time.process_time()
     found = KINDS[due.row.kind](due.row.setting, due.seed) | {CPU: time.process_time() - began}
+    if found.get("outcome") == "interrupted":
+        raise KeyboardInterrupt  # what a run cut short has measured is not kept
     due.folder.mkdir(parents=True, exist_ok=True)
     aside = due.file.with_suffix(".partial")
     aside.write_text(json.dumps(found) + "\n")

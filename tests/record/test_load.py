@@ -50,7 +50,9 @@ def check_equal(run: Run) -> None:
     stated = json.loads((run.folder / "metrics.json").read_text())
     assert loaded.missing == ()
     assert loaded.metrics == stated
-    assert json.loads(json.dumps(measure(loaded.trace))) == stated
+    # The record has no bearings of sightings, which tell a landmark's identity.
+    measured = {key: value for key, value in stated.items() if key != "landmark_nees_mean"}
+    assert json.loads(json.dumps(measure(loaded.trace))) == measured
     same_name = Run(run.name, loaded.trace, loaded.metrics)
     for kind in KINDS:
         try:
