@@ -126,7 +126,8 @@ def draw_map(ax: Any, trace: Trace) -> None:
         ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
     odometry = np.array(trace.odometry).reshape(-1, 3)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
-    estimates = np.array(trace.estimates).reshape(-1, 3) if len(found) else trace.scan_poses()
+    has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a key scan before every scan
+    estimates = trace.scan_poses() if has_final else np.array(trace.estimates).reshape(-1, 3)
     if trace.truths:
         truth = np.array(trace.truths)
         ax.plot(
