@@ -22,10 +22,6 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.mapping.mapper import Mapper
-from sixthsense.slam.scans.branch_and_bound import Window, best_pose
-from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.submap import pyramid, submap_points
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import Scene
 from sixthsense.sources.world import World
@@ -95,6 +91,12 @@ def warm_up() -> None:
 
 def warm_up_scans() -> None:
     """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and the search for revisits."""
+    # Here, so that runs with landmarks do not load them.
+    from sixthsense.slam.scans.branch_and_bound import Window, best_pose
+    from sixthsense.slam.scans.scan_store import ScanStore
+    from sixthsense.slam.scans.submap import pyramid, submap_points
+    from sixthsense.slam.scans.uncertainty import UncertaintyGraph
+
     config = merge(Config(), {"front_end": "scans"})
     source, store = World(WALLS, Pose(), 0.2, config, np.random.default_rng(0)), ScanStore(config.scans.max_range_m)
     with Slam(config) as slam:

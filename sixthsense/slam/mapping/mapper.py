@@ -71,7 +71,7 @@ class Mapper:
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
-        self._trajectory = trajectory.copy()
+        self._trajectory = trajectory
         if self._is_read:
             self._is_read = False
             self._draw()

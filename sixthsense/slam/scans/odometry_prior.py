@@ -8,17 +8,16 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.scans.tracking import Prior
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Prior
 
 # Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
 _SIGMA_M, _M_PER_M = 0.01, 0.05
 _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
-_SLIP_SIGMAS = 6.0
 
 
 def has_slipped(slip: float) -> bool:
     """Whether the scans contradict the odometry, by the squared Mahalanobis distance between them."""
-    return slip > _SLIP_SIGMAS**2
+    return slip > SLIP_SIGMAS**2
 
 
 def with_wheel_errors(odometry: Odometry) -> Odometry:
@@ -31,7 +30,7 @@ def with_wheel_errors(odometry: Odometry) -> Odometry:
 
 def weakened(odometry: Odometry, slip: float) -> Odometry:
     """Odometry that the scans have contradicted by the squared Mahalanobis distance `slip`."""
-    return Odometry(odometry.motion, odometry.cov * (1.0 + slip / _SLIP_SIGMAS**2))
+    return Odometry(odometry.motion, odometry.cov * (1.0 + slip / SLIP_SIGMAS**2))
 
 
 def prior_of(key_pose: Array, odometry: Odometry) -> Prior:

@@ -20,7 +20,7 @@ _GATES_M = np.array([0.25, 0.2, 0.15, *[0.12] * 9])
 _WIDE_GATES_M = np.array([0.5, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15, *[0.12] * 6])
 _LAST_GATES_M = np.array([0.12] * 6)
 _STEP_M, _STEP_RAD = 5e-4, 2e-4  # smaller steps end the iteration
-_SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
+SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
 _POOR_SUPPORT, _DROP = 0.35, 0.1  # share of returns on known lines, and below the usual, at which slip is suspected
 _GAIN, _GAIN_OF_TURN = 0.03, 0.15  # by how much another start, and another heading, must raise it
 _WEAK = 0.05  # weight of odometry that is under suspicion
@@ -150,7 +150,7 @@ def _iterate(
         off = pose - prior.pose
         off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
         pull = prior.information @ off
-        weight = 1.0 / (1.0 + off @ pull / (_SLIP_SIGMAS * _SLIP_SIGMAS))
+        weight = 1.0 / (1.0 + off @ pull / (SLIP_SIGMAS * SLIP_SIGMAS))
         move = np.linalg.solve(scale * hessian + weight * prior.information, -(scale * gradient + weight * pull))
         pose += move
         support = most / max(count, 1)
