@@ -35,6 +35,8 @@ def measure(trace: Trace) -> Metrics:
     out["landmarks"] = len(trace.records)
     out["landmarks_culled"] = trace.culled
     out["walls_merged"] = trace.walls_merged
+    if trace.revisits is not None:
+        out |= {f"revisits_{name}": count for name, count in trace.revisits._asdict().items()}
     if trace.outcome.startswith("explored"):
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
@@ -90,6 +92,7 @@ def _relations(trace: Trace) -> dict[str, float]:
     return {
         "relations_trans_m_mean": float(translation.mean()),
         "relations_trans_m_std": float(translation.std()),
+        "relations_trans_m_max": float(translation.max()),
         "relations_rot_deg_mean": float(np.degrees(angle).mean()),
         "relations_rot_deg_std": float(np.degrees(angle).std()),
     }

@@ -29,10 +29,11 @@ END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
 
 def write_arrays(folder: Path, trace: Trace) -> None:
-    """Write `record.npz`: the final trajectory, what is known of each landmark, and the relations, if there are any."""
+    """Write `record.npz`: the final poses of key scans and scans, what is known of each landmark, and the relations."""
     records = list(trace.records.values())
     arrays: dict[str, Any] = {
         "trajectory": trace.trajectory,
+        "since_key": np.reshape(trace.since_key, (-1, 3)),
         "ids": np.array(list(trace.records), dtype=np.int64),
         "kinds": np.array([record.kind for record in records], dtype=np.int64),
         "sightings": np.array([record.sightings for record in records], dtype=np.int64),
@@ -67,6 +68,8 @@ def read_arrays(file: Path, trace: Trace) -> None:
         columns = zip(map(Kind, kinds), sightings, first, last, sigmas_m.tolist(), extents, strict=True)
         trace.records = {i: Record(*row) for i, row in zip(ids.tolist(), columns, strict=True)}
         trace.trajectory = trajectory
+        if "since_key" in arrays:  # not in older records
+            trace.since_key = list(_floats(arrays, "since_key", (len(trace.stamps_ns), 3)))
         if "relation_stamps" in arrays:
             stamps = _floats(arrays, "relation_stamps", (-1, 2))
             trace.relations = Relations(stamps, _floats(arrays, "relation_poses", (len(stamps), 3)))

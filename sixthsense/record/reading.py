@@ -21,6 +21,7 @@ from sixthsense.record.stream import FORMAT, Line
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.front_end import RevisitCounts
 from sixthsense.sources.scene import Scene
 
 _LARGEST = (1 << 63) - 1
@@ -181,6 +182,8 @@ def _take_end(table: Line, trace: Trace) -> None:
     trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
     trace.culled, trace.walls_merged = _whole(table, "culled"), _whole(table, "walls_merged")
     trace.rebuilds = _whole(table, "rebuilds")
+    if (counts := table.get("revisits")) is not None:  # older records have none
+        trace.revisits = RevisitCounts(*(_whole(counts, name) for name in RevisitCounts._fields))
 
 
 _KINDS: dict[str, Callable[[Line, Trace], None]] = {

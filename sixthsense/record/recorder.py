@@ -48,5 +48,6 @@ class Recorder:
         trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
         trace.records = dict(result.landmark_records)
         trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds
+        trace.revisits = result.revisits
         if result.since_key is not None:
             trace.since_key = list(result.since_key)

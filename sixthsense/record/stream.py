@@ -202,4 +202,5 @@ def _end_line(trace: Trace) -> Line:
         "culled": trace.culled,
         "walls_merged": trace.walls_merged,
         "rebuilds": trace.rebuilds,
+        "revisits": None if trace.revisits is None else trace.revisits._asdict(),
     }

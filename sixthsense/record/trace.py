@@ -16,6 +16,7 @@ from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Association, Record
 from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.front_end import RevisitCounts
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import KeyScan, Step
 from sixthsense.sources.logs.relations import Relations
@@ -94,6 +95,8 @@ class Trace:
     """number of removed landmarks"""
     walls_merged: int = 0
     """number of walls merged into older duplicates"""
+    revisits: RevisitCounts | None = None
+    """what the search for old places has come to; None without one"""
     relations: Relations | None = None
     """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None

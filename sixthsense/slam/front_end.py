@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -42,6 +42,26 @@ class KeyScan:
         return _NO_WALLS if self.features is None else self.features.walls
 
 
+class RevisitCounts(NamedTuple):
+    """What the search for old places has come to."""
+
+    found: int
+    """revisits that stand"""
+    refused: int
+    """places that looked right, and were refused: another looked as good, or pairs of scans did not agree"""
+    undone: int
+    """revisits taken back, since later scans contradicted them"""
+
+
+class Finished(NamedTuple):
+    """What a front end knows after the last tick."""
+
+    since_key: Array | None = None
+    """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
+    revisits: RevisitCounts | None = None
+    """None for a front end that does not search"""
+
+
 class FrontEnd(Protocol):
     """From ticks to what the estimator is given."""
 
@@ -59,9 +79,6 @@ class FrontEnd(Protocol):
         """Process a tick with its de-skewed scan and the motion since the tick before; its key scan, if it is one."""
         ...
 
-    def finish(self) -> Array | None:
-        """Predict up to the last tick.
-
-        (S, 3) motion from the last key scan to each scan, if that is known better now than when the scan was taken.
-        """
+    def finish(self) -> Finished:
+        """Predict up to the last tick, and return what is known then."""
         ...

@@ -25,7 +25,7 @@ from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator, Record
 from sixthsense.slam.estimators import Estimate, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import FrontEnd, KeyScan, Timed
+from sixthsense.slam.front_end import FrontEnd, KeyScan, RevisitCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
@@ -75,6 +75,8 @@ class SlamResult:
     """times the grid was drawn again because key poses had moved"""
     since_key: Array | None = None
     """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
+    revisits: RevisitCounts | None = None
+    """of a front end that searches for old places"""
 
 
 def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -180,7 +182,7 @@ class Slam:
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
-            since_key = self._front_end.finish()
+            finished = self._front_end.finish()
             estimate = self.estimate()
             trajectory = self.trajectory()
             self._mapper.complete(trajectory)
@@ -192,7 +194,8 @@ class Slam:
                 self.associator.culled,
                 self.associator.walls_merged,
                 self._mapper.rebuilds,
-                since_key,
+                finished.since_key,
+                finished.revisits,
             )
         return self._result
 

@@ -15,7 +15,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
-from sixthsense.slam.front_end import KeyScan, Timed
+from sixthsense.slam.front_end import Finished, KeyScan, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
@@ -102,12 +102,13 @@ class ScanFrontEnd:
         association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
         return KeyScan(motion, estimate, association, None)
 
-    def finish(self) -> Array | None:
+    def finish(self) -> Finished:
         """Predict up to the last tick, and align the scans between key scans once more."""
         self._estimator.predict(self._since)
+        revisits = self.revisits.counts if self._config.scans.revisits else None
         if not self._config.scans.final_pass:
-            return None
-        return refined(self._store, self._graph.poses, self._scans, self._mount)
+            return Finished(None, revisits)
+        return Finished(refined(self._store, self._graph.poses, self._scans, self._mount), revisits)
 
     def _tracked(self, scan: Scan) -> Tracked | None:
         """Track a scan against recent and linked key scans; None for the first scan."""

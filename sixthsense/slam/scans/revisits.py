@@ -9,7 +9,6 @@ says the same.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
+from sixthsense.slam.front_end import RevisitCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import Alignments
@@ -48,14 +48,6 @@ class _Vote(NamedTuple):
     links: list[tuple[Alignments, int]]
 
 
-@dataclass(slots=True)
-class RevisitCounts:
-    """What the search has done."""
-
-    searches: int = 0
-    ambiguous: int = 0
-
-
 class Revisits:
     """Finds old places, and links key scans to them."""
 
@@ -68,7 +60,14 @@ class Revisits:
         self._travelled = np.zeros(64)
         """(K,) m, at each key scan"""
         self._looked_m = 0.0
-        self.counts = RevisitCounts()
+        self._refused = 0
+        """places that looked right, and were refused"""
+
+    @property
+    def counts(self) -> RevisitCounts:
+        """What the search has come to."""
+        undone = self.closings.undone
+        return RevisitCounts(self.closings.accepted - undone, self._refused, undone)
 
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
         """Add a key scan that was tracked; `odometry_information` (3, 3) is the prior's."""
@@ -109,11 +108,10 @@ class Revisits:
         found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
         if found is None:
             return
-        self.counts.searches += 1
-        if found.is_ambiguous:
-            self.counts.ambiguous += 1
-            return
-        if (vote := self._verified(key, found)) is not None and self._count(vote):
+        vote = None if found.is_ambiguous else self._verified(key, found)
+        if vote is None:
+            self._refused += 1
+        elif self._count(vote):
             self._search.forget()
 
     def _verified(self, key: int, found: Hypothesis) -> _Vote | None:
