@@ -157,6 +157,9 @@ class AssociationConfig(Section):
     """optimal: the likeliest one-to-one matches; joint: the most jointly compatible ones (Neira and Tardos 2001)."""
     joint_probability: Probability = 0.999
     """joint: all matches together lie inside this quantile of their innovations' distribution."""
+    proposed_by: Literal["estimate", "scans"] = "estimate"
+    """Where the robot is when matches are chosen: by the estimator's prediction; or by aligned scans, which are used
+    for nothing else."""
     culling: bool = True
     """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25

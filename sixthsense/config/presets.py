@@ -66,7 +66,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"min_points": 3},
             "points": {"min_points": 3, "max_sigma_m": 0.25},
         },
-        "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2},
+        "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2, "proposed_by": "scans"},
         "grid": {"no_return_passes": False},
         "max_time": 1e6,
     },

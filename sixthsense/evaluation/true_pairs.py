@@ -25,7 +25,7 @@ from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueL
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.matching import compare
-from sixthsense.slam.estimators.base import Estimator
+from sixthsense.slam.estimators.base import Belief
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class InnovationObserver:
             trace.live.associator.observer = self
             self.scans += [PriorInnovations((), np.empty(0, np.int64), np.empty((0, 0)))] * len(trace.associations)
 
-    def __call__(self, sightings: Sequence[Sighting], estimator: Estimator) -> None:
+    def __call__(self, sightings: Sequence[Sighting], estimator: Belief) -> None:
         """Add a key scan; the observer of an `Associator`."""
         estimate = estimator.estimate()
         squared = np.full((len(sightings), len(estimate.ids)), np.inf)

@@ -37,7 +37,7 @@ def prepare(say: Callable[[str], object], config: Config | None = None) -> None:
     if not is_compiled():
         say(COMPILING)
     _warm_up_once()
-    if config is not None and config.front_end == "scans":
+    if config is not None and "scans" in (config.front_end, config.association.proposed_by):
         _warm_up_scans_once()
 
 

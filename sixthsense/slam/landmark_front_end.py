@@ -52,9 +52,9 @@ class LandmarkFrontEnd:
         if increment is not None:
             self._key_scans.moved(increment)
             self._pose = self._pose @ increment.motion
-        if not self._key_scans.due(tick):
+        motion = self._motion_to(tick, scan, increment)
+        if motion is None:
             return None
-        motion = self._key_scans.take()
         self._predict(motion)
         features = None if scan is None else self._extract(scan)
         association = self._associate(features, tick)
@@ -66,6 +66,10 @@ class LandmarkFrontEnd:
         """Predict up to the last tick."""
         self._estimator.predict(self._key_scans.take())
         return Finished()
+
+    def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
+        """The motion since the last key scan, if this tick's evidence is used."""
+        return self._key_scans.take() if self._key_scans.due(tick) else None
 
     def _extracted(self, scan: Scan) -> Features:
         return extract(scan, self._config.assumed, self._config.features, self._ransac_rng)

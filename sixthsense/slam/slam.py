@@ -221,7 +221,12 @@ class Slam:
         """The configured front end; ConfigError for one that the estimator cannot use."""
         if self.config.front_end == "landmarks":
             rng = random_streams(self.config.seed).ransac
-            return LandmarkFrontEnd(self.config, self.estimator, self.associator, rng, self._start, timed)
+            args = self.config, self.estimator, self.associator, rng, self._start, timed
+            if self.config.association.proposed_by == "estimate":
+                return LandmarkFrontEnd(*args)
+            from sixthsense.slam.guided_front_end import GuidedFrontEnd
+
+            return GuidedFrontEnd(*args)
         if not keeps_poses(self.estimator):
             raise ConfigError(f"front_end: found scans with {self.config.estimator}, {KEEP_POSES}")
         from sixthsense.slam.scans.front_end import ScanFrontEnd

@@ -20,7 +20,7 @@ from sixthsense.slam.association.matching import Indices, Innovations, assign, c
 from sixthsense.slam.association.pre_gate import pre_gate
 from sixthsense.slam.association.wall_alignment import Alignment, align
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
-from sixthsense.slam.estimators.base import Estimate, Estimator
+from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Association:
     """(3, 3) of the predicted pose, world frame"""
 
 
-Observer = Callable[[Sequence[Sighting], Estimator], None]
+Observer = Callable[[Sequence[Sighting], Belief], None]
 """Called with all sightings of a key scan and the estimator before its update; must not change either."""
 
 
@@ -88,7 +88,7 @@ class Associator:
         self._gate_sigmas = math.sqrt(max(self._match_gate, self._new_gate))
         self._known_gate = float(chi2.ppf(config.known_probability, 2))  # infinite for 1
 
-    def associate(self, sightings: Sequence[Sighting], estimator: Estimator) -> Association:
+    def associate(self, sightings: Sequence[Sighting], estimator: Belief) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what is far from all is a new landmark."""
         self._scan += 1
         if self.observer is not None:
@@ -154,6 +154,18 @@ class Associator:
             self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
         dof = 2 * (len(old) - len(misread))
         return Association(accepted, len(misread), nis, dof, 0, estimate.pose, estimate.pose_cov)
+
+    def nis(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> tuple[float, int]:
+        """Normalised innovation squared of sightings together, and its degrees of freedom; new landmarks left out."""
+        estimate = estimator.estimate()
+        order = {i: k for k, i in enumerate(estimate.ids.tolist())}
+        old = [i for i in sightings if i in order]
+        if not old:
+            return 0.0, 0
+        near, seen = np.array([order[i] for i in old]), [sightings[i] for i in old]
+        joint = estimator.joint_covariance(old)
+        innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=np.bool_))
+        return _matches_nis(innovation, seen, np.arange(len(old)), joint), 2 * len(old)
 
     def cull(self) -> list[LandmarkId]:
         """Landmarks to forget now: seen too rarely a period after their first sighting (report: bad landmarks)."""

@@ -32,7 +32,19 @@ class Estimate:
     """(n,) which of them are walls"""
 
 
-class Estimator(Protocol):
+class Belief(Protocol):
+    """Pose and landmarks with their joint covariance."""
+
+    def estimate(self) -> Estimate:
+        """The present pose with its covariance, and the landmarks' means."""
+        ...
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the k landmarks, world frame, in the order asked; KeyError if unknown."""
+        ...
+
+
+class Estimator(Belief, Protocol):
     """Simultaneous localisation and mapping from odometry and sightings with known association.
 
     1. `predict` never shrinks the joint covariance; many may precede an update.
@@ -58,14 +70,6 @@ class Estimator(Protocol):
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks; KeyError for an unknown one."""
-        ...
-
-    def estimate(self) -> Estimate:
-        """The present pose with its covariance, and the landmarks' means."""
-        ...
-
-    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
-        """(3 + 2k, 3 + 2k) of the pose and the k landmarks, world frame, in the order asked; KeyError if unknown."""
         ...
 
     def trajectory(self) -> Array:

@@ -14,12 +14,14 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
 from sixthsense.slam.front_end import Finished, KeyScan, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import has_slipped, prior_of, weakened, with_wheel_errors
+from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Tracked, track
@@ -109,6 +111,18 @@ class ScanFrontEnd:
         if not self._config.scans.final_pass:
             return Finished(None, revisits)
         return Finished(refined(self._store, self._graph.poses, self._scans, self._mount), revisits)
+
+    @property
+    def newest(self) -> int:
+        """Index of the newest key scan."""
+        return self._store.count - 1
+
+    def proposal(self) -> Proposal:
+        """Where the robot is at the newest key scan, relative to the others."""
+        laser, graph = self._mount, self._graph
+        poses = compose(graph.poses, laser.T_laser_robot.array())
+        sigma_m, sigma_rad = self.revisits.sigmas(self.newest)
+        return Proposal(between(poses[-1], poses), sigma_m, sigma_rad)
 
     def _tracked(self, scan: Scan) -> Tracked | None:
         """Track a scan against recent and linked key scans; None for the first scan."""

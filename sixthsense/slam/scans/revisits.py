@@ -69,6 +69,10 @@ class Revisits:
         undone = self.closings.undone
         return RevisitCounts(self.closings.accepted - undone, self._refused, undone)
 
+    def sigmas(self, key: int) -> tuple[Array, Array]:
+        """(K,) sigmas of position, m, and heading, rad, of all key scans relative to `key`; infinite if unconnected."""
+        return self._uncertainty.sigmas(key, self._graph.poses)
+
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
         """Add a key scan that was tracked; `odometry_information` (3, 3) is the prior's."""
         if key == len(self._travelled):

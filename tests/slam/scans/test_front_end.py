@@ -4,57 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rooms import ROOM, scan_at
+from rooms import CORNERS, RING, ROOM, drive, ticks
 
 from sixthsense.config import ConfigError, merge, preset
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.core.source import Tick
 from sixthsense.slam.estimators import register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.mount import Mount, seen_from
 from sixthsense.slam.slam import Slam
-
-# A ring of corridors, 2 m wide, around a block of 16 m by 10 m, with niches that make its places different.
-RING = np.array(
-    [[[-10, -7], [10, -7]], [[10, -7], [10, 7]], [[10, 7], [-10, 7]], [[-10, 7], [-10, -7]],
-     [[-8, -5], [8, -5]], [[8, -5], [8, 5]], [[8, 5], [-8, 5]], [[-8, 5], [-8, -5]],
-     [[-3, -7], [-3, -6.6]], [[-3, -6.6], [-1.5, -6.6]], [[-1.5, -6.6], [-1.5, -7]], [[4, -5], [4, -5.4]],
-     [[4, -5.4], [5, -5.4]], [[5, -5.4], [5, -5]], [[10, -2], [9.5, -2]], [[9.5, -2], [9.5, -1]],
-     [[9.5, -1], [10, -1]], [[8, 2], [8.4, 2.6]], [[8.4, 2.6], [8, 3.1]], [[6, 7], [6.5, 6.5]],
-     [[6.5, 6.5], [7.5, 7]], [[1, 5], [1.3, 5.5]], [[1.3, 5.5], [2.2, 5]], [[-5, 7], [-5, 6.4]],
-     [[-5, 6.4], [-6, 6.4]], [[-6, 6.4], [-6, 7]], [[-10, 3], [-9.4, 2.5]], [[-9.4, 2.5], [-10, 1.5]],
-     [[-8, -2], [-8.5, -1.5]], [[-8.5, -1.5], [-8, -0.5]]], dtype=float)  # fmt: skip
-CORNERS = [(9.0, -6.0), (9.0, 6.0), (-9.0, 6.0), (-9.0, -6.0)]
-
-
-def drive(start, corners, step=0.12, turn=0.12) -> list[Pose]:
-    """Poses along straight lines between corners, turning on the spot."""
-    poses = [start]
-    for corner in corners:
-        to = np.array(corner) - poses[-1].position
-        off = wrap_angle(float(np.arctan2(to[1], to[0]) - poses[-1].theta))
-        n = max(1, round(abs(off) / turn))
-        for _ in range(n):
-            poses.append(poses[-1] @ Pose(theta=off / n))
-        n = max(1, round(float(np.hypot(*to)) / step))
-        for _ in range(n):
-            poses.append(poses[-1] @ Pose(x=float(np.hypot(*to)) / n))
-    return poses
-
-
-def ticks(poses, walls, seed=0, scale=1.0, drift=0.0, mount=None, laser=None):
-    """Ticks of a drive whose wheels are wrong by a scale and by a drift in rad per m."""
-    rng, odometry, config = np.random.default_rng(seed), poses[0], laser or preset().laser
-    config = config if mount is None else dataclasses.replace(config, mount=tuple(mount.array()))
-    for k, pose in enumerate(poses):
-        if k:
-            step = poses[k - 1].inverse() @ pose
-            wrong = Pose(scale * step.x, step.y, step.theta + drift * step.x)
-            odometry = odometry @ wrong @ Pose(*(1e-3 * rng.standard_normal(3)))
-        scan = scan_at(pose if mount is None else pose @ mount, walls, config, rng=rng)
-        yield Tick(100_000_000 * k, odometry, scan, log_stamp_s=0.1 * k)
 
 
 def run(config, poses, walls, **wheels):

@@ -1,0 +1,75 @@
+"""The front end of landmarks whose matches are chosen where aligned scans say that the robot is.
+
+The aligned scans have a graph of their own. What it says is used to choose matches, and to doubt the wheels where they
+slip. The estimator is given odometry and sightings, as without it: no aligned pose is a measurement.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
+from sixthsense.slam.association.associator import Association, Associator
+from sixthsense.slam.association.proposed import ProposedLandmarks
+from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.estimators.isam2 import ISAM2
+from sixthsense.slam.features import Features
+from sixthsense.slam.front_end import Finished, Timed
+from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
+from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+
+class GuidedFrontEnd(LandmarkFrontEnd):
+    """Sightings of landmarks in the key scans of the front end of scans, which proposes where the robot is."""
+
+    def __init__(
+        self,
+        config: Config,
+        estimator: Estimator,
+        associator: Associator,
+        ransac_rng: np.random.Generator,
+        start: Pose,
+        timed: Timed,
+    ) -> None:
+        """Begin at `start`, `T_world_robot`."""
+        super().__init__(config, estimator, associator, ransac_rng, start, timed)
+        self._guide = ScanFrontEnd(config, ISAM2(start, np.zeros((3, 3)), config.isam2), start, timed)
+        self._proposed = ProposedLandmarks()
+
+    def finish(self) -> Finished:
+        """Predict up to the last tick."""
+        super().finish()
+        return Finished(None, self._guide.revisits.counts)
+
+    def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
+        key_scan = self._guide.take(tick, scan, increment)
+        if key_scan is None:
+            return None
+        self._key_scans.take()
+        return key_scan.motion
+
+    def _associated(self, features: Features | None, tick: Tick) -> Association:
+        if features is None:
+            return super()._associated(features, tick)
+        estimate = self._estimator.estimate()
+        self._proposed.place(self._guide.proposal(), estimate, self._associator.records)
+        found = self._associator.associate(features.sightings, self._proposed)
+        nis, dof = self._associator.nis(found.sightings, self._estimator)
+        return dataclasses.replace(
+            found, nis=nis, dof=dof, predicted_pose=estimate.pose, predicted_cov=estimate.pose_cov
+        )
+
+    def _updated(self, association: Association) -> Estimate:
+        self._estimator.update(association.sightings)
+        estimate = self._estimator.estimate()
+        self._proposed.remember(self._guide.newest, estimate, association.sightings, self._associator.records)
+        gone = [*self._associator.cull(), *self._associator.merged(self._estimator)]
+        self._estimator.forget(gone)
+        self._proposed.forget(gone)
+        return estimate
