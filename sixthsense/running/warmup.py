@@ -82,7 +82,7 @@ def warm_up() -> None:
     assert tick is not None and tick.scan is not None
     extract(deskew(tick.scan), config.assumed, config.features, rng)
     mapper = Mapper(config.grid, 0.2)
-    mapper.add(np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
+    mapper.add(lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
     mapper.grid.free_space(margin_m=0.1).between((0.0, 0.0), (1.0, 0.0), 1.0)
     # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
     gc.collect()

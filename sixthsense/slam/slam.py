@@ -234,7 +234,7 @@ class Slam:
         return ScanFrontEnd(self.config, self.estimator, self._start, timed)
 
     def _mapped(self, scan: Scan, key_scan: KeyScan) -> None:
-        self._mapper.add(self.trajectory(), scan, key_scan.walls_robot)
+        self._mapper.add(self.trajectory, scan, key_scan.walls_robot)
 
     def _step(self, tick: Tick, increment: Odometry | None, scan: Scan | None, key_scan: KeyScan | None) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry

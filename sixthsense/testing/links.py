@@ -150,6 +150,24 @@ def no_link_changes_nothing(name: str) -> None:
     assert_same(before, joint_state(estimator))
 
 
+@LAWS.law
+def poses_at_some_updates_are_rows_of_the_trajectory(name: str) -> None:
+    estimator = linked(name)
+    for links in ([], _LINKS[:1], _LINKS[1:]):
+        estimator.link(links)
+        estimator.predict(_MOTION)
+        estimator.update({})
+        few = [len(estimator.trajectory()) - 1, 3, 0]
+        estimator.link([Link(2, 4, Odometry(Pose(1.5, 1.2, 1.2), 0.1 * np.eye(3)))])
+        found = estimator.poses_at(few)  # before the trajectory is read
+        assert np.allclose(found, estimator.trajectory()[few], rtol=0.0, atol=1e-12)
+        assert np.array_equal(estimator.poses_at(few), estimator.trajectory()[few])
+    assert estimator.poses_at([]).shape == (0, 3)
+    for unknown in (-1, len(estimator.trajectory())):
+        with raises(KeyError):
+            estimator.poses_at([0, unknown])
+
+
 def _least_squares(poses: int, links: list[Link]) -> Array:
     """(poses, 3) solution of the drive of `linked` with `links`, by scipy."""
     terms = [Link(k, k + 1, _MOTION) for k in range(poses - 1)] + links

@@ -96,6 +96,7 @@ class PoseGraphEstimator(Estimator, Protocol):
 
     9. `link` takes each link as independent. Its pose need not be the newest.
     10. `unlink` leaves the estimate as if those links had not been given.
+    11. `poses_at` returns rows of `trajectory`.
     """
 
     def link(self, links: Sequence[Link]) -> list[int]:
@@ -110,10 +111,14 @@ class PoseGraphEstimator(Estimator, Protocol):
         """Remove links; KeyError, with the state unchanged, for an unknown id."""
         ...
 
+    def poses_at(self, updates: Sequence[int]) -> Array:
+        """(m, 3) the poses at some updates, by index; KeyError for an unknown one. A few cost less than all."""
+        ...
+
 
 def keeps_poses(estimator: Estimator) -> TypeGuard[PoseGraphEstimator]:
     """Whether an estimator keeps the poses of all updates, so that links can be added."""
-    return callable(getattr(estimator, "link", None)) and callable(getattr(estimator, "unlink", None))
+    return all(callable(getattr(estimator, name, None)) for name in ("link", "unlink", "poses_at"))
 
 
 class Trajectory:

@@ -19,14 +19,14 @@ from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_s
 from sixthsense.slam.estimators.isam2_factors import gaussian, link_factor, loss_of, noise_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_links import LinkFactors
 from sixthsense.slam.estimators.isam2_sightings import SightingFactors
+from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_walls import lines, measurement, wall_frame
+from sixthsense.slam.estimators.isam2_walls import measurement, wall_frame
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
 _MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
-_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
 
 
 class ISAM2:
@@ -39,8 +39,6 @@ class ISAM2:
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
-        self._pose, self._pose_cov = start, check_covariance("start_cov", start_cov)
-        """of the last solved pose, or the start"""
         self._config, self._loss = config, loss_of(config)
         self._factors, self._links = SightingFactors(), LinkFactors()
         self._solver = Solver(config, self._renumber)
@@ -48,6 +46,7 @@ class ISAM2:
         self._poses = 0
         """number of poses, solved and waiting"""
         self._landmarks = Landmarks()
+        self._solution = Solution(self._solver, self._landmarks, start, check_covariance("start_cov", start_cov))
         self._reject_gate = float(chi2.ppf(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -55,8 +54,6 @@ class ISAM2:
         """motion since the last pose, waiting or not"""
         self._pending = STANDSTILL
         """motion since the last solved pose"""
-        self._solved = np.zeros((0, 3))
-        """all solved poses"""
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -68,7 +65,7 @@ class ISAM2:
     def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
         """Add the present pose and the sightings from it; solve if there are any."""
         check_sightings(sightings)
-        guess = self._pose @ self._pending.motion
+        guess = self._solution.pose @ self._pending.motion
         self._add_pose(guess)
         if not sightings:
             return
@@ -83,7 +80,7 @@ class ISAM2:
         for (i, sighting), place, is_new in zip(sightings.items(), places[first:], is_first, strict=True):
             self._factors.add(self._poses - 1, i, place, sighting, is_new)
         self._relinearize(guess)
-        self._read()
+        self._solution.update(self._last_solved)
         if self._poses % _REJECT_PERIOD == 0:
             self._reject_outliers()
 
@@ -96,10 +93,10 @@ class ISAM2:
         for link in links:
             self._guess_by(link)
             self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
-        guess = Pose.from_array(self.trajectory()[-1])
+        guess = self._pose_at(self._poses - 1)
         ids = self._links.add(self._solve_waiting()[first:])
-        self._read()
-        if self._is_far(guess, self._pose):
+        self._solution.update(self._last_solved)
+        if self._is_far(guess, self._solution.pose):
             self._converge()
         return ids
 
@@ -108,7 +105,7 @@ class ISAM2:
         places = self._links.drop(ids)
         if places:
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
-            self._read()
+            self._solution.update(self._last_solved)
             self._converge()
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
@@ -125,26 +122,34 @@ class ISAM2:
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
-        pose = self._pose @ self._pending.motion
-        cov = self._propagated(self._pose_cov)
-        landmarks = self._landmarks
+        pose = self._solution.pose @ self._pending.motion
+        cov = self._propagated(self._solution.cov())
+        landmarks = self._solution.landmarks()
         return Estimate(pose, cov, landmarks.ids(), landmarks.means.copy(), landmarks.walls())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         keys = [self._landmarks.keys[i] for i in ids]
         if not keys:
-            return self._propagated(self._pose_cov)
+            return self._propagated(self._solution.cov())
         # GTSAM answers in the order of the query, each variable in its own tangent.
         joint = self._solver.joint_covariance([self._last_solved, *keys])
-        to_world = block_diag(Pose(theta=self._pose.theta).adjoint(), *(self._landmarks.by_tangent[i] for i in ids))
+        turn, by_tangent = Pose(theta=self._solution.pose.theta).adjoint(), self._solution.landmarks().by_tangent
+        to_world = block_diag(turn, *(by_tangent[i] for i in ids))
         joint = to_world @ joint @ to_world.T
-        joint[:3, :3] = self._pose_cov
+        joint[:3, :3] = self._solution.cov()
         return self._propagated(0.5 * (joint + joint.T))
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, smoothed with all sightings so far."""
-        return np.vstack([self._solved, *(pose.array() for pose in self._unsolved.poses)])
+        return np.vstack([self._solution.poses(), *(pose.array() for pose in self._unsolved.poses)])
+
+    def poses_at(self, updates: Sequence[int]) -> Array:
+        """(m, 3) the poses at some updates."""
+        for k in updates:
+            if not 0 <= k < self._poses:
+                raise KeyError(f"updates: found {k}, allowed: 0 to {self._poses - 1}")
+        return np.array([self._pose_at(k).array() for k in updates]).reshape(-1, 3)
 
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""
@@ -154,12 +159,16 @@ class ISAM2:
     def _last_solved(self) -> int:
         return int(X(self._poses - 1 - len(self._unsolved.poses)))
 
+    def _pose_at(self, k: int) -> Pose:
+        first = self._poses - len(self._unsolved.poses)
+        return self._solution.pose_at(k) if k < first else self._unsolved.poses[k - first]
+
     def _add_pose(self, guess: Pose) -> None:
         key = X(self._poses)
         self._unsolved.poses.append(guess)
         self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
-            noise = gaussian(Odometry(guess, self._propagated(self._pose_cov)))
+            noise = gaussian(Odometry(guess, self._propagated(self._solution.cov())))
             self._unsolved.graph.add(gtsam.PriorFactorPose2(key, to_pose2(guess), noise))
         else:
             noise = gaussian(self._step)
@@ -169,11 +178,10 @@ class ISAM2:
 
     def _guess_by(self, link: Link) -> None:
         """Set the initial value of a waiting pose by a link to it, which is better than the odometry's."""
-        first = len(self._solved)
+        first = self._poses - len(self._unsolved.poses)
         if link.after < first or link.after in self._unsolved.guessed:
             return
-        before = self.trajectory()[link.before]
-        guess = Pose.from_array(before) @ link.relative.motion
+        guess = self._pose_at(link.before) @ link.relative.motion
         self._unsolved.guessed.add(link.after)
         self._unsolved.poses[link.after - first] = guess
         self._unsolved.values.update(X(link.after), to_pose2(guess))
@@ -228,10 +236,10 @@ class ISAM2:
     def _converge(self) -> None:
         """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
         for _ in range(_MAX_ITERATIONS):
-            before = self._solved
+            before = self._solution.poses()
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
-            self._read()
-            shift = self._solved - before
+            self._solution.update(self._last_solved)
+            shift = self._solution.poses() - before
             shift[:, 2] = wrap_angle(shift[:, 2])
             if np.abs(shift).max() <= 0.1 * self._config.relinearize_threshold:
                 return
@@ -246,7 +254,7 @@ class ISAM2:
         self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
         for _ in range(self._config.iterations - 1):
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
-        self._read()
+        self._solution.update(self._last_solved)
 
     def _reject_outliers(self) -> None:
         """Remove the factors of matches that contradict all other factors, the largest residual first.
@@ -255,38 +263,18 @@ class ISAM2:
         First sightings are kept: without it a wall's frame could slide along the wall.
         """
         for _ in range(_MAX_REJECTED):
-            ids, means = self._landmarks.ids(), self._landmarks.means
+            ids, means = self._landmarks.ids(), self._solution.landmarks().means
             squared, places = self._factors.squared_residuals(self.trajectory(), ids, means)
             if not len(squared) or squared.max() <= self._reject_gate:
                 return
             self._remove([int(places[squared.argmax()])])
             self.rejected += 1
 
-    def _read(self) -> None:
-        """Read poses, the last one's covariance and the landmarks from the solver."""
-        values = self._solver.isam.calculateEstimate()
-        frames = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
-        points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
-        is_wall = self._landmarks.walls()
-        # In the order of their keys: the letter of walls comes before that of poses, then the number.
-        walls, self._solved = np.split(frames, [np.count_nonzero(is_wall)])
-        means, axes = lines(walls)
-        self._landmarks.means = np.empty((len(is_wall), 2))
-        self._landmarks.means[is_wall], self._landmarks.means[~is_wall] = means, points
-        of_walls = iter(axes)
-        self._landmarks.by_tangent = {
-            i: next(of_walls) if wall else _POINT for i, wall in self._landmarks.is_wall.items()
-        }
-        self._pose = Pose.from_array(self._solved[-1])
-        turn = Pose(theta=self._pose.theta).adjoint()
-        cov = turn @ self._solver.covariance(self._last_solved) @ turn.T
-        self._pose_cov = 0.5 * (cov + cov.T)
-
     def _propagated(self, joint: Array) -> Array:
         """Joint covariance (n, n) of the last update's pose and landmarks, propagated by the motion since; a copy."""
         if self._pending is STANDSTILL:
             return joint.copy()
-        phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        phi, g = compose_jacobians(self._solution.pose.theta, self._pending.motion)
         moved = joint.copy()
         moved[:3] = phi @ moved[:3]
         moved[:, :3] = moved[:, :3] @ phi.T

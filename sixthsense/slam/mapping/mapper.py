@@ -56,17 +56,17 @@ class Mapper:
         self._scans: list[tuple[Scan, Array]] = []
         self._mean_ranges: list[float] = []
         """mean range of each scan, m: the lever of its heading"""
-        self._trajectory = np.zeros((0, 3))
-        """(K, 3) present pose of each scan"""
+        self._trajectory: Callable[[], Array] = lambda: np.zeros((0, 3))
+        """returns (K, 3) present poses, the first ones those of the scans"""
         self._submaps: list[Submap] = []
         """of `SCANS_PER_SUBMAP` scans each, from the first on; made when the grid is composed for the first time"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
 
-    def add(self, trajectory: Array, scan: Scan, walls_robot: Array) -> None:
-        """Take the newest key scan, with the walls (W, 2, 2) fitted to it, at the last row of `trajectory` (K, 3).
+    def add(self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array) -> None:
+        """Take the newest key scan, with the walls (W, 2, 2) fitted to it.
 
-        The rows before are the present estimates of the earlier key scans' poses.
+        `trajectory` returns the present estimates (K, 3) of all key scans' poses; it is called when the map is drawn.
         """
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]
@@ -78,8 +78,9 @@ class Mapper:
 
     def complete(self, trajectory: Array) -> None:
         """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
-        self._trajectory = trajectory[: len(self._scans)]
-        if not np.array_equal(self._drawn_at, self._trajectory[: len(self._drawn_at)]):
+        final = trajectory[: len(self._scans)]
+        self._trajectory = lambda: final
+        if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
             self.grid.clear()
             self.rebuilds += 1
             self._drawn_at = np.zeros((0, 3))
@@ -93,36 +94,37 @@ class Mapper:
     def _draw(self) -> None:
         """Draw the scans that are due, and compose the grid anew if one that is drawn has moved."""
         drawn = len(self._drawn_at)
-        if drawn == len(self._trajectory):
+        if drawn == len(self._scans):
             return
-        moved = self._moved(drawn)
+        poses = self._trajectory()[: len(self._scans)]
+        moved = self._moved(poses[:drawn])
         if moved.any():
-            drawn = self._compose(moved)
+            drawn = self._compose(moved, poses)
             self.rebuilds += 1
-        self._add(self.grid, slice(drawn, None))
-        self._drawn_at = np.vstack([self._drawn_at[:drawn], self._trajectory[drawn:]])
+        self._add(self.grid, slice(drawn, None), poses)
+        self._drawn_at = np.vstack([self._drawn_at[:drawn], poses[drawn:]])
 
-    def _moved(self, count: int) -> Bools:
-        """(count,) which of the first scans, which are drawn, have moved by half a cell."""
-        shift = self._trajectory[:count] - self._drawn_at
-        lever_m = np.array(self._mean_ranges[:count])
+    def _moved(self, poses: Array) -> Bools:
+        """(D,) which of the scans that are drawn have moved by half a cell, to their present poses (D, 3)."""
+        shift = poses - self._drawn_at
+        lever_m = np.array(self._mean_ranges[: len(poses)])
         displacement = np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m
         return np.asarray(displacement > self._tolerance_m)
 
-    def _compose(self, moved: Bools) -> int:
+    def _compose(self, moved: Bools, poses: Array) -> int:
         """Compose the grid of submaps, those with a moved scan drawn again; the number of scans that are in it."""
         count = len(moved) // SCANS_PER_SUBMAP
         for k in range(count):
             scans = slice(k * SCANS_PER_SUBMAP, (k + 1) * SCANS_PER_SUBMAP)
             if k == len(self._submaps) or moved[scans].any():
                 own = Grid(self._config, self._radius_m)
-                self._add(own, scans)
+                self._add(own, scans, poses)
                 self._submaps[k : k + 1] = [own.submap()]
-                self._drawn_at[scans] = self._trajectory[scans]
+                self._drawn_at[scans] = poses[scans]
         self.grid.compose(self._submaps)
         return count * SCANS_PER_SUBMAP
 
-    def _add(self, grid: Grid, scans: slice) -> None:
-        """Add scans to a grid at their present poses."""
-        for (scan, walls), row in zip(self._scans[scans], self._trajectory[scans], strict=True):
+    def _add(self, grid: Grid, scans: slice, poses: Array) -> None:
+        """Add scans to a grid at their present poses, rows of `poses` (K, 3)."""
+        for (scan, walls), row in zip(self._scans[scans], poses[scans], strict=True):
             grid.add(Pose.from_array(row), scan, walls)

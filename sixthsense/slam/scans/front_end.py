@@ -166,7 +166,7 @@ class ScanFrontEnd:
         """Keep the newest scan as key scan, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
-        guess = self._mount.laser_poses(self._estimator.trajectory()[-1]) if tracked is None else tracked.pose
+        guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
         information = np.asarray(np.linalg.inv(self._since_of_laser().cov), dtype=np.float64)
         self._graph.add(guess, self._mount)
         self.revisits.moved(key, tracked, information)

@@ -24,6 +24,8 @@ _REACH_M, _REACH_RAD = 3.0, 2.0  # between the poses of linked scans: the views 
 _M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are selected
 _RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
+_NEWEST, _REFRESH_PERIOD = 8, 10  # key scans whose poses are read each time, and between two times that all are
+_JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
 
@@ -50,6 +52,8 @@ class ScanGraph:
         self._links = np.zeros(64, dtype=np.int64)
         """links of each key scan to earlier ones"""
         self.count = 0
+        self._refreshed = 0
+        """number of key scans when all poses were read"""
         self._waiting: list[tuple[Alignments, int]] = []
         """links to recent key scans, given together with those to old ones: each time costs the estimator a solution"""
 
@@ -67,8 +71,19 @@ class ScanGraph:
         self.count += 1
 
     def refresh(self) -> None:
-        """Take the poses from the estimator."""
+        """Take all poses from the estimator."""
         self._rows[: self.count] = self.mount.laser_poses(self.estimator.trajectory())
+        self._refreshed = self.count
+
+    def _refresh_near(self, rows: list[tuple[Alignments, int]]) -> None:
+        """Take the newest poses and those that links lead to; all of them from time to time, and after a jump."""
+        newest = range(max(0, self.count - _NEWEST), self.count)
+        keys = sorted({*newest, *(int(found.targets[k]) for found, k in rows)})
+        poses = self.mount.laser_poses(self.estimator.poses_at(keys))
+        shift = np.hypot(*(poses[:, :2] - self._rows[keys, :2]).T)
+        self._rows[keys] = poses
+        if self.count - self._refreshed >= _REFRESH_PERIOD or shift.max() > _JUMP_M:
+            self.refresh()
 
     def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
         """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
@@ -102,7 +117,7 @@ class ScanGraph:
         links += [self._link(found, k, loss_scale) for found, k in rows]
         ids = self.estimator.link(links)[len(recent) :]
         if links:
-            self.refresh()
+            self._refresh_near(rows)
         return ids
 
     def forget(self, pairs: list[tuple[int, int]]) -> None:

@@ -36,7 +36,7 @@ def by_hand(trajectory: np.ndarray, scans: list[Scan]) -> Grid:
 def test_without_movement_the_grid_is_not_rebuilt() -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(poses(k + 1), scan, NO_WALLS)
+        mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
     assert mapper.rebuilds == 0
     assert np.array_equal(mapper.grid.occupancy(), by_hand(poses(6), scans).occupancy())
@@ -48,15 +48,15 @@ def test_without_movement_the_grid_is_not_rebuilt() -> None:
 def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: int) -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
-        mapper.add(poses(k + 1), scans[k], NO_WALLS)
+        mapper.add(poses(k + 1).copy, scans[k], NO_WALLS)
         assert mapper.grid.seen.any()
     moved = poses(6)
     moved[2] += shift  # a heading's error moves what was seen, by its lever
-    mapper.add(moved, scans[5], NO_WALLS)
+    mapper.add(moved.copy, scans[5], NO_WALLS)
     expected = by_hand(moved if rebuilt else poses(6), scans)
     assert np.array_equal(mapper.grid.occupancy(), expected.occupancy())
     assert mapper.rebuilds == rebuilt
-    mapper.add(np.vstack([moved, poses(7)[-1:]]), look(Pose.from_array(poses(7)[-1])), NO_WALLS)
+    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, look(Pose.from_array(poses(7)[-1])), NO_WALLS)
     assert mapper.grid.seen.any()
     assert mapper.rebuilds == rebuilt  # once is enough
 
@@ -66,7 +66,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
     mapper = Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(poses(k + 1) + 0.1 * k, scan, NO_WALLS)
+        mapper.add((poses(k + 1) + 0.1 * k).copy, scan, NO_WALLS)
     assert drawn == [] and mapper.rebuilds == 0
     mapper.complete(poses(6) + 0.5)
     assert len(drawn) == 6 and mapper.rebuilds == 0
@@ -79,7 +79,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
 def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: tuple[int, ...]) -> None:
     scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(poses(k + 1), scan, NO_WALLS)
+        mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         if k in read_at:
             assert mapper.grid.hits.sum() == by_hand(poses(k + 1), scans[: k + 1]).hits.sum()
     expected = by_hand(poses(6), scans)
@@ -92,7 +92,7 @@ def test_a_scan_without_a_return_causes_no_error() -> None:
     mapper = Mapper(GridConfig(), 0.2)
     empty = Scan.from_config(np.full(LASER.beams, np.inf), LASER)
     for k in range(3):
-        mapper.add(poses(k + 1), empty, NO_WALLS)
+        mapper.add(poses(k + 1).copy, empty, NO_WALLS)
     assert not mapper.grid.obstacles.any()
 
 

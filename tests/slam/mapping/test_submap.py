@@ -112,14 +112,14 @@ def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.Monk
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
     rows = poses(count + 2)
     for k in range(count):
-        mapper.add(rows[: k + 1], look(rows[k]), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, look(rows[k]), NO_WALLS)
         assert mapper.grid.seen.any()
     assert len(added) == count and mapper.rebuilds == 0
     moved = rows.copy()
     for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
         added.clear()
         moved[scan, 0] += 0.04
-        mapper.add(moved[: count + 1 + k], look(moved[count + k]), NO_WALLS)
+        mapper.add(moved[: count + 1 + k].copy, look(moved[count + k]), NO_WALLS)
         assert mapper.grid.seen.any()
         assert mapper.rebuilds == k + 1
         assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet

@@ -1,0 +1,80 @@
+"""The solver's present solution, read when it is asked for: reading all poses takes longer than most updates."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.slam.estimators.isam2_factors import to_pose
+from sixthsense.slam.estimators.isam2_solver import Solver
+from sixthsense.slam.estimators.isam2_state import Landmarks
+from sixthsense.slam.estimators.isam2_walls import lines
+
+_POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
+
+
+class Solution:
+    """Poses and landmarks of the last solution."""
+
+    def __init__(self, solver: Solver, landmarks: Landmarks, start: Pose, start_cov: Array) -> None:
+        """Begin at the start, without a solution."""
+        self.pose = start
+        """of the last solved pose, or the start"""
+        self._solver, self._landmarks, self._cov = solver, landmarks, start_cov
+        self._last = 0
+        """key of the last solved pose"""
+        self._poses = np.zeros((0, 3))
+        self._has_read = self._has_cov = True
+        """whether poses and landmarks, and the covariance, are those of the last solution"""
+
+    def update(self, last: int) -> None:
+        """Take in that there is a new solution, whose last pose has this key."""
+        self._last, self._has_read, self._has_cov = last, False, False
+        self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
+
+    def cov(self) -> Array:
+        """(3, 3) covariance of the last solved pose, world frame."""
+        if not self._has_cov:
+            turn = Pose(theta=self.pose.theta).adjoint()
+            cov = turn @ self._solver.covariance(self._last) @ turn.T
+            self._cov, self._has_cov = 0.5 * (cov + cov.T), True
+        return self._cov
+
+    def pose_at(self, k: int) -> Pose:
+        """The pose of update k, which is solved."""
+        if self._has_read:
+            return Pose.from_array(self._poses[k])
+        return to_pose(self._solver.isam.calculateEstimatePose2(X(k)))
+
+    def poses(self) -> Array:
+        """(K, 3) all solved poses."""
+        self.read()
+        return self._poses
+
+    def landmarks(self) -> Landmarks:
+        """The landmarks with their present means."""
+        if self._landmarks.keys or len(self._landmarks.means):
+            self.read()
+        return self._landmarks
+
+    def read(self) -> None:
+        """Read poses and landmarks from the solver, if they are not those of the last solution."""
+        if self._has_read:
+            return
+        landmarks = self._landmarks
+        values = self._solver.isam.calculateEstimate()
+        frames = np.asarray(gtsam.utilities.extractPose2(values)).reshape(-1, 3)
+        points = np.zeros((0, 2))
+        is_wall = landmarks.walls()
+        if len(is_wall):
+            points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
+        # In the order of their keys: the letter of walls comes before that of poses, then the number.
+        walls, self._poses = np.split(frames, [np.count_nonzero(is_wall)])
+        means, axes = lines(walls)
+        landmarks.means = np.empty((len(is_wall), 2))
+        landmarks.means[is_wall], landmarks.means[~is_wall] = means, points
+        of_walls = iter(axes)
+        landmarks.by_tangent = {i: next(of_walls) if wall else _POINT for i, wall in landmarks.is_wall.items()}
+        self._has_read = True
