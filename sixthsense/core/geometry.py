@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+_set = object.__setattr__  # of a frozen value
 
 
 @overload
@@ -19,10 +20,13 @@ def wrap_angle(angle: Array) -> Array: ...
 def wrap_angle(angle: float | Array) -> float | Array:
     """Wrap an angle, or an array of them, into [-pi, pi); an angle in that interval is returned bit for bit."""
     if isinstance(angle, np.ndarray):
+        is_inside = (angle >= -math.pi) & (angle < math.pi)
+        if is_inside.all():
+            return angle.copy()
         wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
         # The modulo of a tiny negative number rounds up to 2 pi itself.
         wrapped = np.where(wrapped >= math.pi, -math.pi, wrapped)
-        return np.where((angle >= -math.pi) & (angle < math.pi), angle, wrapped)
+        return np.where(is_inside, angle, wrapped)
     if -math.pi <= angle < math.pi:
         return float(angle)
     wrapped_angle = (angle + math.pi) % (2.0 * math.pi) - math.pi
@@ -35,7 +39,7 @@ def rotation(theta: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Pose:
     """A rigid motion of the plane, `T_a_b`: frame b seen from frame a.
 
@@ -49,10 +53,12 @@ class Pose:
     theta: float = 0.0
     """radians, kept in [-pi, pi)"""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", float(self.x))
-        object.__setattr__(self, "y", float(self.y))
-        object.__setattr__(self, "theta", wrap_angle(float(self.theta)))
+    def __init__(self, x: float = 0.0, y: float = 0.0, theta: float = 0.0) -> None:
+        # Written out: every control tick makes a dozen poses, and a dataclass would set each field twice.
+        angle = float(theta)
+        _set(self, "x", float(x))
+        _set(self, "y", float(y))
+        _set(self, "theta", angle if -math.pi <= angle < math.pi else wrap_angle(angle))
 
     @classmethod
     def from_array(cls, values: Any) -> Pose:
@@ -60,7 +66,7 @@ class Pose:
         array = np.asarray(values, dtype=np.float64)
         if array.shape != (3,):
             raise ValueError(f"pose: expected shape (3,), got {array.shape}")
-        return cls(array[0], array[1], array[2])
+        return cls(*array.tolist())
 
     def array(self) -> Array:
         """(3,): x, y, theta."""

@@ -15,13 +15,15 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.bearings import cell_of
+from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
 _NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 _MIN_DISTANCE_M = 0.3
+
+_NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
 
 HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = 0, 6, 9, 10, 11, 12, 18
 """Places in the sums: upper triangle of the Hessian (6), gradient (3), sum of weights, number of partners, weighted sum
@@ -42,15 +44,14 @@ def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) ->
     """The cell of the target's return that is nearest to a point in the target's frame; -1 for none within the gate."""
     points, bearings = returns.points, returns.bearings
     distance = max(math.sqrt(x * x + y * y), _MIN_DISTANCE_M)
-    centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
+    centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
     reach = int(min(gate_m / distance, _MAX_REACH_RAD) / bearings.spacing) + 1
     nearest, found = gate_m * gate_m, -1
-    for k in range(centre - reach, centre + reach + 1):
-        q = k
-        if bearings.closed:
-            q = k % bearings.beams
-        elif k < 0 or k >= bearings.beams:
-            continue
+    first, last = centre - reach, centre + reach
+    if not bearings.closed:
+        first, last = max(first, 0), min(last, bearings.beams - 1)
+    for k in range(first, last + 1):
+        q = k % bearings.beams if bearings.closed else k
         if points[target, q, 2] == 0.0:
             continue
         dx, dy = x - points[target, q, 0], y - points[target, q, 1]
@@ -145,6 +146,45 @@ def matrix(sums: Array, at: int) -> Array:
     """(3, 3) symmetric matrix at a place of the sums."""
     a, b, c, d, e, f = sums[at], sums[at + 1], sums[at + 2], sums[at + 3], sums[at + 4], sums[at + 5]
     return np.array([[a, b, c], [b, d, e], [c, e, f]])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def next_step(step: int, gates_m: Array, shift_m: float, turn: float) -> int:
+    """The step after `step`: the next gate, or the first of the last width where the pose hardly moves any more."""
+    last = len(gates_m) - 1
+    while last > 0 and gates_m[last - 1] == gates_m[-1]:
+        last -= 1
+    return max(step + 1, last) if shift_m < _NEAR_M and turn < _NEAR_RAD else step + 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def turned(sums: Array, at: int, c: float, s: float) -> Array:
+    """(3, 3) symmetric matrix at a place of the sums, in axes turned by an angle of cosine c and sine s.
+
+    Written out: for matrices of this size a call of BLAS takes longer than the product.
+    """
+    xx, xy, xt, yy, yt, tt = sums[at], sums[at + 1], sums[at + 2], sums[at + 3], sums[at + 4], sums[at + 5]
+    a = c * c * xx - 2.0 * c * s * xy + s * s * yy
+    b = c * s * (xx - yy) + (c * c - s * s) * xy
+    d = s * s * xx + 2.0 * c * s * xy + c * c * yy
+    e, f = c * xt - s * yt, s * xt + c * yt
+    return np.array([[a, b, e], [b, d, f], [e, f, tt]])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def solved(a: Array, b: Array) -> Array:
+    """(3,) solution of the symmetric, positive definite system a (3, 3), b (3,), by its Cholesky factors."""
+    l00 = math.sqrt(a[0, 0])
+    l10, l20 = a[1, 0] / l00, a[2, 0] / l00
+    l11 = math.sqrt(a[1, 1] - l10 * l10)
+    l21 = (a[2, 1] - l20 * l10) / l11
+    l22 = math.sqrt(a[2, 2] - l20 * l20 - l21 * l21)
+    y0 = b[0] / l00
+    y1 = (b[1] - l10 * y0) / l11
+    y2 = (b[2] - l20 * y0 - l21 * y1) / l22
+    x2 = y2 / l22
+    x1 = (y1 - l21 * x2) / l11
+    return np.array([(y0 - l10 * x1 - l20 * x2) / l00, x1, x2])
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -41,6 +41,22 @@ def bearings_of(scan: Scan) -> Bearings:
     return Bearings(min(float(scan.angle_min), last), spacing, count, closed, blind, max(1, round(count / _MOST_MOVED)))
 
 
+@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
+def direction(x: float, y: float) -> float:
+    """atan2(y, x) to 1.2e-5 rad, enough to find a cell, in a tenth of the time (Abramowitz and Stegun, eq. 4.4.49)."""
+    long, short = max(abs(x), abs(y)), min(abs(x), abs(y))
+    if long == 0.0:
+        return 0.0
+    a = short / long
+    s = a * a
+    angle = a * (0.9998660 + s * (-0.3302995 + s * (0.1801410 + s * (-0.0851330 + s * 0.0208351))))
+    if abs(y) > abs(x):
+        angle = 0.5 * math.pi - angle
+    if x < 0.0:
+        angle = math.pi - angle
+    return -angle if y < 0.0 else angle
+
+
 @numba.njit(cache=True, error_model="numpy")
 def cell_of(bearings: Bearings, angle: float) -> float:
     """The cell of a direction, rad, as a real number; outside 0 to beams - 1 in the blind sector."""

@@ -11,10 +11,10 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.odometry_prior import prior_of, with_wheel_errors
+from sixthsense.slam.scans.odometry_prior import informations_in_world, with_wheel_errors
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import refine
+from sixthsense.slam.scans.tracking import Prior, refine
 
 _REACH_M, _REACH_RAD = 1.5, 1.0  # to key scans that a scan is aligned with
 _MOST = 3
@@ -38,18 +38,24 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mou
     motions = np.array([scan.motion.array() for scan in scans]).reshape(-1, 3)
     if not len(poses):
         return motions
-    tree = cKDTree(poses[:, :2])
-    for k, scan in enumerate(scans):
-        if scan.scan is None:
+    rows = np.array([k for k, scan in enumerate(scans) if scan.scan is not None], dtype=np.int64)
+    if not len(rows):
+        return motions
+    keys = np.array([scans[k].key for k in rows])
+    found = compose(poses[keys], mount.laser_motions(motions[rows]))
+    covs = np.array([mount.laser_odometry(with_wheel_errors(scans[k].odometry)).cov for k in rows])
+    informations = informations_in_world(poses[keys], covs)
+    around = cKDTree(poses[:, :2]).query_ball_point(found[:, :2], _REACH_M, return_sorted=True)
+    is_aligned = np.zeros(len(rows), dtype=np.bool_)
+    for i, k in enumerate(rows):
+        near = np.array(around[i], dtype=np.int64)
+        near = near[np.abs(wrap_angle(poses[near, 2] - found[i, 2])) < _REACH_RAD]
+        scan = scans[k].scan
+        if len(near) < 2 or scan is None:
             continue
-        start = compose(poses[scan.key], mount.laser_motion(scan.motion).array())
-        near = np.array(sorted(tree.query_ball_point(start[:2], _REACH_M)), dtype=np.int64)
-        near = near[np.abs(wrap_angle(poses[near, 2] - start[2])) < _REACH_RAD]
-        if len(near) < 2:
-            continue
-        references = near[np.argsort(np.abs(near - scan.key), kind="stable")[:_MOST]]
-        by_wheels = prior_of(poses[scan.key], mount.laser_odometry(with_wheel_errors(scan.odometry)))
-        tracked = refine(store.returns, store.put(scan.scan), references, poses, by_wheels._replace(pose=start))
-        motion = Pose.from_array(between(poses[scan.key], tracked.pose))
-        motions[k] = mount.robot_motion(motion).array()
+        references = near[np.argsort(np.abs(near - keys[i]), kind="stable")[:_MOST]]
+        tracked = refine(store.returns, store.put(scan), references, poses, Prior(found[i], informations[i]))
+        found[i], is_aligned[i] = tracked.pose, True
+    rows, keys, found = rows[is_aligned], keys[is_aligned], found[is_aligned]
+    motions[rows] = mount.robot_motions(between(poses[keys], found))
     return motions

@@ -21,6 +21,8 @@ from sixthsense.slam.scans.alignment import (
     add_both_ways,
     inverse,
     matrix,
+    next_step,
+    solved,
 )
 from sixthsense.slam.scans.scan_store import Returns
 from sixthsense.slam.scans.see_through import compare_views
@@ -106,15 +108,18 @@ def _align(
 ) -> None:
     """Gauss-Newton steps from and into `pose` (3,); fills `sums` (SUMS,) and `views` (2, 3) at its end."""
     start = pose.copy()
-    for step in range(len(gates_m)):
+    step = 0
+    while step < len(gates_m):
         sums[:] = 0.0
         add_both_ways(returns, target, source, pose, Loss(gates_m[step], _SCALE_M), sums)
         if sums[HITS] < _LEAST_HITS:
             return
         hessian = matrix(sums, HESSIAN) + _ANCHOR * np.eye(3)
-        move = np.linalg.solve(hessian, -(sums[GRADIENT : GRADIENT + 3] + _ANCHOR * (pose - start)))
+        move = solved(hessian, -(sums[GRADIENT : GRADIENT + 3] + _ANCHOR * (pose - start)))
         pose += move
-        if gates_m[step] == gates_m[-1] and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
+        shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
+        if gates_m[step] == gates_m[-1] and shift < _STEP_M and turn < _STEP_RAD:
             break
+        step = next_step(step, gates_m, shift, turn)
     views[0, 0], views[0, 1], views[0, 2] = compare_views(returns, target, source, pose)
     views[1, 0], views[1, 1], views[1, 2] = compare_views(returns, source, target, inverse(pose))

@@ -34,9 +34,13 @@ class Mount:
         """The laser's motion of the robot's."""
         return self.T_laser_robot @ motion @ self.T_robot_laser
 
-    def robot_motion(self, motion: Pose) -> Pose:
-        """The robot's motion of the laser's."""
-        return self.T_robot_laser @ motion @ self.T_laser_robot
+    def laser_motions(self, motions: Array) -> Array:
+        """(m, 3) motions of the laser of the robot's (m, 3)."""
+        return compose(compose(self.T_laser_robot.array(), motions), self.T_robot_laser.array())
+
+    def robot_motions(self, motions: Array) -> Array:
+        """(m, 3) motions of the robot of the laser's (m, 3)."""
+        return compose(compose(self.T_robot_laser.array(), motions), self.T_laser_robot.array())
 
     def robot_pose(self, T_world_laser: Array) -> Pose:
         """`T_world_robot` of `T_world_laser` (3,)."""

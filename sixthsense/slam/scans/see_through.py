@@ -10,7 +10,7 @@ import math
 import numba
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.bearings import cell_of
+from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
 _TOLERANCE_M = 0.12  # between returns of one surface
@@ -32,7 +32,7 @@ def compare_views(returns: Returns, target: int, source: int, pose: Array) -> tu
         x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
         y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
         distance = math.sqrt(x * x + y * y)
-        centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
+        centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
         if not bearings.closed and (centre < 1 or centre >= bearings.beams - 1):
             continue
         gap, shortest = math.inf, math.inf

@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.slam.scans.alignment import GRADIENT, HESSIAN, SPREAD, SUMS, WEIGHT, Loss, add_one_way, matrix
+from sixthsense.slam.scans.alignment import (
+    GRADIENT,
+    HESSIAN,
+    SPREAD,
+    SUMS,
+    WEIGHT,
+    Loss,
+    add_one_way,
+    next_step,
+    solved,
+    turned,
+)
 from sixthsense.slam.scans.scan_store import Returns
 
 _SIGMA_M = 0.03  # of a point's distance from a line: noise, roughness and curvature of real walls
@@ -131,7 +142,8 @@ def _iterate(
     for k in range(0, returns.bearings.beams, returns.bearings.stride):
         count += returns.points[source, k, 2] > 0.0
     support = 0.0
-    for step in range(len(gates_m)):
+    step = 0
+    while step < len(gates_m):
         hessian, gradient, feigned = np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3))
         most = 0.0
         for target in references:
@@ -140,10 +152,10 @@ def _iterate(
             seen = np.array([c * dx + s * dy, c * dy - s * dx, pose[2] - poses[target, 2]])
             sums = np.zeros(SUMS)
             add_one_way(returns, target, source, seen, Loss(gates_m[step], _SCALE_M), sums)
-            turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            hessian += turn @ matrix(sums, HESSIAN) @ turn.T
-            feigned += turn @ matrix(sums, SPREAD) @ turn.T
-            gradient += turn @ sums[GRADIENT : GRADIENT + 3].copy()
+            hessian += turned(sums, HESSIAN, c, s)
+            feigned += turned(sums, SPREAD, c, s)
+            gx, gy = sums[GRADIENT], sums[GRADIENT + 1]
+            gradient += np.array([c * gx - s * gy, s * gx + c * gy, sums[GRADIENT + 2]])
             most = max(most, sums[WEIGHT])
         # Key scans see the same surfaces: together they count as one.
         scale = 1.0 / (_SIGMA_M * _SIGMA_M * max(1, len(references)))
@@ -151,11 +163,12 @@ def _iterate(
         off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
         pull = prior.information @ off
         weight = 1.0 / (1.0 + off @ pull / (SLIP_SIGMAS * SLIP_SIGMAS))
-        move = np.linalg.solve(scale * hessian + weight * prior.information, -(scale * gradient + weight * pull))
+        move = solved(scale * hessian + weight * prior.information, -(scale * gradient + weight * pull))
         pose += move
         support = most / max(count, 1)
         information[:] = scale * (hessian - feigned)
-        is_last_gate = gates_m[step] == gates_m[-1]
-        if is_last_gate and abs(move[0]) + abs(move[1]) < _STEP_M and abs(move[2]) < _STEP_RAD:
+        shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
+        if gates_m[step] == gates_m[-1] and shift < _STEP_M and turn < _STEP_RAD:
             break
+        step = next_step(step, gates_m, shift, turn)
     return support

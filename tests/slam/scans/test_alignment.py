@@ -19,7 +19,12 @@ from sixthsense.slam.scans.alignment import (
     add_both_ways,
     add_one_way,
     inverse,
+    matrix,
+    next_step,
+    solved,
+    turned,
 )
+from sixthsense.slam.scans.bearings import direction
 from sixthsense.slam.scans.links import NEAR_GATES_M, align_pairs
 from sixthsense.slam.scans.see_through import compare_views
 
@@ -85,6 +90,31 @@ def test_the_gradient_is_that_of_the_squares(laser, add):
         if ahead[HITS] == behind[HITS]:
             slope = 0.5 * (ahead[SQUARES] - behind[SQUARES]) / 2e-7
             assert slope == pytest.approx(here[GRADIENT + k], rel=0.02, abs=0.02)
+
+
+def test_a_direction_is_that_of_atan2_to_a_thousandth_of_a_beam():
+    angles = np.linspace(-math.pi, math.pi, 10_001)
+    found = [direction(2.5 * math.cos(a), 2.5 * math.sin(a)) for a in angles]
+    assert np.abs(wrap_angle(np.array(found) - angles)).max() < 1.2e-5
+    assert direction(0.0, 0.0) == 0.0
+
+
+def test_small_matrices_are_turned_and_solved_as_numpy_does():
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        sums, angle, rows = rng.normal(size=SUMS), rng.uniform(-4, 4), rng.normal(size=(5, 3))
+        c, s = math.cos(angle), math.sin(angle)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        assert np.allclose(turned(sums, 3, c, s), turn @ matrix(sums, 3) @ turn.T)
+        a, b = rows.T @ rows + 0.1 * np.eye(3), rng.normal(size=3)
+        assert np.allclose(solved(a, b), np.linalg.solve(a, b))
+
+
+def test_a_small_step_goes_on_with_the_last_gate_and_a_large_one_with_the_next():
+    gates = np.array([0.3, 0.2, 0.1, 0.1, 0.1])
+    assert [next_step(k, gates, 0.5, 0.0) for k in range(5)] == [1, 2, 3, 4, 5]
+    assert [next_step(k, gates, 0.0, 0.0) for k in range(5)] == [2, 2, 3, 4, 5]
+    assert next_step(0, np.array([0.1]), 0.0, 0.0) == 1
 
 
 def test_the_inverse_of_a_pose_is_its_inverse():
