@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 import time
 from collections import Counter
@@ -18,6 +17,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Tick
+from sixthsense.record.message_form import MessageForm, quaternion
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
 from sixthsense.sources.logs.sighting_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
@@ -40,7 +40,6 @@ _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
 _LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
-_ULP_OFFSETS = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in ulp
 # Reliable and transient local: late subscribers receive the mount, too.
 _LATCHED_QOS = """\
 - history: 1
@@ -82,6 +81,7 @@ class BagWriter:
         self._writer.start("ros2")
         self._names = dict(TOPICS)
         self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
+        self._odometry_form = self._make_odometry_form()
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
         self._pending = self._key_scans = self._plans = 0
@@ -137,7 +137,10 @@ class BagWriter:
             self._first_ns = stamp
             self._write("/tf_static", stamp, self._mount(stamp, Pose(*trace.config.laser.mount)))
         self._last_ns = stamp
-        self._write("/odom", stamp, self._odometry(stamp, tick))
+        if tick.increment_cov is None:
+            self._write_odometry(stamp, tick.odometry)
+        else:
+            self._write("/odom", stamp, self._odometry(stamp, tick.odometry, tick.increment_cov))
         if tick.truth is not None:
             self._write("/truth", stamp, self._pose_stamped(stamp, tick.truth))
         if tick.scan is not None:
@@ -170,13 +173,29 @@ class BagWriter:
         return int(self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": _qos(topic)}))
 
     def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
-        data = bytes(self._store.serialize_cdr(message, self._names[topic]))
+        self._add(topic, stamp_ns, bytes(self._store.serialize_cdr(message, self._names[topic])))
+
+    def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._counts[topic])
         self._counts[topic] += 1
         self._pending += len(data)
 
+    def _write_odometry(self, stamp_ns: int, pose: Pose) -> None:
+        """Write the odometry of a tick, of which there are many, without making the message's dozen objects."""
+        z, w = quaternion(pose.theta)
+        self._add("/odom", stamp_ns, self._odometry_form.fill(*_stamp(stamp_ns), (pose.x, pose.y, z, w)))
+
+    def _make_odometry_form(self) -> MessageForm:
+        def serialized(numbers: tuple[float, ...]) -> Any:
+            message = self._odometry(0, Pose(), None)
+            place, turn = message.pose.pose.position, message.pose.pose.orientation
+            place.x, place.y, turn.z, turn.w = numbers
+            return self._store.serialize_cdr(message, TOPICS["/odom"])
+
+        return MessageForm(4, serialized)
+
     def _header(self, stamp_ns: int, frame: str) -> Any:
-        seconds, nanoseconds = divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
+        seconds, nanoseconds = _stamp(stamp_ns)
         return self._types["std_msgs/msg/Header"](
             self._types["builtin_interfaces/msg/Time"](seconds, nanoseconds), frame
         )
@@ -191,15 +210,13 @@ class BagWriter:
     def _pose_stamped(self, stamp_ns: int, pose: Pose) -> Any:
         return self._types["geometry_msgs/msg/PoseStamped"](self._header(stamp_ns, WORLD), self._pose(pose))
 
-    def _odometry(self, stamp_ns: int, tick: Tick) -> Any:
+    def _odometry(self, stamp_ns: int, pose: Pose, increment_cov: Array | None) -> Any:
         zero = self._types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
         twist_cov = np.zeros(36)
         return self._types["nav_msgs/msg/Odometry"](
             self._header(stamp_ns, ODOM),
             ROBOT,
-            self._types["geometry_msgs/msg/PoseWithCovariance"](
-                self._pose(tick.odometry), increment_covariance(tick.increment_cov)
-            ),
+            self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), increment_covariance(increment_cov)),
             self._types["geometry_msgs/msg/TwistWithCovariance"](
                 self._types["geometry_msgs/msg/Twist"](zero, zero), twist_cov
             ),
@@ -261,18 +278,9 @@ class BagWriter:
         (self._bag / "metadata.yaml").write_text(text, encoding="utf-8")
 
 
-def quaternion(theta: float) -> tuple[float, float]:
-    """Z and w of a rotation by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) equals `theta` exactly.
-
-    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of key
-    scans in a replay.
-    """
-    sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
-    for i, j in _ULP_OFFSETS:
-        z, w = sin + i * math.ulp(sin), cos + j * math.ulp(cos)
-        if 2.0 * math.atan2(z, w) == theta:
-            return z, w
-    return sin, cos
+def _stamp(stamp_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds."""
+    return divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
 
 
 def _qos(topic: str) -> str:

@@ -11,7 +11,8 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay, run
-from sixthsense.record.bag import BagWriter, quaternion
+from sixthsense.record.bag import BagWriter
+from sixthsense.record.message_form import MessageForm, quaternion
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
@@ -55,6 +56,22 @@ def test_the_metadata_names_topics_times_and_the_file(recorded):
     assert table["duration"]["nanoseconds"] == ticks[-1].stamp_ns
     counts = {t["topic_metadata"]["name"]: t["message_count"] for t in table["topics_with_message_count"]}
     assert counts == expected_counts(ticks, trace) and table["message_count"] == sum(counts.values())
+
+
+def test_a_filled_form_is_the_message_with_its_numbers():
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    time, header, point = (store.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header",
+                                                          "geometry_msgs/msg/Point"))  # fmt: skip
+
+    def serialized(stamp, x, y):
+        message = store.types["geometry_msgs/msg/PointStamped"](header(time(*stamp), "odom"), point(x, y, 3.0))
+        return bytes(store.serialize_cdr(message, "geometry_msgs/msg/PointStamped"))
+
+    form = MessageForm(2, lambda numbers: serialized((0, 0), *numbers))
+    for stamp, x, y in (((0, 0), 0.0, -0.0), ((2**31 - 1, 999_999_999), math.pi, math.inf), ((7, 5), 1e-300, -2.5)):
+        assert form.fill(*stamp, (x, y)) == serialized(stamp, x, y)
 
 
 def test_messages_say_what_the_run_believed_and_planned(recorded):

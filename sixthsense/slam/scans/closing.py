@@ -80,15 +80,16 @@ class Closings:
         """Remember links with the last revisit, and add arcs for them."""
         group = self._groups[self._latest]
         group.ids += ids
+        if not links:
+            return
         arcs: dict[int, int] = {}
-        for found, k in links:
+        covs = self._graph.covariances(links)
+        for (found, k), cov, information in zip(links, covs, np.linalg.inv(covs), strict=True):
             target, source = _pair(found, k)
             group.pairs.append((target, source))
-            information = np.asarray(np.linalg.inv(self._graph.covariance(found, k)), dtype=np.float64)
             group.measured.append((target, source, found.poses[k], information))
             arcs[source] = arcs.get(source, 0) + 1
             if arcs[source] <= _ARCS:
-                cov = self._graph.covariance(found, k)
                 position = float(np.linalg.eigvalsh(cov[:2, :2])[-1])
                 self._uncertainty.add(target, source, position, float(cov[2, 2]), self._latest)
 

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator
-from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs
+from sixthsense.slam.scans.alignment import SUMS
+from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import ScanStore
@@ -113,8 +114,10 @@ class ScanGraph:
         recent, self._waiting = self._waiting, []
         for found, k in (*recent, *rows):
             self._links[found.sources[k]] += 1
-        links = [self._link(found, k, _RECENT_LOSS) for found, k in recent]
-        links += [self._link(found, k, loss_scale) for found, k in rows]
+        given = [*recent, *rows]
+        losses = [_RECENT_LOSS] * len(recent) + [loss_scale] * len(rows)
+        covs = self.covariances(given)
+        links = [self._link(found, k, cov, loss) for (found, k), cov, loss in zip(given, covs, losses, strict=True)]
         ids = self.estimator.link(links)[len(recent) :]
         if links:
             self._refresh_near(rows)
@@ -148,12 +151,14 @@ class ScanGraph:
         """Old key scans that a key scan is linked to."""
         return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
 
-    def covariance(self, found: Alignments, k: int) -> Array:
-        """(3, 3) of the error of an aligned pair, axes of the target's laser."""
+    def covariances(self, rows: list[tuple[Alignments, int]]) -> Array:
+        """(m, 3, 3) of the errors of aligned pairs, rows of alignments, axes of the targets' lasers."""
         # The links of a scan are together worth its alignment with a map of that many scans: each return counts once.
-        return found.covariance(k, 1.0 + float(self._links[found.sources[k]]), self._sigma_m)
+        sums = np.array([found.sums[k] for found, k in rows]).reshape(-1, SUMS)
+        sources = np.array([found.sources[k] for found, k in rows], dtype=np.int64)
+        return covariances(sums, 1.0 + self._links[sources].astype(np.float64), self._sigma_m)
 
-    def _link(self, found: Alignments, k: int, loss_scale: float) -> Link:
+    def _link(self, found: Alignments, k: int, cov: Array, loss_scale: float) -> Link:
         """The link of an aligned pair, in the robot's frames."""
-        of_laser = Odometry(Pose.from_array(found.poses[k]), self.covariance(found, k))
+        of_laser = Odometry(Pose.from_array(found.poses[k]), cov)
         return Link(int(found.targets[k]), int(found.sources[k]), self.mount.robot_odometry(of_laser), loss_scale)

@@ -41,6 +41,7 @@ _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
 _FLOOR_M = 3e-4
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a matrix's entries in its upper triangle
 _UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say nothing
 
 
@@ -70,24 +71,30 @@ class Alignments:
         return np.asarray(enough & shared & (seen >= least_agreement * (seen + through)).all(axis=1))
 
     def covariance(self, k: int, shared_by: float, sigma_m: float) -> Array:
-        """(3, 3) of the error of (x, y, theta) of pair k, axes of the target.
+        """(3, 3) of the error of (x, y, theta) of pair k, axes of the target; see `covariances`."""
+        return np.asarray(covariances(self.sums[k : k + 1], np.array([shared_by]), sigma_m)[0])
 
-        `shared_by` is the number of scans that share the information, at least 2, and `sigma_m` the least sigma of a
-        return. A scan of m links has the information of its returns once: against a map of m scans, whose points have
-        1 / m of its variance, that is m / (m + 1) of what a map without noise would give, and m + 1 share it. The
-        residuals themselves give their variance. What the noise of the normals adds to the Hessian is no information:
-        along a corridor it would feign some. What the residuals have beyond the noise of the laser is shape, common to
-        neighbouring returns: a part of it stays in the pose, however many returns there are.
-        """
-        sums = self.sums[k]
-        noise = 2.0 * sigma_m**2
-        variance = max(sums[SQUARES] / max(sums[WEIGHT], 1.0), noise)
-        floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
-        # Both ways the returns of a pair are counted twice.
-        information = 0.5 * (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / variance
-        values, axes = np.linalg.eigh(2.0 / max(shared_by, 2.0) * information)
-        variances = 1.0 / np.maximum(values, _UNOBSERVED**-2)
-        return np.asarray((axes * variances) @ axes.T + np.diag([floor, floor, floor / _LEVER_M**2]))
+
+def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
+    """(m, 3, 3) of the errors of (x, y, theta) of aligned pairs with `sums` (m, SUMS), axes of the targets.
+
+    `shared_by` (m,) is the number of scans that share the information, at least 2, and `sigma_m` the least sigma of a
+    return. A scan of m links has the information of its returns once: against a map of m scans, whose points have
+    1 / m of its variance, that is m / (m + 1) of what a map without noise would give, and m + 1 share it. The
+    residuals themselves give their variance. What the noise of the normals adds to the Hessian is no information:
+    along a corridor it would feign some. What the residuals have beyond the noise of the laser is shape, common to
+    neighbouring returns: a part of it stays in the pose, however many returns there are.
+    """
+    noise = 2.0 * sigma_m**2
+    variance = np.maximum(sums[:, SQUARES] / np.maximum(sums[:, WEIGHT], 1.0), noise)
+    floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
+    # Both ways the returns of a pair are counted twice.
+    upper = sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6]
+    information = (0.5 / variance)[:, None, None] * upper[:, _SYMMETRIC]
+    values, axes = np.linalg.eigh((2.0 / np.maximum(shared_by, 2.0))[:, None, None] * information)
+    spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)
+    shape = floor[:, None, None] * np.diag([1.0, 1.0, _LEVER_M**-2])
+    return np.asarray((axes * spread[:, None, :]) @ axes.transpose(0, 2, 1) + shape)
 
 
 def align_pairs(
