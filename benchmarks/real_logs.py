@@ -3,10 +3,15 @@
     SIXTHSENSE_DATA=FOLDER python benchmarks/real_logs.py                          # both logs, defaults
     SIXTHSENSE_DATA=FOLDER python benchmarks/real_logs.py --variants all --jobs 2  # about 20 minutes on two cores
     SIXTHSENSE_DATA=FOLDER python benchmarks/real_logs.py --logs fr079 --variants odometry
+    SIXTHSENSE_DATA=FOLDER python benchmarks/real_logs.py --speed                  # the command, bag written
 
 Errors are those of the hand-checked relations (Kümmerle et al. 2009) whose two stamps the variant still has. A variant
 changes the evidence (scans left out, another beginning, shorter ranges), the odometry that is assumed, or one parameter
 of the front end by a fifth. `--variants` selects those whose name begins so.
+
+`--speed` measures the whole command `sixthsense replay`, start, reading, bag and map included, in a process of its own:
+recorded time over its processor time, its largest memory, and the wall time of key scans, which other work of the
+machine lengthens. The ratio is that of the mean key scan of the last tenth to that of the second.
 """
 
 from __future__ import annotations
@@ -14,7 +19,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -30,7 +37,8 @@ from harness import Figures, arguments, check_at_least, machine, pooled, print_t
 from sixthsense.config import preset
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import relations_error
-from sixthsense.running.warmup import warm_up
+from sixthsense.figures.run import load
+from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations, has_scan, read_relations
@@ -137,6 +145,43 @@ def figures_of(name: str, variant: Variant) -> Figures:
     }  # fmt: skip
 
 
+def command_figures(name: str) -> Figures:
+    """Speed, memory and error of the command `sixthsense replay` with the defaults."""
+    folder = Path(os.environ["SIXTHSENSE_DATA"]) / name
+    with tempfile.TemporaryDirectory() as out:
+        inputs = [str(folder / f"{name}.clf.bz2"), "--relations", str(folder / f"{name}.relations")]
+        call = [sys.executable, "-c", "import sys; from sixthsense.cli import main; sys.exit(main())"]
+        process = subprocess.Popen([*call, "replay", *inputs, "--out", f"{out}/run"], stdout=subprocess.DEVNULL)
+        _, status, used = os.wait4(process.pid, 0)
+        if status != 0:
+            raise RuntimeError(f"replay of {name}: found exit status {status}, allowed: 0")
+        run = load(f"{out}/run")
+    ms, spent_s = run.trace.stopwatch.key_scan_ms(), used.ru_utime + used.ru_stime
+    tenth = max(1, len(ms) // 10)
+    return {
+        "times_recorded": run.metrics["sim_time_s"] / spent_s, "processor_s": spent_s,
+        "key_scan_ms_p50": float(np.percentile(ms, 50)), "key_scan_ms_p99": float(np.percentile(ms, 99)),
+        "last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean()),
+        "memory_mb": used.ru_maxrss / 1024.0, "mean_m": run.metrics["relations_trans_m_mean"],
+    }  # fmt: skip
+
+
+def print_speed(names: Sequence[str], file: Path | None) -> None:
+    """Measure the command on each log, one after the other, with the hot loops compiled."""
+    warm_up()
+    warm_up_scans()
+    found = {name: command_figures(name) for name in names}
+    lines = [["log", "x recorded", "processor, s", "key scan p50, ms", "p99, ms", "last/second tenth", "memory, MB",
+              "translation, m"]]  # fmt: skip
+    for name, f in found.items():
+        lines.append([name, f"{f['times_recorded']:.1f}", f"{f['processor_s']:.1f}", f"{f['key_scan_ms_p50']:.1f}",
+                      f"{f['key_scan_ms_p99']:.1f}", f"{f['last_over_second_tenth']:.2f}", f"{f['memory_mb']:.0f}",
+                      f"{f['mean_m']:.4f}"])  # fmt: skip
+    print(machine())
+    print_table(lines)
+    write_json(file, {f"{name}.{key}": x for name, f in found.items() for key, x in f.items()})
+
+
 def _job(due: tuple[str, Variant]) -> Figures:
     return figures_of(*due)
 
@@ -148,12 +193,16 @@ def main() -> int:
         "--variants", nargs="+", default=["defaults"], metavar="NAME", help="all, or beginnings of names"
     )
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (1)")
+    parser.add_argument("--speed", action="store_true", help="measure the whole command instead, with the defaults")
     options = parser.parse_args()
     check_at_least(parser, options, jobs=1)
     folder = Path(os.environ.get("SIXTHSENSE_DATA", ""))
     if "SIXTHSENSE_DATA" not in os.environ or not all((folder / n / f"{n}.relations").is_file() for n in options.logs):
         print("real_logs.py: SIXTHSENSE_DATA must be a folder with NAME/NAME.clf.bz2 and .relations", file=sys.stderr)
         return 2
+    if options.speed:
+        print_speed(options.logs, options.json)
+        return 0
     chosen = [v for v in VARIANTS if "all" in options.variants or v.name.startswith(tuple(options.variants))]
     if not chosen:
         parser.error(f"--variants: found {options.variants}, allowed: all, {', '.join(v.name for v in VARIANTS)}")

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
-from scipy.stats import chi2
 
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import innovations
 from sixthsense.sources.logs.relations import scan_rows
@@ -96,7 +96,9 @@ def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float,
     2.02-4.16 for 20 runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     tail = 0.5 * (1.0 - confidence)
-    return float(chi2.ppf(tail, dof * runs)) / runs, float(chi2.ppf(1.0 - tail, dof * runs)) / runs
+    return float(chi_square_quantile(tail, dof * runs)) / runs, float(
+        chi_square_quantile(1.0 - tail, dof * runs)
+    ) / runs
 
 
 def share_in_band(nees: Array, band: tuple[float, float]) -> float:

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import chi2
 
 from sixthsense.config import AssumedConfig, Config, merge
 from sixthsense.config.errors import InputError
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, predict_points
 from sixthsense.core.laser import Scan
@@ -29,7 +29,7 @@ _GATE_M = 0.25  # largest distance of a sighting from its true landmark
 _FINEST_M = 1e-3  # lower bound of the range noise
 _HALVINGS = 10
 _UNIT_SQ = 1e-12  # (1 um)^2, (1 urad)^2, so that no covariance is singular
-_OUTLIER = float(chi2.ppf(0.999, 2))  # gate of the squared Mahalanobis distance of a match
+_OUTLIER = float(chi_square_quantile(0.999, 2))  # gate of the squared Mahalanobis distance of a match
 
 # Initial values of the search for parameters whose assumed value is zero.
 _MOTION = {

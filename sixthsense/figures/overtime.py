@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import chi2
 
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
@@ -109,7 +109,7 @@ def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = N
     t = key_times(trace)
     with np.errstate(divide="ignore", invalid="ignore"):
         per_dof = np.where(dof > 0, nis / dof, np.nan)  # a gap in the curve without a match
-        low, high = (np.where(dof > 0, chi2.ppf(share, dof) / dof, np.nan) for share in (0.025, 0.975))
+        low, high = (np.where(dof > 0, chi_square_quantile(share, dof) / dof, np.nan) for share in (0.025, 0.975))
     tops = [per_dof]
     if band:
         tops.append(high)

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics
@@ -111,7 +111,7 @@ class Drawing:
             self._scalars("plots/nees", float(metrics.nees_world(error, cov)[0]), metrics.nees_band(1), "pose")
         dof = association.dof
         if dof:
-            band = float(chi2.ppf(0.025, dof)) / dof, float(chi2.ppf(0.975, dof)) / dof
+            band = float(chi_square_quantile(0.025, dof)) / dof, float(chi_square_quantile(0.975, dof)) / dof
             self._scalars("plots/nis", association.nis / dof, band, "per_dof")
         for stage, ms in trace.stopwatch.rows[-1].items():
             self._stream.log(f"plots/timing/{stage}", self._rr.Scalars(ms))

@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2
 
 from sixthsense.config import AssociationConfig
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, innovations
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
@@ -81,12 +81,12 @@ class Associator:
         self.observer: Observer | None = None
         """called before the sightings of a key scan are matched; for evaluation"""
         if config.method == "chi2":
-            self._match_gate = float(chi2.ppf(config.match_probability, 2))
-            self._new_gate = float(chi2.ppf(config.new_probability, 2))
+            self._match_gate = float(chi_square_quantile(config.match_probability, 2))
+            self._new_gate = float(chi_square_quantile(config.new_probability, 2))
         else:
             self._match_gate, self._new_gate = config.match_below, config.new_above
         self._gate_sigmas = math.sqrt(max(self._match_gate, self._new_gate))
-        self._known_gate = float(chi2.ppf(config.known_probability, 2))  # infinite for 1
+        self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
     def associate(self, sightings: Sequence[Sighting], estimator: Belief) -> Association:
         """Match sightings one-to-one with the landmarks by innovation; what is far from all is a new landmark."""

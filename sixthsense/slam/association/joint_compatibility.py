@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.stats import chi2
 
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.slam.association.matching import Indices, Innovations, stacked_jacobian
 
@@ -33,7 +33,7 @@ def jointly_compatible(
     inside = innovation.squared < gate
     options = [np.flatnonzero(row)[np.argsort(innovation.squared[i, row])] for i, row in enumerate(inside)]
     order = sorted((i for i in range(len(options)) if len(options[i])), key=lambda i: len(options[i]))
-    gates: Array = np.asarray(chi2.ppf(probability, 2 * np.arange(1, len(order) + 1)), dtype=np.float64)
+    gates: Array = np.asarray(chi_square_quantile(probability, 2 * np.arange(1, len(order) + 1)), dtype=np.float64)
     search = _Search(innovation.values, predicted, noise, options, order, gates)
     search.descend(0, _Hypothesis())
     rows = np.array([i for i, _ in search.best.pairs], dtype=np.int64)

@@ -8,9 +8,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, W, X
 from scipy.linalg import block_diag
-from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
@@ -47,7 +47,7 @@ class ISAM2:
         """number of poses, solved and waiting"""
         self._landmarks = Landmarks()
         self._solution = Solution(self._solver, self._landmarks, start, check_covariance("start_cov", start_cov))
-        self._reject_gate = float(chi2.ppf(config.undo_probability, 2))  # infinite for 1
+        self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
         self._step = STANDSTILL

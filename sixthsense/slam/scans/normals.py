@@ -45,8 +45,9 @@ def fit_normals(returns: NDArray[np.float32], bearings: Bearings, out: NDArray[n
             q = (i + k) % bearings.beams
             dx, dy = returns[q, 0] - mx, returns[q, 1] - my
             sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
-        angle = 0.5 * math.atan2(2.0 * sxy, sxx - syy)
-        c, s = math.cos(angle), math.sin(angle)
+        # Half of the angle atan2(2 sxy, sxx - syy), by its cosine.
+        double = (sxx - syy) / max(math.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy), 1e-300)
+        c, s = math.sqrt(0.5 * (1.0 + double)), math.copysign(math.sqrt(0.5 * max(1.0 - double, 0.0)), sxy)
         along = sxx * c * c + 2.0 * sxy * c * s + syy * s * s
         across = max(sxx + syy - along, 0.0)
         if across > n * _MAX_THICKNESS_M**2 or across > _MAX_ASPECT * along:
@@ -67,11 +68,12 @@ def _steps(returns: NDArray[np.float32], bearings: Bearings, i: int, side: int, 
             q %= bearings.beams
         if q < 0 or q >= bearings.beams or returns[q, 2] == 0.0:
             break
-        gap = math.hypot(returns[q, 0] - returns[last, 0], returns[q, 1] - returns[last, 1])
-        if gap > _JUMP_M + jump * min(returns[q, 2], returns[last, 2]):
+        dx, dy = returns[q, 0] - returns[last, 0], returns[q, 1] - returns[last, 1]
+        allowed = _JUMP_M + jump * min(returns[q, 2], returns[last, 2])
+        if dx * dx + dy * dy > allowed * allowed:
             break
         steps, last = steps + 1, q
-        far = math.hypot(returns[q, 0] - returns[i, 0], returns[q, 1] - returns[i, 1]) > _REACH_M
-        if steps >= _MIN_STEPS and far:
+        dx, dy = returns[q, 0] - returns[i, 0], returns[q, 1] - returns[i, 1]
+        if steps >= _MIN_STEPS and dx * dx + dy * dy > _REACH_M * _REACH_M:
             break
     return steps
