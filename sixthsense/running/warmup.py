@@ -92,7 +92,8 @@ def warm_up() -> None:
 def warm_up_scans() -> None:
     """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and the search for revisits."""
     # Here, so that runs with landmarks do not load them.
-    from sixthsense.slam.scans.branch_and_bound import Window, best_pose
+    from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+    from sixthsense.slam.scans.evidence import explained
     from sixthsense.slam.scans.scan_store import ScanStore
     from sixthsense.slam.scans.submap import pyramid, submap_points
     from sixthsense.slam.scans.uncertainty import UncertaintyGraph
@@ -109,7 +110,8 @@ def warm_up_scans() -> None:
                 store.keep()
         slam.finish()
     points = submap_points(store.returns, np.arange(1), np.zeros((1, 3)), np.zeros(3), 0.05)
-    best_pose(pyramid(points), points, Window(np.zeros(3), 0.8, 0.1), 0.2)
+    peaks(pyramid(points), points, Window(np.zeros(3), 0.8, 0.1), 0.2, Apart(0.7, 0.2))
+    explained(store.returns, 0, 0, np.zeros(3))
     graph = UncertaintyGraph()
     graph.add(0, 1, 1.0, 1.0)
     graph.sigmas(0, np.zeros((2, 3)))

@@ -19,7 +19,7 @@ from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
-_NORMALS_AGREE = 0.7  # least cosine between the normals of partners
+NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 _MIN_DISTANCE_M = 0.3
 
@@ -89,7 +89,7 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
         if nx == 0.0 and ny == 0.0:
             continue
         mx, my = normals[source, k, 0], normals[source, k, 1]
-        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < _NORMALS_AGREE:
+        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
             continue
         r = nx * (x + dx - points[target, q, 0]) + ny * (y + dy - points[target, q, 1])
         if abs(r) > loss.gate_m:

@@ -1,6 +1,7 @@
-"""The best pose of points in a submap within a window, by branch and bound.
+"""All places of points in a submap within a window, by branch and bound.
 
-Hess, Kohler, Rapp and Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016.
+Hess, Kohler, Rapp and Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, search for the best one alone. What
+is bounded here is the least score that is asked for, so that the places that look alike are found together.
 """
 
 from __future__ import annotations
@@ -13,10 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.submap import CELL_M, LEVELS, Pyramid
+from sixthsense.slam.scans.submap import CELL_M, Pyramid
 
 STEP_RAD = 0.012
 """between two headings that are tried"""
+MOST_PEAKS = 64
+"""places that are returned at most"""
+
+_COARSE, _FINE = 4, 2  # levels of the blocks of cells that are bounded; each of the finer ones holds one place
 
 
 class Window(NamedTuple):
@@ -30,36 +35,92 @@ class Window(NamedTuple):
     """half the interval of headings"""
 
 
-class Excluded(NamedTuple):
-    """Poses that are left out: those near one that was found before."""
+class Apart(NamedTuple):
+    """How far two poses must be from each other to be of two places; one of both is enough."""
 
-    pose: Array
-    """(3,)"""
-    radius_m: float
-    """0: none are left out"""
-    radius_rad: float
+    distance_m: float
+    turn_rad: float
 
 
-NOTHING = Excluded(np.zeros(3), 0.0, 0.0)
+def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart) -> Array:
+    """(m, 4) score and pose in the submap's frame of all places of points (N, 2) in the window, the best first.
+
+    A score is the mean value of the points' cells, 0 to 1, and above `least`.
+    """
+    turns = 2 * int(window.half_rad / STEP_RAD) + 1
+    columns, rows = _cells(pyramid, points, window, turns)
+    blocks, count = _blocks(pyramid, columns, rows, window, least)
+    best = _best_of_blocks(pyramid, columns, rows, window, blocks[:count], least)
+    return _apart(best[np.argsort(-best[:, 0], kind="stable")], apart)
 
 
-class Found(NamedTuple):
-    """The best pose."""
+@numba.njit(cache=True, error_model="numpy")
+def _blocks(
+    pyramid: Pyramid, columns: NDArray[np.int32], rows: NDArray[np.int32], window: Window, least: float
+) -> tuple[NDArray[np.int32], int]:
+    """(n, 3) heading and first cell of the blocks that may hold a score above `least`, and how many they are."""
+    cells, side, wide = int(window.half_m / CELL_M), 1 << _FINE, 1 << _COARSE
+    blocks, n = np.empty((256, 3), np.int32), 0
+    for a in range(len(columns)):
+        for left in range(-cells, cells + 1, wide):
+            for low in range(-cells, cells + 1, wide):
+                if _score(pyramid.values[_COARSE], columns[a], rows[a], left, low) <= least:
+                    continue
+                for dx in range(left, min(left + wide, cells + 1), side):
+                    for dy in range(low, min(low + wide, cells + 1), side):
+                        if _score(pyramid.values[_FINE], columns[a], rows[a], dx, dy) <= least:
+                            continue
+                        if n == len(blocks):
+                            blocks = np.concatenate((blocks, np.empty_like(blocks)))
+                        blocks[n, 0], blocks[n, 1], blocks[n, 2] = a, dx, dy
+                        n += 1
+    return blocks, n
 
-    score: float
-    """mean value of the points' cells, 0 to 1; the least score asked for if there is none above"""
-    pose: Array
-    """(3,) in the submap's frame"""
+
+@numba.njit(cache=True, error_model="numpy")
+def _best_of_blocks(
+    pyramid: Pyramid,
+    columns: NDArray[np.int32],
+    rows: NDArray[np.int32],
+    window: Window,
+    blocks: NDArray[np.int32],
+    least: float,
+) -> Array:
+    """(m, 4) score and pose of the best cell of each block that has one above `least`."""
+    cells, side, turns = int(window.half_m / CELL_M), 1 << _FINE, len(columns)
+    found, count = np.empty((len(blocks), 4)), 0
+    for k in range(len(blocks)):
+        best, x, y, a = least, 0, 0, blocks[k, 0]
+        for dx in range(blocks[k, 1], min(blocks[k, 1] + side, cells + 1)):
+            for dy in range(blocks[k, 2], min(blocks[k, 2] + side, cells + 1)):
+                score = _score(pyramid.values[0], columns[a], rows[a], dx, dy)
+                if score > best:
+                    best, x, y = score, dx, dy
+        if best > least:
+            found[count, 0] = best
+            found[count, 1], found[count, 2] = window.centre[0] + x * CELL_M, window.centre[1] + y * CELL_M
+            found[count, 3] = window.centre[2] + (a - turns // 2) * STEP_RAD
+            count += 1
+    return found[:count]
 
 
-def best_pose(
-    pyramid: Pyramid, points: Array, window: Window, least: float, excluded: Excluded = NOTHING
-) -> Found | None:
-    """The pose with the best score above `least` of points (N, 2) in the window; None if there is none."""
-    out = np.zeros(4)
-    if not _search(pyramid, points, window, least, excluded, out):
-        return None
-    return Found(float(out[0]), out[1:].copy())
+@numba.njit(cache=True, error_model="numpy")
+def _apart(found: Array, apart: Apart) -> Array:
+    """(m, 4) of `found` (n, 4), the best first: those that are apart from all better ones."""
+    kept, m = np.empty((MOST_PEAKS, 4)), 0
+    for k in range(len(found)):
+        is_new = True
+        for q in range(m):
+            near = math.hypot(found[k, 1] - kept[q, 1], found[k, 2] - kept[q, 2]) < apart.distance_m
+            if near and abs(found[k, 3] - kept[q, 3]) < apart.turn_rad:
+                is_new = False
+                break
+        if is_new:
+            kept[m] = found[k]
+            m += 1
+            if m == MOST_PEAKS:
+                break
+    return kept[:m].copy()
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -70,62 +131,6 @@ def _score(values: NDArray[np.uint8], columns: NDArray[np.int32], rows: NDArray[
         if 0 <= i < width and 0 <= j < height:
             total += values[i, j]
     return total / (255.0 * len(columns))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _search(pyramid: Pyramid, points: Array, window: Window, least: float, excluded: Excluded, out: Array) -> bool:
-    """Write score and pose of the best into `out` (4,); whether there is one above `least`."""
-    turns, cells, top = 2 * int(window.half_rad / STEP_RAD) + 1, int(window.half_m / CELL_M), 1 << (LEVELS - 1)
-    columns, rows = _cells(pyramid, points, window, turns)
-    starts = (2 * cells) // top + 1
-    scores, nodes, n = np.empty(turns * starts * starts), np.empty((turns * starts * starts, 3), np.int32), 0
-    for a in range(turns):
-        for dx in range(-cells, cells + 1, top):
-            for dy in range(-cells, cells + 1, top):
-                score = _score(pyramid.values[LEVELS - 1], columns[a], rows[a], dx, dy)
-                if score > least:
-                    scores[n] = score
-                    nodes[n, 0], nodes[n, 1], nodes[n, 2] = a, dx, dy
-                    n += 1
-    best, found = least, False
-    stack, bounds = np.empty((4 * LEVELS + 4, 4), np.int32), np.empty(4 * LEVELS + 4)
-    children = np.empty(4)
-    for first in np.argsort(-scores[:n]):
-        if scores[first] <= best:
-            break
-        size = 1
-        bounds[0] = scores[first]
-        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = (
-            nodes[first, 0],
-            nodes[first, 1],
-            nodes[first, 2],
-            LEVELS - 1,
-        )
-        while size > 0:
-            size -= 1
-            a, dx, dy, level = stack[size, 0], stack[size, 1], stack[size, 2], stack[size, 3]
-            bound = bounds[size]
-            if bound <= best:
-                continue
-            if level == 0:
-                x, y = window.centre[0] + dx * CELL_M, window.centre[1] + dy * CELL_M
-                theta = window.centre[2] + (a - turns // 2) * STEP_RAD
-                if abs(dx) <= cells and abs(dy) <= cells and not _is_excluded(excluded, x, y, theta):
-                    best, found = bound, True
-                    out[0], out[1], out[2], out[3] = best, x, y, theta
-                continue
-            half = 1 << (level - 1)
-            for u in range(4):
-                children[u] = _score(
-                    pyramid.values[level - 1], columns[a], rows[a], dx + half * (u & 1), dy + half * (u >> 1)
-                )
-            for u in np.argsort(children):  # the best on top of the stack
-                if children[u] > best:
-                    bounds[size] = children[u]
-                    stack[size, 0], stack[size, 3] = a, level - 1
-                    stack[size, 1], stack[size, 2] = dx + half * (u & 1), dy + half * (u >> 1)
-                    size += 1
-    return found
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -141,12 +146,3 @@ def _cells(pyramid: Pyramid, points: Array, window: Window, turns: int) -> tuple
             # The floor, not the nearest cell: whole shifts must keep the bounds valid.
             columns[a, k], rows[a, k] = math.floor(x / CELL_M), math.floor(y / CELL_M)
     return columns, rows
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _is_excluded(excluded: Excluded, x: float, y: float, theta: float) -> bool:
-    if excluded.radius_m == 0.0:
-        return False
-    turn = (theta - excluded.pose[2] + math.pi) % (2.0 * math.pi) - math.pi
-    off = math.hypot(x - excluded.pose[0], y - excluded.pose[1])
-    return off < excluded.radius_m and abs(turn) < excluded.radius_rad

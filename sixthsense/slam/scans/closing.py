@@ -19,6 +19,7 @@ from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
+_BACK_STEP, _BACK_GAP = 3, 12  # key scans that are linked back, and without a link after which that ends
 _ARCS = 2  # per key scan: further links hardly make it more certain
 
 
@@ -48,6 +49,11 @@ class Closings:
         self.undone = 0
         """revisits taken back so far"""
 
+    @property
+    def links(self) -> list[tuple[int, int, Array, Array]]:
+        """Links to old key scans: target, source, pose (3,) of the source in the target's frame, information (3, 3)."""
+        return [link for group in self._groups.values() for link in group.measured]
+
     def link(self, key: int) -> None:
         """Link a new key scan to those before it, and to old ones around those that they are linked to."""
         self._keep(*self._graph.link(key, self._graph.near_linked(key)))
@@ -56,6 +62,24 @@ class Closings:
         """Link a key scan to old ones near it."""
         if len(targets):
             self._keep(*self._graph.link_old(key, targets))
+
+    def link_back(self, key: int) -> None:
+        """Link the key scans before `key` to old ones around those that later ones are linked to, as far as they agree.
+
+        While it was not clear where the robot was, they were not linked.
+        """
+        last, own = key, {source for _, source in self._groups[self._latest].pairs}
+        for k in range(key - 1, 0, -1):
+            if k in own:
+                last = k
+                continue
+            if k in self._graph.old_links or last - k > _BACK_GAP:
+                break
+            if (key - k) % _BACK_STEP:
+                continue
+            made = self._graph.link_old(k, self._graph.near_linked_later(k))
+            self._keep(*made)
+            last = k if made.rows else last
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
         """Close a loop with a revisit's links, rows of alignments; whether the revisit stands."""

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.branch_and_bound import Excluded, Found, Window, best_pose
+from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.evidence import Evidence, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import Pyramid, pyramid, submap_points
@@ -22,8 +23,10 @@ _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
 _SIGMAS, _MARGIN_M, _MARGIN_RAD = 2.0, 1.5, 0.12  # of the window that is searched
 _REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the estimate
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
-_AMBIGUITY, _SECOND_SCORE = 0.9, 0.5  # another place is as good with this share of the best score, and at least so much
-_SAME_M, _SAME_RAD = 0.7, 0.2  # two poses are of one place
+_LEAST_SCORE, _WORTH = 0.4, 0.7  # of a place that is compared, and as a share of the best one
+_MOST_COMPARED = 16  # with more places, all are taken to be alike
+_BACK_M = 16.0  # travel beyond the submap whose old key scans are compared
+_APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
 
 
 class Hypothesis(NamedTuple):
@@ -46,8 +49,9 @@ class _Submap(NamedTuple):
 
 class _Candidate(NamedTuple):
     submap: _Submap
-    window: Window
-    found: Found
+    pose: Array
+    """(3,) of the newest key scan, world frame"""
+    score: float
 
 
 class PlaceSearch:
@@ -73,16 +77,21 @@ class PlaceSearch:
         if len(points) < _LEAST_POINTS:
             return None
         candidates: list[_Candidate] = []
+        top = 0.0
         for anchor in anchors:
             submap = self._submap(int(anchor), travelled_m, past=int(old[-1]) + 1)
             half_m = min(_SIGMAS * sigma_m[anchor] + _MARGIN_M, self._config.search_radius_m)
             half_rad = min(_SIGMAS * sigma_rad[anchor] + _MARGIN_RAD, _MOST_RAD)
             window = Window(between(self._graph.poses[anchor], self._graph.poses[key]), half_m, half_rad)
-            top = max((c.found.score for c in candidates), default=0.0)
-            found = best_pose(submap.cells, points, window, max(self._config.min_score, _AMBIGUITY * top))
-            if found is not None:
-                candidates.append(_Candidate(submap, window, found))
-        return self._judged(candidates, points) if candidates else None
+            found = peaks(submap.cells, points, window, max(_LEAST_SCORE, _WORTH * top), _APART)
+            placed = compose(self._graph.poses[anchor], found[:, 1:])
+            candidates += [
+                _Candidate(submap, pose, score) for pose, score in zip(placed, found[:, 0].tolist(), strict=True)
+            ]
+            top = max(top, float(found[0, 0]) if len(found) else 0.0)
+        if top < self._config.min_score:
+            return None
+        return self._judged(key, old, _distinct(candidates, _WORTH * top), travelled_m)
 
     def _anchors(self, key: int, old: NDArray[np.int64], sigma_m: Array, travelled_m: Array) -> list[int]:
         """Anchors of old submaps that the key scan may be in, the likeliest first."""
@@ -123,17 +132,40 @@ class PlaceSearch:
             self._submaps[anchor] = submap
         return submap
 
-    def _judged(self, candidates: list[_Candidate], points: Array) -> Hypothesis:
-        """The best candidate, and whether another place is as good."""
-        ranked = sorted(candidates, key=lambda c: -c.found.score)
-        best, least = ranked[0], _AMBIGUITY * ranked[0].found.score
-        poses = [compose(self._graph.poses[c.submap.anchor], c.found.pose) for c in ranked]
-        off = between(poses[0], np.array(poses))
-        is_elsewhere = (np.hypot(off[:, 0], off[:, 1]) > _SAME_M) | (np.abs(off[:, 2]) > _SAME_RAD)
-        scores = np.array([c.found.score for c in ranked])
-        ambiguous = bool((is_elsewhere & (scores > least)).any())
-        if not ambiguous:
-            apart = Excluded(best.found.pose, _SAME_M, _SAME_RAD)
-            second = best_pose(best.submap.cells, points, best.window, max(_SECOND_SCORE, least), apart)
-            ambiguous = second is not None
-        return Hypothesis(poses[0], best.submap.keys, best.found.score, ambiguous)
+    def _judged(
+        self, key: int, old: NDArray[np.int64], candidates: list[_Candidate], travelled_m: Array
+    ) -> Hypothesis | None:
+        """The candidate that the last scans explain best, and whether another one is nearly as good."""
+        if len(candidates) > _MOST_COMPARED:
+            best = candidates[0]
+            return Hypothesis(best.pose, best.submap.keys, best.score, True)
+        recent = followed_back(travelled_m, key)
+        travelled = travelled_m[old]
+        said: list[tuple[Evidence, _Candidate]] = []
+        for candidate in candidates:
+            around = np.abs(travelled - travelled_m[candidate.submap.anchor]) < _HALF_M + _BACK_M
+            found = evidence_of(self._graph, recent, candidate.pose, old[around])
+            said.append((found, candidate))
+        said.sort(key=lambda pair: -pair[0].weight)
+        evidence, best = said[0]
+        if not evidence.is_enough() or best.score < self._config.min_score:
+            return None
+        others = [e for e, _ in said[1:] if not _is_same(evidence.pose, e.pose)]
+        ambiguous = not all(evidence.is_clearly_better(other) for other in others)
+        return Hypothesis(evidence.pose, best.submap.keys, best.score, ambiguous)
+
+
+def _distinct(candidates: list[_Candidate], least: float) -> list[_Candidate]:
+    """Candidates of different places with at least this score, the best first."""
+    chosen: list[_Candidate] = []
+    for candidate in sorted(candidates, key=lambda c: -c.score):
+        if candidate.score < least or len(chosen) > _MOST_COMPARED:
+            break
+        if not any(_is_same(candidate.pose, known.pose) for known in chosen):
+            chosen.append(candidate)
+    return chosen
+
+
+def _is_same(one: Array, other: Array) -> bool:
+    off = between(one, other)
+    return bool(np.hypot(off[0], off[1]) < _APART.distance_m and abs(off[2]) < _APART.turn_rad)

@@ -1,9 +1,10 @@
 """Revisits: old places that the robot is at again.
 
 How uncertain an old key scan is relative to the newest one, along the graph, decides what is done. One that is certain
-is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass. The best pose is believed if
-it is not ambiguous, if pairs of scans align at it and agree, and if another vote some metres later, by other scans,
-says the same.
+is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
+alike. One is believed if the scans of the last metres say clearly more for it than for any other, if pairs of scans
+align at it and agree, and if another vote some metres later, by other scans, says the same. Until then the robot drives
+on, and afterwards the key scans since are linked, too.
 """
 
 from __future__ import annotations
@@ -28,12 +29,14 @@ from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.scans.verification import verified
 
 _PERIOD_M = 0.6  # of travel between two looks for revisits
+_AMBIGUOUS_M = 1.5  # of travel before the next search where places look alike: there is little new before that
 _M_PER_RAD = 0.3  # what a turn counts as travel
 _OLD_AGE = 25  # key scans; nearer ones are of the same pass
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a key scan is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked key scans adds, per square root of travel in m
+_WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
-_VOTE_APART_M, _VOTE_LASTS_M = 1.2, 10.0  # travel between two votes that count both, and after which one is dropped
+_VOTE_APART_M, _VOTE_LASTS_M = 1.5, 10.0  # travel between two votes that count both, and after which one is dropped
 _VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
 _VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
 
@@ -59,7 +62,7 @@ class Revisits:
         self._votes: list[_Vote] = []
         self._travelled = np.zeros(64)
         """(K,) m, at each key scan"""
-        self._looked_m = 0.0
+        self._looked_m = self._search_from_m = 0.0
         self._refused = 0
         """places that looked right, and were refused"""
 
@@ -86,10 +89,14 @@ class Revisits:
         cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
         position = float(np.linalg.eigvalsh(cov[:2, :2])[-1]) + _DRIFT_M**2 * travel
         heading = float(cov[2, 2]) + _DRIFT_RAD**2 * travel
+        weakest = np.linalg.eigh(cov[:2, :2])[1][:, -1]
+        # The share of the wheels in what is known along the direction that is known least: 1 in a bare corridor.
+        by_wheels = float(weakest @ odometry_information[:2, :2] @ weakest) * float(weakest @ cov[:2, :2] @ weakest)
         if has_slipped(tracked.slip):
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
-        self._uncertainty.add(key - 1, key, position, heading)
+        bias_m = _WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
+        self._uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def look(self, key: int) -> None:
         """From time to time, link the newest key scan to old ones around it, and look for a revisit."""
@@ -105,14 +112,18 @@ class Revisits:
         is_certain = (sigma_m < _CERTAIN_M) & (sigma_rad < _CERTAIN_RAD)
         certain = self._graph.nearest(key, old[is_certain[old]])
         self.closings.link_old(key, np.setdiff1d(certain, self._graph.linked_old(key)))
-        if self._config.search_radius_m > 0.0:
+        if self._config.search_radius_m > 0.0 and self._travelled[key] >= self._search_from_m:
             self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
 
     def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
         found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
         if found is None:
             return
-        vote = None if found.is_ambiguous else self._verified(key, found)
+        if found.is_ambiguous:
+            self._refused += 1
+            self._search_from_m = float(self._travelled[key]) + _AMBIGUOUS_M
+            return
+        vote = self._verified(key, found)
         if vote is None:
             self._refused += 1
         elif self._count(vote):
@@ -134,7 +145,8 @@ class Revisits:
             return False
         self._votes = []
         links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
-        self.closings.close(list(links.values()))
+        if self.closings.close(list(links.values())):
+            self.closings.link_back(vote.key)
         return True
 
     def _agree(self, one: _Vote, newest: _Vote) -> bool:

@@ -16,18 +16,23 @@ class UncertaintyGraph:
 
     def __init__(self) -> None:
         self._ends = np.zeros((128, 2), dtype=np.int64)
-        self._variances = np.zeros((128, 2))
+        self._variances = np.zeros((128, 3))
         self._group = np.zeros(128, dtype=np.int64)
         self._count = 0
 
-    def add(self, before: int, after: int, position_m2: float, heading_rad2: float, group: int = -1) -> None:
-        """Add an arc with the variances of position and heading; arcs of a `group` can be removed together."""
+    def add(
+        self, before: int, after: int, position_m2: float, heading_rad2: float, group: int = -1, bias_m: float = 0.0
+    ) -> None:
+        """Add an arc with the variances of position and heading; arcs of a `group` can be removed together.
+
+        `bias_m` is a sigma of position that all arcs have in common: on a path these add up, not their squares.
+        """
         if self._count == len(self._ends):
             self._ends = np.concatenate([self._ends, np.zeros_like(self._ends)])
             self._variances = np.concatenate([self._variances, np.zeros_like(self._variances)])
             self._group = np.concatenate([self._group, np.zeros_like(self._group)])
         self._ends[self._count] = before, after
-        self._variances[self._count] = position_m2, heading_rad2
+        self._variances[self._count] = position_m2, heading_rad2, bias_m
         self._group[self._count] = group
         self._count += 1
 
@@ -58,12 +63,12 @@ class UncertaintyGraph:
 def _spread(source: int, first: NDArray[np.int64], heads: NDArray[np.int64], variances: Array, poses: Array) -> Array:
     """(K, 2) variances of position and heading on the path of least variance of position; Dijkstra with a heap.
 
-    `first` (K + 1,) are the rows in `heads` and `variances` (m, 2) of each key scan's arcs.
+    `first` (K + 1,) are the rows in `heads` and `variances` (m, 3) of each key scan's arcs.
     """
     n, m = len(poses), len(heads)
-    # Variance of position, of heading, the position's own part, and the largest distance on the path.
-    found = np.empty((n, 4))
-    found[:, 0], found[:, 1], found[:, 2], found[:, 3] = np.inf, np.inf, 0.0, 0.0
+    # Variance of position, of heading, the position's own part, the largest distance on the path, and the bias.
+    found = np.empty((n, 5))
+    found[:, 0], found[:, 1], found[:, 2], found[:, 3], found[:, 4] = np.inf, np.inf, 0.0, 0.0, 0.0
     found[source, 0] = found[source, 1] = 0.0
     costs, nodes, size = np.empty(m + 1), np.empty(m + 1, np.int64), 1
     costs[0], nodes[0] = 0.0, source
@@ -82,9 +87,11 @@ def _spread(source: int, first: NDArray[np.int64], heads: NDArray[np.int64], var
             dx, dy = poses[other, 0] - poses[source, 0], poses[other, 1] - poses[source, 1]
             farthest = max(found[node, 3], np.sqrt(dx * dx + dy * dy))
             own, heading = found[node, 2] + variances[arc, 0], found[node, 1] + variances[arc, 1]
-            cost = own + heading * farthest * farthest / 3.0
+            bias = found[node, 4] + variances[arc, 2]
+            cost = own + bias * bias + heading * farthest * farthest / 3.0
             if cost < found[other, 0]:
                 found[other, 0], found[other, 1], found[other, 2], found[other, 3] = cost, heading, own, farthest
+                found[other, 4] = bias
                 _push(costs, nodes, size, cost, other)
                 size += 1
     return found[:, :2].copy()

@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Excluded, Window, best_pose
+from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Apart, Window, peaks
 from sixthsense.slam.scans.submap import CELL_M, pyramid, submap_points
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
@@ -81,15 +81,30 @@ def test_branch_and_bound_finds_what_brute_force_finds(room, seed):
     centre = pose.array() + rng.uniform(-0.5, 0.5, 3) * [1.0, 1.0, 0.1]
     window = Window(centre, 0.8, 0.1)
     cells = pyramid(room)
-    found = best_pose(cells, points, window, 0.2)
+    found = peaks(cells, points, window, 0.2, Apart(0.7, 0.2))
     scores = brute_force(cells, points, window)
-    assert found is not None and found.score == pytest.approx(max(scores.values()), abs=1e-12)
-    assert np.hypot(*(found.pose[:2] - pose.position)) < 2 * CELL_M
-    assert best_pose(cells, points, window, found.score) is None  # nothing is better
+    assert found[0, 0] == pytest.approx(max(scores.values()), abs=1e-12)
+    assert np.hypot(*(found[0, 1:3] - pose.position)) < 2 * CELL_M
+    assert len(peaks(cells, points, window, found[0, 0], Apart(0.7, 0.2))) == 0  # nothing is better
 
 
-def test_excluded_poses_are_not_found(room):
+def test_places_that_look_alike_are_all_found(room):
     window, cells = Window(np.zeros(3), 1.5, 0.1), pyramid(room)
-    best = best_pose(cells, room, window, 0.1)
-    second = best_pose(cells, room, window, 0.1, Excluded(best.pose, 0.7, 0.2))
-    assert second.score < best.score and np.hypot(*(second.pose - best.pose)[:2]) >= 0.7
+    found = peaks(cells, room, window, 0.1, Apart(0.7, 0.2))
+    assert len(found) > 3 and (np.diff(found[:, 0]) <= 0).all()
+    gaps = np.hypot(*(found[:, None, 1:3] - found[None, :, 1:3]).transpose(2, 0, 1))
+    assert (gaps[~np.eye(len(found), dtype=bool)] >= 0.7).all()
+    rows = np.repeat(np.linspace(0.0, 12.0, 241), 2)  # a straight wall is alike everywhere along itself
+    wall = np.stack([rows, np.zeros_like(rows)], axis=1)
+    alike = peaks(
+        pyramid(wall), wall[100:200] - (7.5, 0.0), Window(np.array([6.0, 0.0, 0.0]), 3.0, 0.05), 0.9, Apart(0.7, 0.2)
+    )
+    assert len(alike) >= 6 and np.ptp(alike[:, 1]) > 3.5
+
+
+def test_the_bias_of_wheels_adds_up_along_a_path():
+    graph = UncertaintyGraph()
+    for k in range(10):
+        graph.add(k, k + 1, 1e-4, 0.0, bias_m=0.02)
+    sigma_m, _ = graph.sigmas(0, np.zeros((11, 3)))
+    assert sigma_m[10] ** 2 == pytest.approx(10 * 1e-4 + (10 * 0.02) ** 2)

@@ -1,0 +1,203 @@
+"""Revisits in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
+
+    python benchmarks/repetition.py --seeds 3                 # all scenes
+    python benchmarks/repetition.py --scenes doors niches --rows FOLDER
+    python benchmarks/repetition.py --odometry 2 --score 0.9  # something assumed or a threshold changed
+
+A link to an old key scan is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
+more than its covariance allows: along a bare corridor a link says nothing. A true revisit is a key scan and an old one,
+at least 10 m driven between, that share half of their views by the truth. It is closed if the pair is right to 0.3 m
+and 5 degrees at the end, and if a key scan within 5 m is linked to an old one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
+from numpy.typing import NDArray
+from repetition_scenes import SCENES, log_of
+
+from sixthsense.campaign.plan import config_hash
+from sixthsense.config import Config, merge, preset
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.running.warmup import warm_up_scans
+from sixthsense.slam.scans.poses import between
+from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.see_through import compare_views
+from sixthsense.slam.slam import Slam
+
+Row = dict[str, Any]
+Factors = dict[str, float]
+"""`module.constant` of `sixthsense.slam.scans`, and what it is multiplied with"""
+
+_WRONG_M, _WRONG_RAD = 0.3, math.radians(5.0)
+_WRONG_SQUARED = 20.0  # squared Mahalanobis distance, 3 degrees of freedom
+_DRIVEN_M, _OVERLAP, _LINKED_WITHIN_M = 10.0, 0.5, 5.0
+_NEAR_M, _NEAREST = 4.0, 4
+
+
+def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
+    """Replay one drive, and compare its revisits with the truth."""
+    name, seed = due
+    log = log_of(SCENES[name], seed)
+    truths = []
+    with ExitStack() as opened:
+        for place, factor in factors.items():
+            module, constant = place.split(".")
+            found = import_module(f"sixthsense.slam.scans.{module}")
+            opened.enter_context(mock.patch.object(found, constant, factor * getattr(found, constant)))
+        began = time.process_time()
+        assert log.ticks[0].truth is not None
+        slam = opened.enter_context(Slam(config, log.ticks[0].truth))
+        for tick in log.ticks:
+            step = slam.take(tick)
+            if step.key_scan is not None:
+                assert tick.truth is not None
+                truths.append(tick.truth.array())
+        spent_s = time.process_time() - began
+        revisits = slam._front_end.revisits  # type: ignore[union-attr]
+        graph, closings = revisits._graph, revisits.closings
+        return {
+            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
+            "searches": revisits.counts.searches, "ambiguous": revisits.counts.ambiguous,
+            "accepted": closings.accepted, "undone": closings.undone,
+            **judged(slam.trajectory(), np.array(truths), closings.links, graph.store),
+        }  # fmt: skip
+
+
+def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array]], store: ScanStore) -> Row:
+    """Errors of the poses (K, 3) of key scans and of links between them."""
+    steps = np.hypot(*np.diff(truths[:, :2], axis=0).T)
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    off = np.hypot(*(poses - truths)[:, :2].T)
+    false = false_links(truths, links)
+    pairs = true_revisits(truths, travelled, store)
+    linked = np.unique([j for i, j, _, _ in links if travelled[j] - travelled[i] >= _DRIVEN_M])
+    error = between(between(truths[pairs[:, 0]], truths[pairs[:, 1]]), between(poses[pairs[:, 0]], poses[pairs[:, 1]]))
+    right = (np.hypot(error[:, 0], error[:, 1]) < _WRONG_M) & (np.abs(error[:, 2]) < _WRONG_RAD)
+    apart = (
+        np.abs(travelled[pairs[:, 1], None] - travelled[linked][None, :]) if len(linked) else np.ones((len(pairs), 1))
+    )
+    closed = right & ((apart if len(linked) else 1e9 * apart) < _LINKED_WITHIN_M).any(axis=1)
+    return {
+        "driven_m": float(travelled[-1]), "key_scans": len(poses), "links": len(links), "false": len(false),
+        "worst_false": false[:3], "true": len(pairs), "closed": int(closed.sum()), "right": int(right.sum()),
+        "ate_m": float(np.sqrt(np.mean(off**2))), "largest_m": float(off.max()),
+    }  # fmt: skip
+
+
+def false_links(truths: Array, links: list[tuple[int, int, Array, Array]]) -> list[list[float]]:
+    """Target, source, error in m and rad of each false link, the largest error first."""
+    found = []
+    for target, source, pose, information in links:
+        off = pose - between(truths[target], truths[source])
+        off[2] = wrap_angle(off[2])
+        distance, turn = float(np.hypot(off[0], off[1])), abs(float(off[2]))
+        if (distance > _WRONG_M or turn > _WRONG_RAD) and off @ information @ off > _WRONG_SQUARED:
+            found.append([target, source, round(distance, 3), round(turn, 4)])
+    return sorted(found, key=lambda row: -row[2])
+
+
+def true_revisits(truths: Array, travelled: Array, store: ScanStore) -> NDArray[np.int64]:
+    """(n, 2) old key scan and key scan that share half of their views, the nearest one of each key scan."""
+    pairs = []
+    for j in range(len(truths)):
+        old = np.flatnonzero(travelled[:j] <= travelled[j] - _DRIVEN_M)
+        off = between(truths[old], truths[j])
+        distance = np.hypot(off[:, 0], off[:, 1])
+        for k in np.argsort(distance + np.abs(off[:, 2]))[:_NEAREST]:
+            if distance[k] > _NEAR_M:
+                continue
+            there = compare_views(store.returns, int(old[k]), j, off[k])
+            back = compare_views(store.returns, j, int(old[k]), between(truths[j], truths[old[k]]))
+            if min(hits / max(count, 1) for hits, _, count in (there, back)) >= _OVERLAP:
+                pairs.append((int(old[k]), j))
+                break
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def rows(config: Config, factors: Factors, due: Sequence[tuple[str, int]], jobs: int, folder: Path | None) -> list[Row]:
+    """A row of each scene and seed; with a `folder` they are saved there, and saved ones are not repeated."""
+    files: list[Path | None] = [None] * len(due)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        changed = "".join(f"-{place}-{factor:g}" for place, factor in factors.items())
+        tag = f"{config_hash(config)}{changed}"
+        files = [folder / f"{name.replace(' ', '_')}-{seed}-{tag}.json" for name, seed in due]
+    found = {d: json.loads(f.read_text()) for d, f in zip(due, files, strict=True) if f is not None and f.exists()}
+    missing = [d for d in due if d not in found]
+    for d, row in zip(missing, pooled(partial(make_row, config, factors), missing, jobs, warm_up_scans), strict=True):
+        found[d] = row
+        if (file := files[due.index(d)]) is not None:
+            file.write_text(json.dumps(row) + "\n")
+    return [found[d] for d in due]
+
+
+def changed_config(odometry: float, score: float) -> Config:
+    """The defaults of logs, with the sigmas of the odometry and the least score of a revisit multiplied."""
+    base = preset("log")
+    motion = base.assumed.motion
+    slip = {f.name: odometry * getattr(motion, f.name) for f in dataclasses.fields(motion) if "slip" in f.name}
+    return merge(base, {"assumed": {"motion": slip}, "scans": {"min_score": score * base.scans.min_score}})
+
+
+def summary(own: Sequence[Row]) -> Figures:
+    """The figures of the runs in one scene."""
+    ate, true = [row["ate_m"] for row in own], sum(row["true"] for row in own)
+    means = ("driven_m", "accepted", "undone", "ambiguous", "seconds")
+    return {
+        "runs": len(own), "false": sum(row["false"] for row in own), "runs_with": sum(row["false"] > 0 for row in own),
+        "true": true, "closed": sum(row["closed"] for row in own) / max(true, 1),
+        "closed_worst": min(row["closed"] / max(row["true"], 1) for row in own),
+        "ate_m": float(np.median(ate)), "ate_max_m": max(ate),
+        **{key: float(np.mean([row[key] for row in own])) for key in means},
+    }  # fmt: skip
+
+
+def main() -> int:
+    parser = arguments(__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=tuple(SCENES), help="(all)")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="number of seeds (10)")
+    parser.add_argument("--first-seed", type=int, default=1000, metavar="S", help="the first seed (1000)")
+    parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (1)")
+    parser.add_argument("--rows", type=Path, metavar="DIR", help="save a row per run there, and skip saved runs")
+    parser.add_argument("--odometry", type=float, default=1.0, metavar="F", help="times the odometry's sigmas (1)")
+    parser.add_argument("--score", type=float, default=1.0, metavar="F", help="times the least score (1)")
+    parser.add_argument("--factor", nargs="+", default=[], metavar="MODULE.NAME=F", help="times a constant")
+    options = parser.parse_args()
+    check_at_least(parser, options, seeds=1, jobs=1)
+    factors = {place: float(value) for place, value in (given.split("=") for given in options.factor)}
+    if options.odometry != 1.0:
+        names = ("_SIGMA_M", "_M_PER_M", "_SIGMA_RAD", "_RAD_PER_RAD", "_RAD_PER_M")
+        factors |= {f"odometry_prior.{name}": options.odometry for name in names}
+    due = [(name, options.first_seed + k) for k in range(options.seeds) for name in options.scenes]
+    found = rows(changed_config(options.odometry, options.score), factors, due, options.jobs, options.rows)
+    figures = {name: summary([row for row in found if row["scene"] == name]) for name in options.scenes}
+    lines = [["scene", "runs", "driven, m", "false links", "runs with", "true revisits", "closed", "worst run",
+              "ATE m, median / max", "accepted", "undone", "ambiguous", "s a run"]]  # fmt: skip
+    for name, f in figures.items():
+        lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",
+                      f"{f['true']:.0f}", f"{100 * f['closed']:.1f} %", f"{100 * f['closed_worst']:.0f} %",
+                      f"{f['ate_m']:.3f} / {f['ate_max_m']:.3f}", f"{f['accepted']:.1f}", f"{f['undone']:.1f}",
+                      f"{f['ambiguous']:.1f}", f"{f['seconds']:.1f}"])  # fmt: skip
+    print(machine())
+    print_table(lines)
+    write_json(options.json, {f"{name}.{key}": value for name, f in figures.items() for key, value in f.items()})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,157 @@
+"""What scans that are some metres apart say of a place: how much of what both could see they explain.
+
+The scans are followed back from the newest one, each aligned with old key scans from where the one before it was. What
+the old scans could not have seen is no evidence, and what they saw through is evidence against the place: in the score
+of a submap both look alike. Two places are compared on the scans that tell about both, since a scan of which little is
+explained at one place has little explained at all places that look alike.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.scans.alignment import HITS, NORMALS_AGREE, inverse, partner
+from sixthsense.slam.scans.bearings import cell_of
+from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.links import WIDE_GATES_M, align_pairs
+from sixthsense.slam.scans.poses import between, compose
+from sixthsense.slam.scans.scan_store import Returns
+
+_BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
+_PARTNERS = 2  # old key scans that each is compared with
+_REACH_M, _REACH_RAD = 4.0, 2.2
+_LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or the pair says nothing
+_LEAST_HITS = 20.0
+_FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
+_SHIFT_RAD = 0.1
+_GATE_M, _SCALE_M = 0.12, 0.05  # of a point's distance from a line
+_HIDDEN_M = 0.3  # a point this far behind a return is hidden
+_LEAST_SCANS, _MEAN_SHARE = 3, 0.65  # that tell about a place, and what they must explain of what both could see
+_CLEARLY = 0.25  # scans' worth of points that a place must explain beyond another one
+_SCANS_BEYOND = 6  # or this many scans more that tell about it
+
+
+class Evidence(NamedTuple):
+    """What scans say of a place."""
+
+    pose: Array
+    """(3,) of the newest key scan, world frame, aligned"""
+    shares: Array
+    """(n,) of what a scan and the old ones could both see: the part that is explained; NaN where that is too little"""
+
+    @property
+    def weight(self) -> float:
+        """Scans that the place explains, beyond a half each."""
+        return float(np.nansum(self.shares - 0.5))
+
+    def is_enough(self) -> bool:
+        """Whether scans enough tell about the place, and explain it."""
+        tells = np.isfinite(self.shares)
+        return int(tells.sum()) >= _LEAST_SCANS and float(self.shares[tells].mean()) >= _MEAN_SHARE
+
+    def is_clearly_better(self, other: Evidence) -> bool:
+        """Whether this place explains clearly more than another one, on the same scans."""
+        off = self.shares - other.shares
+        both = np.isfinite(off)
+        if both.sum() >= _LEAST_SCANS:
+            return float(off[both].sum()) >= _CLEARLY
+        return int(np.isfinite(self.shares).sum()) - int(np.isfinite(other.shares).sum()) >= _SCANS_BEYOND
+
+
+def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
+    """Key scans that are followed back from `key`, the newest first; `travelled_m` (K,) is at each key scan."""
+    steps = np.floor((travelled_m[key] - travelled_m[: key + 1]) / _EVERY_M)
+    back = np.flatnonzero((np.diff(steps, append=-1.0) < 0.0) & (steps <= _BACK_M / _EVERY_M))[::-1]
+    return np.asarray(back, dtype=np.int64)
+
+
+def evidence_of(graph: ScanGraph, keys: NDArray[np.int64], pose: Array, old: NDArray[np.int64]) -> Evidence:
+    """What the key scans `keys` say of the first one's `pose` (3,), world frame, among the key scans `old`."""
+    poses, at = graph.poses, np.asarray(pose, dtype=np.float64)
+    shares, newest, before = np.full(len(keys), np.nan), at, int(keys[0])
+    for n, key in enumerate(keys.tolist()):
+        moved = between(poses[before], poses[key])
+        at = compose(at, moved)
+        most = _FIRST_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
+        shares[n], at = _compared(graph, key, at, old, most)
+        before = key
+        newest = at if n == 0 else newest
+    return Evidence(newest, shares)
+
+
+def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], most_m: float) -> tuple[float, Array]:
+    """The share that a key scan at a pose and the old ones near it explain, and its pose as aligned with them."""
+    poses, returns = graph.poses, graph.store.returns
+    off = between(poses[old], at)
+    distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
+    nearest = np.argsort(distance + turn, kind="stable")[:_PARTNERS]
+    nearest = nearest[(distance[nearest] < _REACH_M) & (turn[nearest] < _REACH_RAD)]
+    if not len(nearest):
+        return np.nan, at
+    targets = old[nearest]
+    aligned = align_pairs(returns, targets, np.full(len(targets), key), off[nearest], WIDE_GATES_M)
+    shift = between(off[nearest], aligned.poses)
+    is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
+    is_near &= aligned.sums[:, HITS] >= _LEAST_HITS
+    total, best, there = np.zeros(3), 0.0, at
+    for k, target in enumerate(targets.tolist()):
+        pair = aligned.poses[k] if is_near[k] else off[nearest[k]]
+        found = explained(returns, target, key, pair) + explained(returns, key, target, inverse(pair))
+        total += found
+        if is_near[k] and found[0] > best:
+            best, there = found[0], compose(poses[target], pair)
+    share = float(total[0] / total[1]) if total[1] >= max(_LEAST_SEEN * total[2], 1.0) else np.nan
+    return share, there
+
+
+@numba.njit(cache=True, error_model="numpy")
+def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
+    """(3,) points of `source`, at `pose` (3,), that lie on lines of `target`, that `target` must see, and all.
+
+    The first is a sum of weights. A point well behind a return is hidden from the target. One a little behind it, or
+    before it, is contradicted.
+    """
+    points, bearings = returns.points, returns.bearings
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total = np.zeros(3)
+    for k in range(0, bearings.beams, bearings.stride):
+        if points[source, k, 2] == 0.0:
+            continue
+        total[2] += 1.0
+        x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
+        y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
+        weight = _on_line(returns, target, source, k, pose[2], x, y)
+        centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
+        farthest = 0.0
+        for beam in range(centre - 1, centre + 2):
+            if bearings.closed or 0 <= beam < bearings.beams:
+                farthest = max(farthest, points[target, beam % bearings.beams, 2])
+        if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + _HIDDEN_M):
+            total[0] += weight
+            total[1] += 1.0
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
+    """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
+    points, normals = returns.points, returns.normals
+    q = partner(returns, target, x, y, _GATE_M)
+    if q < 0:
+        return 0.0
+    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
+    nx, ny, mx, my = normals[target, q, 0], normals[target, q, 1], normals[source, k, 0], normals[source, k, 1]
+    if nx == 0.0 and ny == 0.0:
+        r = math.hypot(dx, dy)
+    else:
+        c, s = math.cos(turn), math.sin(turn)
+        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
+            return 0.0
+        r = abs(nx * dx + ny * dy)
+    return 1.0 / (1.0 + (r / _SCALE_M) ** 2) if r < _GATE_M else 0.0
