@@ -9,6 +9,7 @@ explained at one place has little explained at all places that look alike.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
@@ -71,18 +72,30 @@ def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
     return np.asarray(back, dtype=np.int64)
 
 
-def evidence_of(graph: ScanGraph, keys: NDArray[np.int64], pose: Array, old: NDArray[np.int64]) -> Evidence:
-    """What the key scans `keys` say of the first one's `pose` (3,), world frame, among the key scans `old`."""
-    poses, at = graph.poses, np.asarray(pose, dtype=np.float64)
-    shares, newest, before = np.full(len(keys), np.nan), at, int(keys[0])
+def evidence_of(
+    graph: ScanGraph, keys: NDArray[np.int64], places: Array, olds: Sequence[NDArray[np.int64]]
+) -> list[Evidence]:
+    """What the key scans `keys` say of each of the places (m, 3), poses of the first one in the world frame.
+
+    Key scans are compared with the old ones `olds` of the place. A place that explains clearly less than another one is
+    not followed further back.
+    """
+    poses, at, before = graph.poses, np.array(places, dtype=np.float64), int(keys[0])
+    shares, newest = np.full((len(at), len(keys)), np.nan), at.copy()
+    open_places = np.arange(len(at))
     for n, key in enumerate(keys.tolist()):
         moved = between(poses[before], poses[key])
-        at = compose(at, moved)
-        most = _FIRST_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
-        shares[n], at = _compared(graph, key, at, old, most)
+        most_m = _FIRST_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
+        for k in open_places.tolist():
+            shares[k, n], at[k] = _compared(graph, key, compose(at[k], moved), olds[k], most_m)
+        if n == 0:
+            newest = at.copy()
+        best = shares[open_places[np.argmax(np.nansum(shares[open_places] - 0.5, axis=1))]]
+        off = best - shares[open_places]
+        tells = np.isfinite(off).sum(axis=1) >= _LEAST_SCANS
+        open_places = open_places[~(tells & (np.nansum(off, axis=1) >= _CLEARLY))]
         before = key
-        newest = at if n == 0 else newest
-    return Evidence(newest, shares)
+    return [Evidence(pose, row) for pose, row in zip(newest, shares, strict=True)]
 
 
 def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], most_m: float) -> tuple[float, Array]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
-from sixthsense.slam.scans.evidence import Evidence, evidence_of, followed_back
+from sixthsense.slam.scans.evidence import evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import Pyramid, pyramid, submap_points
@@ -24,7 +24,7 @@ _SIGMAS, _MARGIN_M, _MARGIN_RAD = 2.0, 1.5, 0.12  # of the window that is search
 _REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the estimate
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
 _LEAST_SCORE, _WORTH = 0.4, 0.7  # of a place that is compared, and as a share of the best one
-_MOST_COMPARED = 16  # with more places, all are taken to be alike
+_MOST_COMPARED = 24  # with more places, all are taken to be alike
 _BACK_M = 16.0  # travel beyond the submap whose old key scans are compared
 _APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
 
@@ -139,20 +139,20 @@ class PlaceSearch:
         if len(candidates) > _MOST_COMPARED:
             best = candidates[0]
             return Hypothesis(best.pose, best.submap.keys, best.score, True)
-        recent = followed_back(travelled_m, key)
         travelled = travelled_m[old]
-        said: list[tuple[Evidence, _Candidate]] = []
-        for candidate in candidates:
-            around = np.abs(travelled - travelled_m[candidate.submap.anchor]) < _HALF_M + _BACK_M
-            found = evidence_of(self._graph, recent, candidate.pose, old[around])
-            said.append((found, candidate))
-        said.sort(key=lambda pair: -pair[0].weight)
-        evidence, best = said[0]
-        if not evidence.is_enough() or best.score < self._config.min_score:
+        anchors = [travelled_m[c.submap.anchor] for c in candidates]
+        olds = [old[np.abs(travelled - anchor) < _HALF_M + _BACK_M] for anchor in anchors]
+        places = np.array([c.pose for c in candidates])
+        found = evidence_of(self._graph, followed_back(travelled_m, key), places, olds)
+        said = sorted(zip(found, candidates, strict=True), key=lambda pair: -pair[0].weight)
+        most, best = said[0]
+        others = [e for e, _ in said[1:] if not _is_same(most.pose, e.pose)]
+        # That the robot is where the graph says, and nowhere else, needs less: pairs of scans and the votes decide.
+        is_expected = not others and _is_same(most.pose, self._graph.poses[key])
+        if best.score < self._config.min_score or not (is_expected or most.is_enough()):
             return None
-        others = [e for e, _ in said[1:] if not _is_same(evidence.pose, e.pose)]
-        ambiguous = not all(evidence.is_clearly_better(other) for other in others)
-        return Hypothesis(evidence.pose, best.submap.keys, best.score, ambiguous)
+        ambiguous = not all(most.is_clearly_better(other) for other in others)
+        return Hypothesis(most.pose, best.submap.keys, best.score, ambiguous)
 
 
 def _distinct(candidates: list[_Candidate], least: float) -> list[_Candidate]:

@@ -49,7 +49,7 @@ def twice():
 def evidence_at(graph, old, shift):
     """What the newest scans say of a pose that is off along the corridor by `shift`."""
     pose = graph.poses[-1] + np.array([shift, 0.0, 0.0])
-    return evidence_of(graph, np.arange(graph.count - 1, old - 1, -2), pose, np.arange(old))
+    return evidence_of(graph, np.arange(graph.count - 1, old - 1, -2), pose[None], [np.arange(old)])[0]
 
 
 def test_the_next_door_explains_a_scan_as_well_as_the_true_one(twice):
@@ -74,8 +74,17 @@ def test_an_end_that_was_seen_tells_the_doors_apart():
 
 def test_where_old_scans_saw_nothing_there_is_no_evidence(twice):
     graph, old = twice
-    far = evidence_of(graph, np.arange(graph.count - 1, old, -2), np.array([60.0, 1.1, 0.0]), np.arange(old))
+    far = evidence_of(graph, np.arange(graph.count - 1, old, -2), np.array([[60.0, 1.1, 0.0]]), [np.arange(old)])[0]
     assert np.isnan(far.shares).all() and not far.is_enough()
+
+
+def test_a_place_that_explains_clearly_less_is_not_followed_further(twice):
+    graph, old = twice
+    keys, shifts = np.arange(graph.count - 1, old - 1, -1), np.array([0.0, -1.5, -PITCH])
+    places = graph.poses[-1] + shifts[:, None] * (1.0, 0.0, 0.0)
+    true, worse, alike = evidence_of(graph, keys, places, [np.arange(old)] * 3)
+    tells = [int(np.isfinite(found.shares).sum()) for found in (true, worse, alike)]
+    assert tells[0] == tells[2] == len(keys) > tells[1] and true.is_clearly_better(worse)
 
 
 def test_places_are_compared_on_scans_that_tell_about_both():
