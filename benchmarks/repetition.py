@@ -72,7 +72,7 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
         graph, closings = revisits._graph, revisits.closings
         return {
             "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
-            "searches": revisits.counts.searches, "ambiguous": revisits.counts.ambiguous,
+            "refused": revisits.counts.refused,
             "accepted": closings.accepted, "undone": closings.undone,
             **judged(slam.trajectory(), np.array(truths), closings.links, graph.store),
         }  # fmt: skip
@@ -157,7 +157,7 @@ def changed_config(odometry: float, score: float) -> Config:
 def summary(own: Sequence[Row]) -> Figures:
     """The figures of the runs in one scene."""
     ate, true = [row["ate_m"] for row in own], sum(row["true"] for row in own)
-    means = ("driven_m", "accepted", "undone", "ambiguous", "seconds")
+    means = ("driven_m", "accepted", "undone", "refused", "seconds")
     return {
         "runs": len(own), "false": sum(row["false"] for row in own), "runs_with": sum(row["false"] > 0 for row in own),
         "true": true, "closed": sum(row["closed"] for row in own) / max(true, 1),
@@ -187,7 +187,7 @@ def main() -> int:
     found = rows(changed_config(options.odometry, options.score), factors, due, options.jobs, options.rows)
     figures = {name: summary([row for row in found if row["scene"] == name]) for name in options.scenes}
     lines = [["scene", "runs", "driven, m", "false links", "runs with", "true revisits", "closed", "worst run",
-              "ATE m, median / max", "accepted", "undone", "ambiguous", "s a run"]]  # fmt: skip
+              "ATE m, median / max", "accepted", "undone", "refused", "s a run"]]  # fmt: skip
     for name, f in figures.items():
         lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",
                       f"{f['true']:.0f}", f"{100 * f['closed']:.1f} %", f"{100 * f['closed_worst']:.0f} %",
