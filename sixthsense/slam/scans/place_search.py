@@ -24,7 +24,7 @@ _SIGMAS, _MARGIN_M, _MARGIN_RAD = 2.0, 1.5, 0.12  # of the window that is search
 _REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the estimate
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
 _LEAST_SCORE, _WORTH = 0.4, 0.7  # of a place that is compared, and as a share of the best one
-_MOST_COMPARED = 24  # with more places, all are taken to be alike
+_MOST_COMPARED = 16  # with more places, all are taken to be alike
 _BACK_M = 16.0  # travel beyond the submap whose old key scans are compared
 _APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
 
