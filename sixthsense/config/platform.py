@@ -55,6 +55,20 @@ class WorldConfig(Section):
 
 
 @dataclass(frozen=True)
+class WheelsConfig(Section):
+    """Sigmas of the wheels' parameters where these are estimated, about the assumed values; 0: exactly known."""
+
+    scale_sigma: Noise = 0.05
+    """Of the scale error that distance and turn have in common: of the wheels' radii."""
+    track_sigma: Noise = 0.02
+    """Of the scale error that turns have besides: of the effective distance between the wheels."""
+    drift_sigma_rad_per_m: Noise = 0.03
+    """Of the drift: a pair of wheels on a track of 0.4 m that differs by 1 % has 0.025."""
+    latency_sigma_s: Noise = 0.0
+    """Of the age of odometry at its stamp."""
+
+
+@dataclass(frozen=True)
 class AssumedConfig(Section):
     """Noise that the estimators assume; by default that of the simulator, a mismatch is an experiment."""
 
@@ -72,6 +86,7 @@ class AssumedConfig(Section):
     """Sigma of position added over the motion between two key scans, so that the covariance has full rank."""
     floor_rad: Noise = 1e-4
     """The same for the heading."""
+    wheels: WheelsConfig = field(default_factory=WheelsConfig)
 
 
 DEFAULT_ROBOT_RADIUS_M = 0.2

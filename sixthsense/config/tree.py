@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from sixthsense.config.explore import ExploreConfig
-from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
+from sixthsense.config.names import CALIBRATE_WHEELS, ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
@@ -38,6 +38,9 @@ class Config(Section):
     front_end: Literal["landmarks", "scans"] = "landmarks"
     """What the estimator is given: landmarks, sightings of walls and points; scans, relative poses of aligned scans,
     for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an estimator is named."""
+    calibrate_wheels: bool = False
+    """Estimate the wheels' systematic errors with the pose (ekf-invariant and isam2, front end landmarks); their prior
+    is in assumed.wheels."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
@@ -83,6 +86,10 @@ class Config(Section):
         super().__post_init__()
         if self.front_end == "scans" and self.estimator in FILTERS:
             raise ConfigError(f"front_end: found scans with estimator {self.estimator}, {KEEP_POSES}")
+        if self.calibrate_wheels and (self.front_end == "scans" or self.estimator in FILTERS[:-1]):
+            raise ConfigError(
+                f"calibrate_wheels: found true with {self.estimator} and {self.front_end}, {CALIBRATE_WHEELS}"
+            )
         between = self.laser.period_ticks * self.robot.control_period_s
         if self.laser.sweep_s > between * (1.0 + 1e-9):
             raise ConfigError(

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.arc import arc, arc_jacobian
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two key scans
 
@@ -70,10 +72,12 @@ class Odometry:
     """`T_before_after`"""
     cov: Array
     """(3, 3) of the error of (x, y, theta) of `motion`, axes of the frame before; m, rad"""
+    wheels: WheelTerms | None = None
+    """its dependence on the wheels' parameters, if these are estimated; their uncertainty is not in `cov`"""
 
     def is_standstill(self) -> bool:
-        """Whether the motion is zero without uncertainty."""
-        return self.motion == STANDSTILL.motion and not np.any(self.cov)
+        """Whether the motion is zero without uncertainty, for any parameters of the wheels."""
+        return self.motion == STANDSTILL.motion and self.wheels is None and not np.any(self.cov)
 
     def cov_after(self) -> Array:
         """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""
@@ -83,34 +87,34 @@ class Odometry:
 
     def then(self, later: Odometry) -> Odometry:
         """Compose two increments with independent errors: `self` first, then `later`."""
-        by_self, by_later = compose_jacobians(self.motion.theta, later.motion)
-        cov = by_self @ self.cov @ by_self.T + by_later @ later.cov @ by_later.T
-        return Odometry(self.motion @ later.motion, cov)
+        first = self if later.wheels is None else self.with_wheels(later.wheels.values)
+        by_first, by_later = compose_jacobians(first.motion.theta, later.motion)
+        cov = by_first @ first.cov @ by_first.T + by_later @ later.cov @ by_later.T
+        terms = _composed_terms(first.wheels, later.wheels, by_first, by_later)
+        return Odometry(first.motion @ later.motion, cov, terms)
+
+    def with_wheels(self, values: Wheels) -> Odometry:
+        """The same increment for other parameters of the wheels, to first order."""
+        if self.wheels is None or self.wheels.values == values:
+            return self
+        change = self.wheels.jacobian @ (values.array() - self.wheels.values.array())
+        motion = Pose.from_array(self.motion.array() + change)
+        return Odometry(motion, self.cov, WheelTerms(values, self.wheels.jacobian))
+
+
+def _composed_terms(
+    first: WheelTerms | None, later: WheelTerms | None, by_first: Array, by_later: Array
+) -> WheelTerms | None:
+    """The dependence of a composed motion; both have the same parameters."""
+    if first is None:
+        return None if later is None else WheelTerms(later.values, by_later @ later.jacobian)
+    if later is None:
+        return WheelTerms(first.values, by_first @ first.jacobian)
+    return WheelTerms(later.values, by_first @ first.jacobian + by_later @ later.jacobian)
 
 
 STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
 STANDSTILL.cov.flags.writeable = False
-
-
-def arc(motion: Pose) -> tuple[float, float]:
-    """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
-    half = 0.5 * motion.theta
-    chord = motion.x * math.cos(half) + motion.y * math.sin(half)
-    return chord / _sinc(half), motion.theta
-
-
-def arc_jacobian(distance: float, turn: float) -> Array:
-    """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
-    half = 0.5 * turn
-    c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
-    slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
-    return np.array(
-        [
-            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
-            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
-            [0.0, 1.0],
-        ]
-    )
 
 
 def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
@@ -121,7 +125,34 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     """
     if before == after:
         return STANDSTILL  # the difference would have rounding errors that look like motion
-    motion = _corrected(before.inverse() @ after, assumed)
+    motion = corrected(before.inverse() @ after, Wheels.assumed(assumed))
+    return Odometry(motion, _covariance(motion, assumed))
+
+
+class WheelOdometry:
+    """Odometry that depends on the wheels' parameters, whose values may change as they become known."""
+
+    def __init__(self, assumed: AssumedConfig) -> None:
+        self._assumed = assumed
+        self.wheels = Wheels.assumed(assumed)
+        """the present values"""
+        self._velocity: Array | None = None
+
+    def increment(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
+        """As `odometry`; `duration_s` is the time between the two poses."""
+        reported = before.inverse() @ after if before != after else Pose()
+        velocity = reported.array() / duration_s
+        change = np.zeros(3) if self._velocity is None else velocity - self._velocity
+        self._velocity = velocity
+        if before == after and not change.any():
+            return STANDSTILL
+        motion, terms = corrected_with_terms(reported, self.wheels, change)
+        cov = np.zeros((3, 3)) if before == after else _covariance(corrected(reported, self.wheels), self._assumed)
+        return Odometry(motion, cov, terms)
+
+
+def _covariance(motion: Pose, assumed: AssumedConfig) -> Array:
+    """(3, 3) of a motion's error by the assumed noise."""
     distance, turn = arc(motion)
     noise = assumed.motion
     g = arc_jacobian(distance, turn)
@@ -132,19 +163,4 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     share = max(abs(distance) / _FLOOR_PER_M, abs(turn) / _FLOOR_PER_RAD)
     position += assumed.floor_m**2 * share
     heading += assumed.floor_rad**2 * share
-    return Odometry(motion, (g * q) @ g.T + np.diag([position, position, heading]))
-
-
-def _corrected(motion: Pose, assumed: AssumedConfig) -> Pose:
-    """The increment corrected for the wheels' assumed systematic errors (Borenstein and Feng 1996)."""
-    if assumed.wheel_scale_error == 0.0 and assumed.drift_rad_per_m == 0.0:
-        return motion
-    scale = 1.0 + assumed.wheel_scale_error
-    bend = assumed.wheel_scale_error * motion.theta + assumed.drift_rad_per_m * scale * arc(motion)[0]
-    # Bending an arc turns its chord by half as much as its end.
-    chord = rotation(0.5 * bend) @ np.array([scale * motion.x, scale * motion.y])
-    return Pose(chord[0], chord[1], motion.theta + bend)
-
-
-def _sinc(angle: float) -> float:
-    return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle
+    return np.asarray((g * q) @ g.T + np.diag([position, position, heading]))

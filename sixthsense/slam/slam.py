@@ -13,17 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from sixthsense.config import AssumedConfig, Config, ConfigError
-from sixthsense.config.names import KEEP_POSES
+from sixthsense.config import Config, ConfigError
+from sixthsense.config.names import CALIBRATE_WHEELS, KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import STANDSTILL, Odometry, odometry
+from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
+from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator, Record
-from sixthsense.slam.estimators import Estimate, keeps_poses, make_estimator
+from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import FrontEnd, KeyScan, RevisitCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
@@ -117,6 +118,7 @@ class Slam:
         self.associator = Associator(self.config.association)
         self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
         self._deskew = Deskewer(self.config.features.deskew)
+        self._wheels = self._make_wheels()
         self._front_end = self._make_front_end(timed)
         self._odometry: Pose | None = None
         self._stamp_ns = 0
@@ -140,6 +142,9 @@ class Slam:
         """Process a tick: its odometry always, its sightings, and its scan if it is a key scan."""
         increment, scan = self._fold(tick)
         key_scan = self._front_end.take(tick, scan, increment)
+        if key_scan is not None and self._wheels is not None:
+            found = self.wheels()
+            self._wheels.wheels = self._wheels.wheels if found is None else found.values
         if scan is not None and key_scan is not None:
             self._map(scan, key_scan)
         return self._step(tick, increment, scan, key_scan)
@@ -212,7 +217,7 @@ class Slam:
         if self._odometry is None:
             self._T_world_odom = self._start @ tick.odometry.inverse()
         else:
-            increment = _increment(self._odometry, tick, self.config.assumed)
+            increment = self._increment(self._odometry, tick)
         self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
@@ -233,6 +238,19 @@ class Slam:
 
         return ScanFrontEnd(self.config, self.estimator, self._start, timed)
 
+    def _make_wheels(self) -> WheelOdometry | None:
+        """Odometry whose parameters the estimator estimates, if configured; ConfigError if it cannot."""
+        if not self.config.calibrate_wheels:
+            return None
+        if not estimates_wheels(self.estimator):
+            raise ConfigError(f"calibrate_wheels: found true with {self.config.estimator}, {CALIBRATE_WHEELS}")
+        self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
+        return WheelOdometry(self.config.assumed)
+
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' parameters at the last key scan, if they are estimated."""
+        return self.estimator.wheels() if estimates_wheels(self.estimator) else None
+
     def _mapped(self, scan: Scan, key_scan: KeyScan) -> None:
         self._mapper.add(self.trajectory, scan, key_scan.walls_robot)
 
@@ -241,9 +259,10 @@ class Slam:
         since = self._front_end.since_key_scan
         return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, key_scan, self.grid)
 
-
-def _increment(before: Pose, tick: Tick, assumed: AssumedConfig) -> Odometry:
-    """The motion since the last tick, with the covariance that the log states, or else that of the assumed noise."""
-    if tick.increment_cov is None:
-        return odometry(before, tick.odometry, assumed)
-    return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
+    def _increment(self, before: Pose, tick: Tick) -> Odometry:
+        """The motion since the last tick, with the covariance that the log states or that of the assumed noise."""
+        if tick.increment_cov is not None:
+            return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
+        if self._wheels is not None:
+            return self._wheels.increment(before, tick.odometry, 1e-9 * (tick.stamp_ns - self._stamp_ns))
+        return odometry(before, tick.odometry, self.config.assumed)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import PARAMETERS, WheelEstimate
 
 Log = Sequence[tuple[Odometry, Mapping[LandmarkId, Sighting]]]
 Residual = Callable[[Array], Array]
@@ -27,16 +28,17 @@ _ITERATIONS = 6
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """Mean and joint covariance of the last pose and of all landmarks, world frame."""
+    """Mean and joint covariance of the last pose, of all landmarks, world frame, and of the wheels' parameters."""
 
     ids: list[LandmarkId]
     """in the order of the first sighting"""
     mean: Array
-    """(3 + 2n,) x, y, theta, then the two numbers of each landmark; m, rad"""
+    """(3 + 2n,) x, y, theta, then the two numbers of each landmark; m, rad; the four parameters of wheels if they are
+    estimated"""
     cov: Array
-    """(3 + 2n, 3 + 2n)"""
+    """of the entries of `mean`"""
     angles: NDArray[np.bool_]
-    """(3 + 2n,) which entries of `mean` are angles: the heading and the angles of walls"""
+    """which entries of `mean` are angles: the heading and the angles of walls"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,15 +83,17 @@ def sighting_jacobian(pose: Array, landmark: Array, is_wall: bool) -> Array:
     return jacobian(lambda x: _difference(to_robot(x[:3], x[3:], is_wall), z, is_wall), np.append(pose, landmark))
 
 
-def batch_posterior(log: Log, start: Pose, start_cov: Array) -> Posterior:
+def batch_posterior(log: Log, start: Pose, start_cov: Array, wheels: WheelEstimate | None = None) -> Posterior:
     """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first sightings.
 
-    `start_cov` (3, 3) and the covariances of odometry must be invertible.
+    `start_cov` (3, 3) and the covariances of odometry must be invertible. With a prior of `wheels` their parameters are
+    estimated, too.
     """
     poses, landmarks, walls = _initial(log, start)
-    x = np.concatenate([*poses, *landmarks.values()])
+    of_wheels = [] if wheels is None else [wheels.values.array()]
+    x = np.concatenate([*poses, *landmarks.values(), *of_wheels])
     of_landmarks = {i: 3 * len(poses) + 2 * k + np.arange(2) for k, i in enumerate(landmarks)}
-    factors = _factors(log, start, start_cov, of_landmarks)
+    factors = _factors(log, start, start_cov, of_landmarks, wheels)
     for _ in range(_ITERATIONS):
         information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         for factor in factors:
@@ -102,7 +106,8 @@ def batch_posterior(log: Log, start: Pose, start_cov: Array) -> Posterior:
         if np.abs(shift).max() < 1e-11:
             break
     kept = np.arange(3 * len(poses) - 3, len(x))
-    angles = np.array([False, False, True, *(flag for i in landmarks for flag in (walls[i], False))])
+    flags = [False, False, True, *(flag for i in landmarks for flag in (walls[i], False))]
+    angles = np.array([*flags, *[False] * (PARAMETERS * len(of_wheels))])
     cov = np.linalg.inv(information)[np.ix_(kept, kept)]
     return Posterior(list(landmarks), x[kept], 0.5 * (cov + cov.T), angles)
 
@@ -119,23 +124,35 @@ def _initial(log: Log, start: Pose) -> tuple[list[Array], dict[LandmarkId, Array
     return poses, landmarks, walls
 
 
-def _factors(log: Log, start: Pose, start_cov: Array, of_landmarks: Mapping[LandmarkId, Places]) -> list[_Factor]:
-    """Prior, odometry and sightings."""
+def _factors(
+    log: Log, start: Pose, start_cov: Array, of_landmarks: Mapping[LandmarkId, Places], wheels: WheelEstimate | None
+) -> list[_Factor]:
+    """Priors, odometry and sightings."""
     factors = [_Factor(np.arange(3), lambda x: _pose_difference(x, start.array()), _inverse(start_cov))]
+    of_wheels = 3 * len(log) + 3 + 2 * len(of_landmarks) + np.arange(PARAMETERS if wheels is not None else 0)
+    if wheels is not None:
+        mean = wheels.values.array()
+        factors.append(_Factor(of_wheels, lambda x: x - mean, _inverse(wheels.cov)))
     for k, (odometry, sightings) in enumerate(log):
         before, after = 3 * k + np.arange(3), 3 * k + 3 + np.arange(3)
-        factors.append(_Factor(np.append(before, after), _motion_residual(odometry.motion), _inverse(odometry.cov)))
+        at = np.concatenate([before, after, of_wheels])
+        factors.append(_Factor(at, _motion_residual(odometry), _inverse(odometry.cov)))
         for i, sighting in sightings.items():
             at = np.append(after, of_landmarks[i])
             factors.append(_Factor(at, _sighting_residual(sighting), _inverse(sighting.cov)))
     return factors
 
 
-def _motion_residual(motion: Pose) -> Residual:
+def _motion_residual(odometry: Odometry) -> Residual:
+    """Of two poses, and the wheels' parameters if they are variables."""
+
     def residual(x: Array) -> Array:
         c, s = math.cos(x[2]), math.sin(x[2])
         moved = np.append(np.array([[c, s], [-s, c]]) @ (x[3:5] - x[:2]), x[5] - x[2])
-        return _pose_difference(moved, motion.array())
+        measured = odometry.motion.array()
+        if len(x) > 6 and odometry.wheels is not None:
+            measured = measured + odometry.wheels.jacobian @ (x[6:] - odometry.wheels.values.array())
+        return _pose_difference(moved, measured)
 
     return residual
 

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import traceback
+from collections.abc import Callable
 
 import numpy as np
 
 from sixthsense.core.landmarks import Kind, Sighting
 from sixthsense.evaluation.tables import html_table
-from sixthsense.slam.estimators import EstimatorFactory, keeps_poses, register_estimator
-from sixthsense.testing import contract, edges, links, posterior, walls
+from sixthsense.slam.estimators import Estimator, EstimatorFactory, estimates_wheels, keeps_poses, register_estimator
+from sixthsense.testing import contract, edges, links, posterior, walls, wheels
 from sixthsense.testing.estimation import make
 
 LAWS = (*contract.LAWS, *edges.LAWS, *posterior.LAWS, *walls.LAWS)
 
 LINK_LAWS = tuple(links.LAWS)
 """tested where the estimator has `link` and `unlink`"""
+
+
+WHEEL_LAWS = tuple(wheels.LAWS)
+"""tested where the estimator has `estimate_wheels` and `wheels`"""
 
 
 class Verdicts(dict[str, str]):
@@ -50,12 +55,17 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
     `factory` makes an estimator from the start, `T_world_robot`, and its covariance (3, 3), as for
     `ss.register_estimator`. It is registered under `name`, by default the name of the factory. If the estimator raises
     NotImplementedError for the first sighting of a wall, the laws of walls are skipped. The laws of links are tested if
-    it has `link` and `unlink`. Raises ValueError for the name of a built-in estimator and for an invalid name.
+    it has `link` and `unlink`, those of wheels if it has `estimate_wheels` and `wheels`. Raises ValueError for the
+    name of a built-in estimator and for an invalid name.
     """
     name = name or getattr(factory, "__name__", "")
     register_estimator(name, factory)
     verdicts, refusal = Verdicts(), _refusal_of_walls(name)
-    for law in (*LAWS, *(LINK_LAWS if _keeps_poses(name) else ())):
+    links_laws, wheel_laws = (
+        LINK_LAWS if _has(keeps_poses, name) else (),
+        WHEEL_LAWS if _has(estimates_wheels, name) else (),
+    )
+    for law in (*LAWS, *links_laws, *wheel_laws):
         if law.needs_walls and refusal:
             verdicts.skipped[law.name] = refusal
             continue
@@ -81,9 +91,9 @@ def _refusal_of_walls(name: str) -> str:
     return ""
 
 
-def _keeps_poses(name: str) -> bool:
-    """Whether an estimator has `link` and `unlink`; one that cannot be made breaks the other laws."""
+def _has(capability: Callable[[Estimator], bool], name: str) -> bool:
+    """Whether an estimator has an optional capability; one that cannot be made breaks the other laws."""
     try:
-        return keeps_poses(make(name))
+        return capability(make(name))
     except Exception:
         return False

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sixthsense.config import AssumedConfig, MotionNoise, preset
+from sixthsense.core.arc import arc
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.motion import STANDSTILL, Odometry, arc, compose_jacobians, draw, odometry, rk4, variance
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, draw, odometry, rk4, variance
 
 QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,
                     slip_heading_per_sqrt_m=0, slip_heading_per_sqrt_rad=0)  # fmt: skip

@@ -1,6 +1,14 @@
 """Interchangeable estimators of pose and map behind one protocol."""
 
-from sixthsense.slam.estimators.base import Estimate, Estimator, Link, PoseGraphEstimator, keeps_poses
+from sixthsense.slam.estimators.base import (
+    Estimate,
+    Estimator,
+    Link,
+    PoseGraphEstimator,
+    WheelEstimator,
+    estimates_wheels,
+    keeps_poses,
+)
 from sixthsense.slam.estimators.factory import ESTIMATORS, EstimatorFactory, make_estimator, register_estimator
 
 __all__ = [
@@ -10,6 +18,8 @@ __all__ = [
     "EstimatorFactory",
     "Link",
     "PoseGraphEstimator",
+    "WheelEstimator",
+    "estimates_wheels",
     "keeps_poses",
     "make_estimator",
     "register_estimator",

@@ -14,6 +14,7 @@ from sixthsense.core.covariance import COVARIANCE_SLACK, check_covariance, covar
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import PARAMETERS, WheelEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +120,37 @@ class PoseGraphEstimator(Estimator, Protocol):
 def keeps_poses(estimator: Estimator) -> TypeGuard[PoseGraphEstimator]:
     """Whether an estimator keeps the poses of all updates, so that links can be added."""
     return all(callable(getattr(estimator, name, None)) for name in ("link", "unlink", "poses_at"))
+
+
+class WheelEstimator(Estimator, Protocol):
+    """An estimator that can estimate the wheels' parameters with the pose.
+
+    11. Odometry's dependence on the parameters is used, with the prior and the parameters' correlation with pose and
+        landmarks. Odometry that does not depend on them is used as without this option.
+    12. What sightings do not determine keeps its prior.
+    """
+
+    def estimate_wheels(self, prior: WheelEstimate) -> None:
+        """Estimate the parameters from now on; RuntimeError after the first motion or update."""
+        ...
+
+    def wheels(self) -> WheelEstimate | None:
+        """The present parameters with their covariance; None if they are not estimated."""
+        ...
+
+
+def estimates_wheels(estimator: Estimator) -> TypeGuard[WheelEstimator]:
+    """Whether an estimator can estimate the wheels' parameters."""
+    return callable(getattr(estimator, "estimate_wheels", None)) and callable(getattr(estimator, "wheels", None))
+
+
+def check_wheels(prior: WheelEstimate, has_begun: bool) -> None:
+    """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
+    if has_begun:
+        raise RuntimeError("estimate_wheels: found a call after the first motion or update, allowed: before both")
+    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK)
+    if prior.cov.shape != (PARAMETERS, PARAMETERS) or fault:
+        raise ValueError(f"prior of wheels: found {fault or prior.cov.shape}, allowed: a covariance, (4, 4)")
 
 
 class Trajectory:

@@ -21,17 +21,18 @@ from sixthsense.core.landmarks import (
     translated,
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.wheels import Wheels
 from sixthsense.slam.estimators.base import Estimate, Trajectory, check_sightings
 
 
 class EKF:
     """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
 
-    State: x, y, theta of the robot, then the two numbers of each landmark. Internally the world's origin is the start,
-    since a wall's (alpha, d) about a far origin linearizes badly. The linearized system loses an unobservable
-    direction, the heading of the whole map, so that the filter is overconfident once the robot has turned
-    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points`,
-    `_apply_correction` and the methods named `_on_...`.
+    State: x, y, theta of the robot, the wheels' parameters if they are estimated, then two numbers for each landmark.
+    Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly. The
+    linearized system loses an unobservable direction, the heading of the whole map, so that the filter is overconfident
+    once the robot has turned (Huang, Mourikis and Roumeliotis 2010). The variants override
+    `_heading_lever`, `_linearization_points`, `_apply_correction` and the methods named `_on_...`.
     """
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
@@ -44,6 +45,9 @@ class EKF:
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
+        self._head = 3
+        """size of the state before the landmarks: the pose, and the wheels' parameters if it estimates them"""
+        self._wheels = Wheels()
         self._pending = STANDSTILL
         self._trajectory = Trajectory()
 
@@ -64,7 +68,10 @@ class EKF:
         known = [i for i in sightings if i in self._slots]
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
-            self._apply_correction(slots, self._correct(slots, [sightings[i] for i in known]))
+            shift = self._correct(slots, [sightings[i] for i in known])
+            if self._head > 3:
+                self._wheels = Wheels.from_array(self._wheels.array() + shift[3 : self._head])
+            self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
         self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
         self._trajectory.append(self._in_world(self._pose))
 
@@ -75,7 +82,8 @@ class EKF:
             return
         keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
-        self._cov = np.asfortranarray(self._symmetric(_state_index(slots)))
+        kept = np.concatenate([np.arange(self._head), self._places(slots)])
+        self._cov = np.asfortranarray(self._symmetric(kept))
         self._means, self._walls = self._means[slots], self._walls[slots]
         self._on_forgotten(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
@@ -92,7 +100,7 @@ class EKF:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        joint = self._symmetric(_state_index(slots))
+        joint = self._symmetric(self._pose_and_landmarks(slots))
         _, jacobian = translated(self._means[slots], self._walls[slots], self._origin)
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
@@ -113,7 +121,7 @@ class EKF:
         return self._pose.position, self._means[slots]
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        """Add the correction `shift` (3 + 2n,) to the state, after an update with the landmarks in `slots`."""
+        """Correct the pose and all landmarks by `shift` (3 + 2n,), after an update with the landmarks in `slots`."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
         self._means += shift[3:].reshape(-1, 2)
         self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
@@ -129,22 +137,39 @@ class EKF:
 
     @property
     def _size(self) -> int:
-        return 3 + 2 * len(self._slots)
+        return self._head + 2 * len(self._slots)
+
+    def _places(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(2k,) places in the state of the landmarks in `slots`."""
+        return (self._head + 2 * slots[:, None] + np.arange(2)).ravel()
+
+    def _pose_and_landmarks(self, slots: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(3 + 2k,) places in the state of the pose and of the landmarks in `slots`."""
+        return np.concatenate([np.arange(3), self._places(slots)])
 
     def _symmetric(self, index: NDArray[np.int64]) -> Array:
         rows, cols = index[:, None], index[None, :]
         return self._cov[np.maximum(rows, cols), np.minimum(rows, cols)]
 
     def _propagate(self) -> None:
-        """Sigma = Phi Sigma Phi^T + G Q G^T, the correct form of the report's eq. 8-9, on the pose's columns only."""
+        """Sigma = Phi Sigma Phi^T + G Q G^T, the correct form of the report's eq. 8-9, on pose and wheels.
+
+        The columns of Phi for the wheels' parameters w are G d motion / d w.
+        """
         if self._pending is STANDSTILL:
             return
-        pose = self._pose @ self._pending.motion
-        phi, g = compose_jacobians(self._pose.theta, self._pending.motion)
+        pending = self._pending if self._head == 3 else self._pending.with_wheels(self._wheels)
+        pose = self._pose @ pending.motion
+        phi, g = compose_jacobians(self._pose.theta, pending.motion)
         phi[:2, 2] = rotation_generator(self._heading_lever(pose.position - self._pose.position))
-        pose_cov = phi @ self._symmetric(np.arange(3)) @ phi.T + g @ self._pending.cov @ g.T
-        self._cov[:3, :3] = 0.5 * (pose_cov + pose_cov.T)
-        self._cov[3:, :3] = self._cov[3:, :3] @ phi.T
+        by_head = np.eye(self._head)
+        by_head[:3, :3] = phi
+        if self._head > 3 and pending.wheels is not None:
+            by_head[:3, 3:] = g @ pending.wheels.jacobian
+        head_cov = by_head @ self._symmetric(np.arange(self._head)) @ by_head.T
+        head_cov[:3, :3] += g @ pending.cov @ g.T
+        self._cov[: self._head, : self._head] = 0.5 * (head_cov + head_cov.T)
+        self._cov[self._head :, : self._head] = self._cov[self._head :, : self._head] @ by_head.T
         self._pose = pose
         self._pending = STANDSTILL
 
@@ -159,7 +184,7 @@ class EKF:
         position, landmarks = self._linearization_points(slots)
         _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), landmarks, walls)
         innovation = innovations(np.array([s.z for s in sightings]), predicted, walls).ravel()  # (2m,)
-        index = _state_index(slots)  # (3 + 2m,)
+        index = self._pose_and_landmarks(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
         for k in range(m):
             H[2 * k : 2 * k + 2, :3] = by_pose[k]
@@ -203,8 +228,3 @@ class EKF:
         self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
         self._on_added(sightings.values())
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
-
-
-def _state_index(slots: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(3 + 2k,) places in the state of the pose and of the landmarks in `slots`."""
-    return np.concatenate([np.arange(3), (3 + 2 * slots[:, None] + np.arange(2)).ravel()])

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.linalg.blas import dsyr2k
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import rotation_generator
+from sixthsense.core.motion import STANDSTILL
+from sixthsense.core.wheels import PARAMETERS, WheelEstimate
+from sixthsense.slam.estimators.base import check_wheels
 from sixthsense.slam.estimators.ekf import EKF
 
 
@@ -22,6 +26,18 @@ class InvariantEKF(EKF):
     estimate are those of xi in these coordinates. Only the correction differs: it follows the group's exponential, and
     the covariance is transported to A at the corrected estimate.
     """
+
+    def estimate_wheels(self, prior: WheelEstimate) -> None:
+        """Add the wheels' parameters to the state."""
+        check_wheels(prior, self._head > 3 or bool(self._slots) or self._pending is not STANDSTILL)
+        self._head, self._wheels = 3 + PARAMETERS, prior.values
+        self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
+
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' parameters, if they are estimated."""
+        if self._head == 3:
+            return None
+        return WheelEstimate(self._wheels, self._symmetric(np.arange(3, self._head)))
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
         theta = float(shift[2])
@@ -46,8 +62,8 @@ class InvariantEKF(EKF):
         their offsets; p is the robot's `position` (2,) before the correction.
         """
         U = np.zeros((self._size, 3))
-        U[:, 0] = np.concatenate([moved[0], [0.0], moved[1:].ravel()])
-        U[4 + 2 * np.flatnonzero(self._walls), 1:] = turned
+        U[:, 0] = np.concatenate([moved[0], np.zeros(self._head - 2), moved[1:].ravel()])
+        U[self._head + 1 + 2 * np.flatnonzero(self._walls), 1:] = turned
         of_pose = np.vstack([self._symmetric(np.arange(3)), self._cov[3:, :3]])  # Sigma's columns of the pose
         C = np.zeros((3, 3))  # theta and xi_p from the errors of the pose
         C[0, 2] = C[1, 0] = C[2, 1] = 1.0

@@ -14,15 +14,19 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
-from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_sightings
-from sixthsense.slam.estimators.isam2_factors import gaussian, link_factor, loss_of, noise_of, to_pose, to_pose2
+from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.wheels import WheelEstimate
+from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_sightings, check_wheels
+from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, noise_of, to_pose, to_pose2
+from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_links import LinkFactors
 from sixthsense.slam.estimators.isam2_sightings import SightingFactors
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_walls import measurement, wall_frame
+from sixthsense.slam.estimators.isam2_walls import exact_factor, measurement, wall_frame
+from sixthsense.slam.estimators.isam2_wheels import KEY as WHEELS
+from sixthsense.slam.estimators.isam2_wheels import motion_factor, prior_factor, start_factor
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
@@ -46,7 +50,8 @@ class ISAM2:
         self._poses = 0
         """number of poses, solved and waiting"""
         self._landmarks = Landmarks()
-        self._solution = Solution(self._solver, self._landmarks, start, check_covariance("start_cov", start_cov))
+        self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
+        self._solution = Solution(self._solver, self._landmarks, self._head)
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -54,6 +59,17 @@ class ISAM2:
         """motion since the last pose, waiting or not"""
         self._pending = STANDSTILL
         """motion since the last solved pose"""
+
+    def estimate_wheels(self, prior: WheelEstimate) -> None:
+        """Add the wheels' parameters as a variable of the graph."""
+        check_wheels(prior, self._head.wheels is not None or self._poses > 0 or self._pending is not STANDSTILL)
+        self._head.add_wheels(prior)
+        self._unsolved.values.insert(WHEELS, prior.values.array())
+        self._unsolved.graph.add(prior_factor(prior))
+
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' parameters at the last solution, if they are estimated."""
+        return self._head.wheel_estimate()
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
@@ -65,7 +81,7 @@ class ISAM2:
     def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
         """Add the present pose and the sightings from it; solve if there are any."""
         check_sightings(sightings)
-        guess = self._solution.pose @ self._pending.motion
+        guess = self._head.pose @ self._head.motion(self._pending).motion
         self._add_pose(guess)
         if not sightings:
             return
@@ -96,7 +112,7 @@ class ISAM2:
         guess = self._pose_at(self._poses - 1)
         ids = self._links.add(self._solve_waiting()[first:])
         self._solution.update(self._last_solved)
-        if self._is_far(guess, self._solution.pose):
+        if self._is_far(guess, self._head.pose):
             self._converge()
         return ids
 
@@ -122,8 +138,8 @@ class ISAM2:
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
-        pose = self._solution.pose @ self._pending.motion
-        cov = self._propagated(self._solution.cov())
+        pose = self._head.pose @ self._head.motion(self._pending).motion
+        cov = self._head.propagated(self._head.cov(), self._pending)
         landmarks = self._solution.landmarks()
         return Estimate(pose, cov, landmarks.ids(), landmarks.means.copy(), landmarks.walls())
 
@@ -131,14 +147,15 @@ class ISAM2:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         keys = [self._landmarks.keys[i] for i in ids]
         if not keys:
-            return self._propagated(self._solution.cov())
+            return self._head.propagated(self._head.cov(), self._pending)
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        joint = self._solver.joint_covariance([self._last_solved, *keys])
-        turn, by_tangent = Pose(theta=self._solution.pose.theta).adjoint(), self._solution.landmarks().by_tangent
-        to_world = block_diag(turn, *(by_tangent[i] for i in ids))
+        joint = self._solver.joint_covariance([*self._head.keys(), *keys])
+        by_tangent = self._solution.landmarks().by_tangent
+        to_world = block_diag(self._head.to_world(), *(by_tangent[i] for i in ids))
         joint = to_world @ joint @ to_world.T
-        joint[:3, :3] = self._solution.cov()
-        return self._propagated(0.5 * (joint + joint.T))
+        cov = self._head.cov()
+        joint[: len(cov), : len(cov)] = cov
+        return self._head.propagated(0.5 * (joint + joint.T), self._pending)
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, smoothed with all sightings so far."""
@@ -168,11 +185,10 @@ class ISAM2:
         self._unsolved.poses.append(guess)
         self._unsolved.values.insert(key, to_pose2(guess))
         if self._poses == 0:
-            noise = gaussian(Odometry(guess, self._propagated(self._solution.cov())))
-            self._unsolved.graph.add(gtsam.PriorFactorPose2(key, to_pose2(guess), noise))
+            start = Odometry(self._head.pose, self._head.cov()[:3, :3]).then(self._pending)
+            self._unsolved.graph.add(start_factor(key, start, self._head.wheels is not None))
         else:
-            noise = gaussian(self._step)
-            self._unsolved.graph.add(gtsam.BetweenFactorPose2(key - 1, key, to_pose2(self._step.motion), noise))
+            self._unsolved.graph.add(motion_factor(key - 1, key, self._step, self._head.wheels is not None))
         self._poses += 1
         self._step = STANDSTILL
 
@@ -215,6 +231,8 @@ class ISAM2:
         return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
 
     def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
+        if self._head.wheels is not None and not is_new:
+            return exact_factor(key, X(self._poses - 1), sighting, self._with_loss(noise_of(sighting.cov)))
         frame = wall_frame(guess, sighting) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
         place, root = measurement(guess, frame, sighting, is_new)
         noise = self._with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root))
@@ -269,14 +287,3 @@ class ISAM2:
                 return
             self._remove([int(places[squared.argmax()])])
             self.rejected += 1
-
-    def _propagated(self, joint: Array) -> Array:
-        """Joint covariance (n, n) of the last update's pose and landmarks, propagated by the motion since; a copy."""
-        if self._pending is STANDSTILL:
-            return joint.copy()
-        phi, g = compose_jacobians(self._solution.pose.theta, self._pending.motion)
-        moved = joint.copy()
-        moved[:3] = phi @ moved[:3]
-        moved[:, :3] = moved[:, :3] @ phi.T
-        moved[:3, :3] += g @ self._pending.cov @ g.T
-        return 0.5 * (moved + moved.T)

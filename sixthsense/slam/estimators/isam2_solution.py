@@ -8,6 +8,7 @@ from gtsam.symbol_shorthand import X
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.slam.estimators.isam2_factors import to_pose
+from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks
 from sixthsense.slam.estimators.isam2_walls import lines
@@ -16,31 +17,19 @@ _POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
 
 
 class Solution:
-    """Poses and landmarks of the last solution."""
+    """Poses and landmarks of the last solution, its head included."""
 
-    def __init__(self, solver: Solver, landmarks: Landmarks, start: Pose, start_cov: Array) -> None:
-        """Begin at the start, without a solution."""
-        self.pose = start
-        """of the last solved pose, or the start"""
-        self._solver, self._landmarks, self._cov = solver, landmarks, start_cov
-        self._last = 0
-        """key of the last solved pose"""
+    def __init__(self, solver: Solver, landmarks: Landmarks, head: Head) -> None:
+        """Begin without a solution."""
+        self._solver, self._landmarks, self._head = solver, landmarks, head
         self._poses = np.zeros((0, 3))
-        self._has_read = self._has_cov = True
-        """whether poses and landmarks, and the covariance, are those of the last solution"""
+        self._has_read = True
+        """whether poses and landmarks are those of the last solution"""
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
-        self._last, self._has_read, self._has_cov = last, False, False
-        self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
-
-    def cov(self) -> Array:
-        """(3, 3) covariance of the last solved pose, world frame."""
-        if not self._has_cov:
-            turn = Pose(theta=self.pose.theta).adjoint()
-            cov = turn @ self._solver.covariance(self._last) @ turn.T
-            self._cov, self._has_cov = 0.5 * (cov + cov.T), True
-        return self._cov
+        self._has_read = False
+        self._head.update(last)
 
     def pose_at(self, k: int) -> Pose:
         """The pose of update k, which is solved."""
@@ -70,6 +59,7 @@ class Solution:
         is_wall = landmarks.walls()
         if len(is_wall):
             points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
+            points = points[: np.count_nonzero(~is_wall)]  # GTSAM adds empty rows for vectors of another size: wheels
         # In the order of their keys: the letter of walls comes before that of poses, then the number.
         walls, self._poses = np.split(frames, [np.count_nonzero(is_wall)])
         means, axes = lines(walls)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import gtsam
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
@@ -51,3 +52,30 @@ def lines(frames: Array) -> tuple[Array, Array]:
     axes[:, 0, 2] = axes[:, 1, 1] = 1.0
     axes[:, 1, 2] = c * frames[:, 1] - s * frames[:, 0]  # the lever along the wall, from the origin's foot
     return np.column_stack([alpha, c * frames[:, 0] + s * frames[:, 1]]), axes
+
+
+def exact_factor(wall: int, pose: int, sighting: Sighting, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """A later sighting as a factor between the variables with these keys; `noise` is of (alpha, d).
+
+    GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
+    residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
+    """
+    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, sighting))
+
+
+class Residual:
+    """Predicted less measured (alpha, d) of a wall's sighting, with its Jacobians; called by GTSAM."""
+
+    def __init__(self, wall: int, pose: int, sighting: Sighting) -> None:
+        """Between the variables with these keys."""
+        self._wall, self._pose = wall, pose
+        self._alpha, self._distance = (float(value) for value in sighting.z)
+
+    def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""
+        pose = values.atPose2(self._wall).between(values.atPose2(self._pose))  # in the wall's frame
+        x, y, theta = pose.x(), pose.y(), pose.theta()
+        if jacobians is not None:
+            jacobians[0] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, x]])
+            jacobians[1] = np.array([[0.0, 0.0, -1.0], [-math.sin(theta), -math.cos(theta), 0.0]])
+        return np.array([wrap_angle(0.5 * math.pi - theta - self._alpha), -y - self._distance])

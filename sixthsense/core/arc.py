@@ -1,0 +1,34 @@
+"""The circular arc of a differential drive, and the Jacobian of its end."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+
+
+def arc(motion: Pose) -> tuple[float, float]:
+    """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
+    half = 0.5 * motion.theta
+    chord = motion.x * math.cos(half) + motion.y * math.sin(half)
+    return chord / _sinc(half), motion.theta
+
+
+def arc_jacobian(distance: float, turn: float) -> Array:
+    """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
+    half = 0.5 * turn
+    c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
+    slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
+    return np.array(
+        [
+            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
+            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
+            [0.0, 1.0],
+        ]
+    )
+
+
+def _sinc(angle: float) -> float:
+    return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle
