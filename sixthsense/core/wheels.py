@@ -61,6 +61,10 @@ class WheelEstimate:
     cov: Array
     """(4, 4) of the parameters, in the order of the fields"""
 
+    def with_sigmas(self) -> Array:
+        """(2, 4) the parameters, and their sigmas."""
+        return np.stack([self.values.array(), np.sqrt(np.maximum(np.diag(self.cov), 0.0))])
+
 
 def wheel_prior(config: AssumedConfig) -> WheelEstimate:
     """The prior of the parameters: the assumed values, and the sigmas of `config.wheels`."""

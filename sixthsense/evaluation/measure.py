@@ -19,6 +19,11 @@ from sixthsense.sources.scene import Scene
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
+_WHEELS = (
+    *("forward_scale_error", "turn_scale_error", "drift_rad_per_m", "latency_s"),
+    *("forward_scale_sigma", "turn_scale_sigma", "drift_sigma_rad_per_m", "latency_sigma_s"),
+)
+
 
 def measure(trace: Trace) -> Metrics:
     """The metrics of a run, without keys for what cannot be measured."""
@@ -37,6 +42,8 @@ def measure(trace: Trace) -> Metrics:
     out["walls_merged"] = trace.walls_merged
     if trace.revisits is not None:
         out |= {f"revisits_{name}": count for name, count in trace.revisits._asdict().items()}
+    if trace.wheels is not None:
+        out |= {f"wheel_{key}": value for key, value in zip(_WHEELS, trace.wheels.ravel().tolist(), strict=True)}
     if trace.outcome.startswith("explored"):
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)

@@ -15,6 +15,7 @@ from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.record.stream import FORMAT, Line
@@ -184,6 +185,8 @@ def _take_end(table: Line, trace: Trace) -> None:
     trace.rebuilds = _whole(table, "rebuilds")
     if (counts := table.get("revisits")) is not None:  # older records have none
         trace.revisits = RevisitCounts(*(_whole(counts, name) for name in RevisitCounts._fields))
+    if "wheels" in table:
+        trace.wheels = _array(table, "wheels", (2, PARAMETERS))
 
 
 _KINDS: dict[str, Callable[[Line, Trace], None]] = {

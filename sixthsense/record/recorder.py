@@ -49,5 +49,7 @@ class Recorder:
         trace.records = dict(result.landmark_records)
         trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds
         trace.revisits = result.revisits
+        if result.wheels is not None:
+            trace.wheels = result.wheels.with_sigmas()
         if result.since_key is not None:
             trace.since_key = list(result.since_key)

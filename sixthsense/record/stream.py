@@ -203,4 +203,5 @@ def _end_line(trace: Trace) -> Line:
         "walls_merged": trace.walls_merged,
         "rebuilds": trace.rebuilds,
         "revisits": None if trace.revisits is None else trace.revisits._asdict(),
+        **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),
     }

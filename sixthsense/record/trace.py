@@ -97,6 +97,8 @@ class Trace:
     """number of walls merged into older duplicates"""
     revisits: RevisitCounts | None = None
     """what the search for old places has come to; None without one"""
+    wheels: Array | None = None
+    """(2, 4) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""
     relations: Relations | None = None
     """hand-checked relations, the reference of the trajectory's error"""
     grid: Grid | None = None

@@ -78,6 +78,8 @@ class SlamResult:
     """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
     revisits: RevisitCounts | None = None
     """of a front end that searches for old places"""
+    wheels: WheelEstimate | None = None
+    """the wheels' parameters, if they are estimated"""
 
 
 def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -184,6 +186,10 @@ class Slam:
         """(K, 3) pose at each key scan, as believed now."""
         return self.estimator.trajectory()
 
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' parameters at the last key scan, if they are estimated."""
+        return self.estimator.wheels() if estimates_wheels(self.estimator) else None
+
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
@@ -201,6 +207,7 @@ class Slam:
                 self._mapper.rebuilds,
                 finished.since_key,
                 finished.revisits,
+                self.wheels(),
             )
         return self._result
 
@@ -246,10 +253,6 @@ class Slam:
             raise ConfigError(f"calibrate_wheels: found true with {self.config.estimator}, {CALIBRATE_WHEELS}")
         self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
         return WheelOdometry(self.config.assumed)
-
-    def wheels(self) -> WheelEstimate | None:
-        """The wheels' parameters at the last key scan, if they are estimated."""
-        return self.estimator.wheels() if estimates_wheels(self.estimator) else None
 
     def _mapped(self, scan: Scan, key_scan: KeyScan) -> None:
         self._mapper.add(self.trajectory, scan, key_scan.walls_robot)

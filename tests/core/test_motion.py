@@ -8,7 +8,17 @@ from hypothesis import strategies as st
 from sixthsense.config import AssumedConfig, MotionNoise, preset
 from sixthsense.core.arc import arc
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, draw, odometry, rk4, variance
+from sixthsense.core.motion import (
+    STANDSTILL,
+    Odometry,
+    WheelOdometry,
+    compose_jacobians,
+    draw,
+    odometry,
+    rk4,
+    variance,
+)
+from sixthsense.core.wheels import Wheels, corrected, corrected_with_terms
 
 QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,
                     slip_heading_per_sqrt_m=0, slip_heading_per_sqrt_rad=0)  # fmt: skip
@@ -126,3 +136,62 @@ def test_known_systematic_errors_are_corrected():
         found = odometry(Pose(), exact_arc(v, w, 0.1), assumed).motion
         assert math.dist(found.position, true.position) < 1e-5
         assert found.theta == pytest.approx(true.theta, abs=1e-12)
+
+
+def test_the_jacobian_by_the_wheels_agrees_with_finite_differences():
+    rng = np.random.default_rng(4)
+    for _ in range(30):
+        reported, change = Pose(*rng.normal(size=3) * [0.3, 0.05, 0.4]), rng.normal(size=3)
+        values = rng.normal(size=4) * 0.05
+        motion, terms = corrected_with_terms(reported, Wheels.from_array(values), change)
+        if not values[3]:
+            assert motion == corrected(reported, Wheels.from_array(values))
+        for k in range(4):
+            step = 1e-6 * np.eye(4)[k]
+            ahead, behind = (
+                corrected_with_terms(reported, Wheels.from_array(values + s), change)[0].array() for s in (step, -step)
+            )
+            assert np.allclose(wrap_angle(ahead - behind) / 2e-6, terms.jacobian[:, k], atol=1e-7)
+
+
+def test_the_jacobian_of_a_drive_by_the_wheels_agrees_with_finite_differences():
+    def folded(values):
+        wheels = WheelOdometry(AssumedConfig())
+        wheels.wheels = Wheels.from_array(values)
+        total, at = STANDSTILL, Pose()
+        for k in range(40):
+            after = at @ exact_arc(0.5 + 0.2 * math.sin(0.3 * k), 0.8 * math.cos(0.2 * k), 0.1)
+            total, at = total.then(wheels.increment(at, after, 0.1)), after
+        return total
+
+    values = np.array([0.02, -0.03, 0.01, 0.05])
+    found = folded(values)
+    assert found.wheels is not None and found.wheels.values == Wheels.from_array(values)
+    for k in range(4):
+        step = 1e-5 * np.eye(4)[k]
+        slope = (folded(values + step).motion.array() - folded(values - step).motion.array()) / 2e-5
+        # The jump of a velocity is measured in the frame of the increment before: of the latency to first order.
+        assert np.allclose(slope, found.wheels.jacobian[:, k], atol=1e-6)
+    other = found.with_wheels(Wheels.from_array(values + 1e-4))
+    assert np.allclose(other.motion.array(), folded(values + 1e-4).motion.array(), atol=1e-6)
+
+
+def test_a_pose_that_is_old_at_its_stamp_lacks_the_motion_since():
+    late, now, wheels, latency = Pose(), Pose(), WheelOdometry(AssumedConfig()), 0.04
+    wheels.wheels, total = Wheels(latency_s=latency), STANDSTILL
+    for k in range(15):  # it still drives at the end
+        speed, speed_then = (0.5 * max(0.0, math.sin(0.1 * (k - lag))) for lag in (0.0, latency / 0.02))
+        now, before = now @ Pose(0.02 * speed), late
+        late = late @ Pose(0.02 * speed_then)
+        total = total.then(wheels.increment(before, late, 0.02))
+    assert abs(now.x - late.x) > 0.005
+    assert total.motion.x == pytest.approx(now.x, abs=1e-3)
+
+
+def test_composed_odometry_keeps_what_one_part_knows_of_the_wheels():
+    plain = Odometry(Pose(0.2, 0.0, 0.3), 1e-4 * np.eye(3))
+    motion, terms = corrected_with_terms(Pose(0.3, 0.0, 0.1), Wheels(0.01, 0.02), np.zeros(3))
+    known = Odometry(motion, 1e-4 * np.eye(3), terms)
+    for folded in (plain.then(known), known.then(plain)):
+        assert folded.wheels is not None and folded.wheels.values == terms.values
+    assert plain.then(plain).wheels is None

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import sixthsense as ss
+from sixthsense.config import ConfigError, preset
 from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.wheels import Wheels
 from sixthsense.evaluation.metrics import nees_band
@@ -41,3 +43,19 @@ def test_with_wheels_from_the_prior_pose_and_parameters_are_consistent(name):
     for values, freedom in ((of_pose, 3), (of_wheels, 4)):
         low, high = nees_band(runs, freedom, confidence=0.99)
         assert low < np.mean(values) < high
+
+
+@pytest.mark.parametrize("name", CALIBRATING)
+def test_a_run_with_worn_wheels_finds_their_errors_and_its_folder_keeps_them(name, tmp_path):
+    config = preset("worn", scene="rectangle", task="tour", max_time=25.0, estimator=name, calibrate_wheels=True)
+    run = ss.run(config, out=tmp_path / "run")
+    for key, true in (("forward_scale", 0.02), ("turn_scale", 0.02)):
+        found, sigma = run.metrics[f"wheel_{key}_error"], run.metrics[f"wheel_{key}_sigma"]
+        assert abs(found - true) < 3.5 * sigma and sigma < 0.03
+    assert np.array_equal(ss.load(tmp_path / "run").trace.wheels, run.trace.wheels)
+
+
+@pytest.mark.parametrize("fields", [{"estimator": "ekf"}, {"estimator": "isam2", "front_end": "scans"}])
+def test_the_option_is_refused_where_the_wheels_cannot_be_estimated(fields):
+    with pytest.raises(ConfigError, match="calibrate_wheels: found true with"):
+        preset("default", calibrate_wheels=True, **fields)
