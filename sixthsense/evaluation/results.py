@@ -27,6 +27,18 @@ class Quantity:
     """one short phrase"""
 
 
+_WHEELS = (
+    ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
+    ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
+    ("wheel_drift_rad_per_m", "rad/m", "turn that unequal wheels add per metre"),
+    ("wheel_latency_s", "s", "age of odometry at its stamp"),
+    ("wheel_forward_scale_sigma", "1", "standard deviation of the estimated wheel_forward_scale_error"),
+    ("wheel_turn_scale_sigma", "1", "standard deviation of the estimated wheel_turn_scale_error"),
+    ("wheel_drift_sigma_rad_per_m", "rad/m", "standard deviation of the estimated wheel_drift_rad_per_m"),
+    ("wheel_latency_sigma_s", "s", "standard deviation of the estimated wheel_latency_s"),
+)
+
+
 def _quantities() -> dict[str, Quantity]:
     rows = {
         "Outcome": [
@@ -59,16 +71,7 @@ def _quantities() -> dict[str, Quantity]:
             ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
             ("discarded_share", "1", "share of the sightings that the gates discarded"),
         ],
-        "Wheels": [
-            ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
-            ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
-            ("wheel_drift_rad_per_m", "rad/m", "turn that unequal wheels add per metre"),
-            ("wheel_latency_s", "s", "age of odometry at its stamp"),
-            ("wheel_forward_scale_sigma", "1", "standard deviation of the estimated wheel_forward_scale_error"),
-            ("wheel_turn_scale_sigma", "1", "standard deviation of the estimated wheel_turn_scale_error"),
-            ("wheel_drift_sigma_rad_per_m", "rad/m", "standard deviation of the estimated wheel_drift_rad_per_m"),
-            ("wheel_latency_sigma_s", "s", "standard deviation of the estimated wheel_latency_s"),
-        ],
+        "Wheels": list(_WHEELS),
         "Map and path": [
             ("landmarks", "1", "landmarks in the map at the end"),
             ("landmarks_culled", "1", "landmarks removed from the map"),
