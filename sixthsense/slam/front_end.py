@@ -53,15 +53,6 @@ class RevisitCounts(NamedTuple):
     """revisits taken back, since later scans contradicted them"""
 
 
-class Finished(NamedTuple):
-    """What a front end knows after the last tick."""
-
-    since_key: Array | None = None
-    """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
-    revisits: RevisitCounts | None = None
-    """None for a front end that does not search"""
-
-
 class FrontEnd(Protocol):
     """From ticks to what the estimator is given."""
 
@@ -79,6 +70,14 @@ class FrontEnd(Protocol):
         """Process a tick with its de-skewed scan and the motion since the tick before; its key scan, if it is one."""
         ...
 
-    def finish(self) -> Finished:
-        """Predict up to the last tick, and return what is known then."""
+    @property
+    def revisit_counts(self) -> RevisitCounts | None:
+        """What the search for old places has come to so far; None for a front end that does not search."""
+        ...
+
+    def finish(self) -> Array | None:
+        """Predict up to the last tick.
+
+        (S, 3) motion from the last key scan to each scan, if that is known better now than when the scan was taken.
+        """
         ...

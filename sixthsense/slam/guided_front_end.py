@@ -20,7 +20,7 @@ from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.features import Features
-from sixthsense.slam.front_end import Finished, Timed
+from sixthsense.slam.front_end import RevisitCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.front_end import ScanFrontEnd
 
@@ -42,10 +42,10 @@ class GuidedFrontEnd(LandmarkFrontEnd):
         self._guide = ScanFrontEnd(config, ISAM2(start, np.zeros((3, 3)), config.isam2), start, timed)
         self._proposed = ProposedLandmarks()
 
-    def finish(self) -> Finished:
-        """Predict up to the last tick."""
-        super().finish()
-        return Finished(None, self._guide.revisits.counts)
+    @property
+    def revisit_counts(self) -> RevisitCounts | None:
+        """What the aligned scans' search for old places has come to so far."""
+        return self._guide.revisit_counts
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         key_scan = self._guide.take(tick, scan, increment)

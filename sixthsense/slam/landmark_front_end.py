@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association, Associator
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
-from sixthsense.slam.front_end import Finished, KeyScan, Timed
+from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
 from sixthsense.slam.key_scans import KeyScans
 
 
@@ -62,10 +62,15 @@ class LandmarkFrontEnd:
         self._pose = estimate.pose
         return KeyScan(motion, estimate, association, features)
 
-    def finish(self) -> Finished:
+    @property
+    def revisit_counts(self) -> RevisitCounts | None:
+        """None: old places are found by their landmarks alone."""
+        return None
+
+    def finish(self) -> Array | None:
         """Predict up to the last tick."""
         self._estimator.predict(self._key_scans.take())
-        return Finished()
+        return None
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         """The motion since the last key scan, if this tick's evidence is used."""

@@ -174,6 +174,11 @@ class Slam:
         return self._front_end.pose
 
     @property
+    def revisits(self) -> RevisitCounts | None:
+        """What the search for old places has come to so far; None for a front end that does not search."""
+        return self._front_end.revisit_counts
+
+    @property
     def grid(self) -> Grid:
         """The map."""
         return self._mapper.grid
@@ -193,7 +198,7 @@ class Slam:
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
-            finished = self._front_end.finish()
+            since_key = self._front_end.finish()
             estimate = self.estimate()
             trajectory = self.trajectory()
             self._mapper.complete(trajectory)
@@ -205,8 +210,8 @@ class Slam:
                 self.associator.culled,
                 self.associator.walls_merged,
                 self._mapper.rebuilds,
-                finished.since_key,
-                finished.revisits,
+                since_key,
+                self.revisits,
                 self.wheels(),
             )
         return self._result

@@ -16,7 +16,7 @@ from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
-from sixthsense.slam.front_end import Finished, KeyScan, Timed
+from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
@@ -104,13 +104,17 @@ class ScanFrontEnd:
         association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
         return KeyScan(motion, estimate, association, None)
 
-    def finish(self) -> Finished:
+    @property
+    def revisit_counts(self) -> RevisitCounts | None:
+        """What the search for old places has come to so far; None where it is switched off."""
+        return self.revisits.counts if self._config.scans.revisits else None
+
+    def finish(self) -> Array | None:
         """Predict up to the last tick, and align the scans between key scans once more."""
         self._estimator.predict(self._since)
-        revisits = self.revisits.counts if self._config.scans.revisits else None
         if not self._config.scans.final_pass:
-            return Finished(None, revisits)
-        return Finished(refined(self._store, self._graph.poses, self._scans, self._mount), revisits)
+            return None
+        return refined(self._store, self._graph.poses, self._scans, self._mount)
 
     @property
     def newest(self) -> int:
