@@ -74,7 +74,7 @@ def run(
             raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
         config = _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
     config = with_task(config, given)
-    loaded = load_scene(config.scene)
+    loaded = load_scene(config.scene, config.map_unknown)
     mission(loaded, config)
     with reserved(out, config, overwrite) as folder:
         return simulate(config, loaded, folder, _watch(on_tick, progress))
@@ -178,16 +178,18 @@ def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:
 
 
 def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Config:
-    """Complete the configuration from the `given` fields: a goal sets the task "goal", a scene file becomes absolute.
+    """Complete the configuration from the `given` fields: a goal or a tour sets the task, a scene file gets absolute.
 
     The absolute path makes the run repeatable from any working folder. `prefix` precedes the fields' names in messages.
-    Raises ConfigError for a goal with another task.
+    Raises ConfigError for a goal or a tour with another task.
     """
-    if given.get("goal") is not None:
-        if given.get("task", "goal") != "goal":
-            allowed = f"allowed: with {prefix}task goal"
-            raise ConfigError(f"{prefix}goal: found with {prefix}task {_text(given['task'])}, {allowed}")
-        config = dataclasses.replace(config, task="goal")
+    for task in ("goal", "tour"):
+        if given.get(task) is None:
+            continue
+        if given.get("task", task) != task:
+            allowed = f"allowed: with {prefix}task {task}"
+            raise ConfigError(f"{prefix}{task}: found with {prefix}task {_text(given['task'])}, {allowed}")
+        config = merge(config, {"task": task})
     if Path(config.scene).suffix:
         config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
     return config

@@ -54,7 +54,7 @@ def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = Non
     `scene` is that scene where it is loaded already; `on_tick` is called after every tick with it and the trace so far.
     Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal.
     """
-    scene = scene or load_scene(config.scene)
+    scene = scene or load_scene(config.scene, config.map_unknown)
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
     source = World(scene.walls, start, radius_m, config, streams.world)
@@ -88,7 +88,8 @@ def recorded_drive(
             watchers: list[Watcher] = [recorder]
             if on_tick is not None:
                 watchers.append(lambda tick, step, command: on_tick(tick, trace))
-            watchers.append(_Deadline(config.max_time, navigator.timeout_outcome))
+            if config.max_time is not None:
+                watchers.append(_Deadline(config.max_time, navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
             outcome = drive(source, slam, pilot, watchers, clock)
         recorder.finish(outcome)

@@ -57,7 +57,7 @@ class Campaign:
         bases = [merge(preset(name), self.fields, "--") for name in self.presets]
         found = []
         for scene in self.scenes:
-            loaded = load_scene(scene)
+            loaded = load_scene(scene, bases[0].map_unknown)
             for base in bases:
                 at_scene = dataclasses.replace(base, scene=scene)
                 mission(loaded, at_scene)

@@ -129,15 +129,26 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         return flag, _BOOLEANS[text.lower()]
     is_tuple = typing.get_origin(hint) is tuple
     kinds = typing.get_args(hint) if is_tuple else (hint,)
+    is_list = kinds[-1] is Ellipsis
     texts = [text] if equals else []
-    while stack and len(texts) < len(kinds) and not stack[-1].startswith("--"):
+    while stack and (is_list or len(texts) < len(kinds)) and not stack[-1].startswith("--"):
         texts.append(stack.pop())
         if optional and texts == ["None"]:
             return flag, None
+    if is_list:
+        return flag, _rows(flag, typing.get_args(kinds[0]), texts)
     if not texts:
         raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
     values = [_convert(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
     return flag, values if is_tuple else values[0]
+
+
+def _rows(flag: str, kinds: tuple[Any, ...], texts: list[str]) -> list[list[Any]]:
+    """The texts in rows of `kinds`; UsageError for none, and for a row that is cut off."""
+    if not texts or len(texts) % len(kinds):
+        raise UsageError(f"{flag}: found {len(texts) or 'no'} values, allowed: {len(kinds)} of each entry")
+    rows = [texts[k : k + len(kinds)] for k in range(0, len(texts), len(kinds))]
+    return [[_convert(flag, kind, text) for kind, text in zip(kinds, row, strict=True)] for row in rows]
 
 
 def _suggestions(flag: str, hints: Mapping[str, Any]) -> list[str]:

@@ -42,7 +42,7 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.scene import load_scene
 
     config = with_task(config, flags, "--")
-    scene = load_scene(config.scene)
+    scene = load_scene(config.scene, config.map_unknown)
     mission(scene, config)
     with (
         run_folder(options, config, f"{scene.name}-{config.estimator}") as folder,

@@ -68,7 +68,6 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2, "proposed_by": "scans"},
         "grid": {"no_return_passes": False},
-        "max_time": 1e6,
     },
     # Set 6, robot 3 of UTIAS MRCLAM, all measured against Vicon. The wheels' noise is large because errors of records
     # 10 ms apart are correlated over seconds. The camera: root mean squares of depth and bearing, including the depth's
@@ -87,10 +86,9 @@ PRESETS: dict[str, dict[str, Any]] = {
         },
         "association": {"culling": False, "known_probability": 0.999999},
         "isam2": {"undo_probability": 1.0},
-        "max_time": 1e6,
     },
     # A graph states its own noise and matches, and its stamps of one second per pose are not real time.
-    "victoria": {"association": {"culling": False}, "isam2": {"undo_probability": 1.0}, "max_time": 1e6},
+    "victoria": {"association": {"culling": False}, "isam2": {"undo_probability": 1.0}},
 }  # fmt: skip
 
 

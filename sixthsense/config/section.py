@@ -111,6 +111,10 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         return None if value is None else _checked(name, inner, value)
     if origin is tuple:
         args = typing.get_args(hint)
+        if args[-1] is Ellipsis:
+            if not isinstance(value, (tuple, list)) or not value:
+                raise ConfigError(f"{name}: found {shown(value)}, allowed: a list")
+            return tuple(_checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
             raise ConfigError(f"{name}: found {shown(value)}, allowed: {len(args)} numbers")
         return tuple(_checked(name, a, v) for a, v in zip(args, value, strict=True))

@@ -44,18 +44,22 @@ class Config(Section):
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
-    """explore: see all of the region, then drive home; goal: drive to a goal; tour: repeat the scene's list of goals
-    until max-time."""
+    """explore: see all of the region, then drive home; goal: drive to a goal; tour: drive to a list of goals, again and
+    again until max-time, or once without it."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
+    tour: tuple[tuple[float, float], ...] | None = None
+    """x y of one goal after another, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None
     """x y theta, world frame, m and rad; none: the scene's."""
     region: tuple[float, float, float, float] | None = None
     """x0 y0 x1 y1 of the region of interest, m; none: the scene's."""
     seed: Count = 0
     """Of all randomness."""
-    max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] = 1800.0
-    """Simulated time after which the run ends, s."""
+    max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] | None = None
+    """Time of the source after which the run ends, s; none: when the task is over."""
+    map_unknown: Literal["wall", "free"] = "wall"
+    """What the unknown cells of a map_server map are: wall, or free and transparent."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)

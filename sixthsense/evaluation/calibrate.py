@@ -95,7 +95,7 @@ def drive_samples(
     The truth is used to avoid collisions: a command that leads too close to a wall is drawn again, or replaced by a
     turn on the spot. After a collision the robot restarts at its start.
     """
-    scene = load_scene(config.scene)
+    scene = load_scene(config.scene, config.map_unknown)
     start = Pose(*config.start) if config.start is not None else scene.start
     start = check_placement(scene, start, None, config.region, config.robot.radius)
     radius_m = config.robot.radius or scene.radius

@@ -39,4 +39,4 @@ def make_navigator(
     planner = make_planner(config.planner, config.rrtstar, planner_rng)
     if config.task == "explore":
         return ExplorationNavigator(start, region, radius_m, planner, follower, config, exploration_rng)
-    return GoalNavigator(goals, config.task == "tour", planner, follower, config)
+    return GoalNavigator(goals, planner, follower, config)

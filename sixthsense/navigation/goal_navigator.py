@@ -21,14 +21,17 @@ from sixthsense.slam.mapping.grid import Grid
 
 
 class GoalNavigator:
-    """Drives to goals in turn, once or as a tour that starts over after the last."""
+    """Drives to goals in turn: once, or again and again until the time is up on a tour that has a limit."""
 
-    def __init__(self, goals: Array, is_tour: bool, planner: Planner, follower: Follower, config: Config) -> None:
+    def __init__(self, goals: Array, planner: Planner, follower: Follower, config: Config) -> None:
         """Head for `goals` (N, 2), world frame, in turn."""
+        is_tour = config.task == "tour"
         self.timeout_outcome = "tour ended" if is_tour else "out of time"
         self.left: list[UnseenPlace] = []
         self._paths = PathPlanner(planner, config)
-        self._goals: Iterator[Array] = itertools.cycle(goals) if is_tour else iter(goals)
+        self._last_outcome: Outcome = "tour ended" if is_tour else "goal reached"
+        repeats = is_tour and config.max_time is not None
+        self._goals: Iterator[Array] = itertools.cycle(goals) if repeats else iter(goals)
         self._first_goal = next(self._goals)
         self._follower = follower
         self._config = config
@@ -64,7 +67,7 @@ class GoalNavigator:
         map_ = DrivingMap(grid, free_space, margin_m(estimate.pose_cov, self._config))
         if self._drive is None:
             driver = PathDriver(map_, pose, self._first_goal, self._paths, self._follower, self._config)
-            self._drive = _GoalDrive(self._goals, driver)
+            self._drive = _GoalDrive(self._goals, self._last_outcome, driver)
         else:
             self._drive.driver.update_map(map_, pose)
         if not self._drive.driver.path_is_free(pose):
@@ -83,8 +86,10 @@ class GoalNavigator:
 class _GoalDrive:
     """A drive that has a map: which goal comes next, and when it is over."""
 
-    def __init__(self, goals: Iterator[Array], driver: PathDriver) -> None:
+    def __init__(self, goals: Iterator[Array], last_outcome: Outcome, driver: PathDriver) -> None:
+        """Drive to `goals`; the outcome at the last one is `last_outcome`."""
         self.outcome: Outcome | None = None
+        self._last_outcome = last_outcome
         self.driver = driver
         self._goals = goals
 
@@ -93,7 +98,7 @@ class _GoalDrive:
         if event == "arrived":
             goal = next(self._goals, None)
             if goal is None:
-                self.outcome = "goal reached"
+                self.outcome = self._last_outcome
             else:
                 self.driver.head_for(goal, pose)
         else:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
 _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far"
+_ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
 
 
 def each(*hooks: OnTick) -> OnTick:
@@ -45,10 +46,11 @@ class Progress:
     """
 
     def __init__(
-        self, label: str, total_s: float, realtime: bool = False, shown: bool | None = None, area: bool = False
+        self, label: str, total_s: float | None, realtime: bool = False, shown: bool | None = None, area: bool = False
     ) -> None:
-        """Make a bar for `total_s` seconds of the source; `shown` is by default whether the output is interactive.
+        """Make a bar for `total_s` seconds of the source, or without an end for None.
 
+        `shown` is by default whether the output is interactive.
         `area` is for runs whose map is read at every key scan anyway: in a replay it would be drawn for the bar alone.
         TQDM_DISABLE=1 in the environment hides all bars.
         """
@@ -64,7 +66,8 @@ class Progress:
         self._area_updated = 0.0
 
     def __enter__(self) -> Progress:
-        self._bar = _bar(self._is_shown, total=self._total_s, desc=self._label, leave=False, bar_format=_BAR_FORMAT)
+        bar_format = _ENDLESS_FORMAT if self._total_s is None else _BAR_FORMAT
+        self._bar = _bar(self._is_shown, total=self._total_s, desc=self._label, leave=False, bar_format=bar_format)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sixthsense.config import Config
+from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.figures.run import Run
 from sixthsense.running.progress import Progress, each
 
@@ -60,7 +61,7 @@ def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | Non
     from sixthsense import loop
     from sixthsense.sources.scene import load_scene
 
-    there = scene or load_scene(config.scene)
+    there = scene or load_scene(config.scene, config.map_unknown)
     bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, area=True)
     return _watched(lambda hook: loop.run(config, hook, there), there.name, config, bar, folder, watch)
 
@@ -100,7 +101,8 @@ def _watched(
     trace.name = name
     run = Run(name, trace, folder=None if folder is None else folder.out)
     if folder is not None:
-        _keep(folder, run)
+        with deferred_interrupt():  # a Ctrl-C after the run's end does not lose what it has found
+            _keep(folder, run)
     return run
 
 

@@ -20,17 +20,17 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     goal = config.goal if config.goal is not None else scene.goal
     if config.task == "goal" and goal is None:
         raise SceneError(f"goal: missing, the scene {scene.name} has none of its own, allowed: x y")
-    if config.task == "tour" and not scene.tour:
-        raise SceneError(
-            f"task: found 'tour', but the scene {scene.name} lists no goals for one, allowed: explore, goal"
-        )
+    tour = (config.tour or scene.tour) if config.task == "tour" else ()
+    if config.task == "tour" and not tour:
+        raise SceneError(f"tour: missing, the scene {scene.name} has none of its own, allowed: x y x y ...")
+    if config.task != "tour" and config.tour is not None:
+        raise SceneError(f"tour: found {len(config.tour)} goals with task {config.task}, allowed: with task tour")
     if config.task == "explore" and config.goal is not None:
         raise SceneError(
             f"goal: found ({config.goal[0]:g}, {config.goal[1]:g}) with task explore, allowed: with task goal"
         )
     if config.task != "goal":
         goal = None
-    tour = scene.tour if config.task == "tour" else ()
     start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     return start, goals, config.robot.radius or scene.radius

@@ -43,7 +43,7 @@ def recorded_scene(log: Log, config: Config) -> Scene | None:
     if log.ticks[0].truth is None or not log.scans:
         return None
     try:
-        return load_scene(config.scene)
+        return load_scene(config.scene, config.map_unknown)
     except SceneError:
         return None  # the record outlives the file
 

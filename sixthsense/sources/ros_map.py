@@ -6,7 +6,7 @@ import itertools
 import math
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numba
 import numpy as np
@@ -33,16 +33,14 @@ _DEVIATION_COST = 3.0
 _LOOK_AHEAD = 2000
 
 
-def read_map(file: Path) -> Array:
+def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
     """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left.
 
-    Cells whose occupancy is above `occupied_thresh` are solid; the pixel's value is the mean over the image's
-    channels, alpha included in mode trinary, as in map_server. Raises SceneError, without the map file's name, for
-    a field that is missing, unknown or not allowed, and for an image that is missing, damaged, huge or entirely free.
-
-    Unknown cells are not solid. A map whose walls are too faint to count as occupied (such as Willow Garage's at
-    0.1 m) can be read with an `occupied_thresh` of 0.196, which makes its unknown grey (205) solid; its outline is then
-    open only where free space reaches the border of the image.
+    Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a
+    scanned wall; with `unknown` free, cells whose occupancy is above `occupied_thresh` alone. The pixel's value is the
+    mean over the image's channels, alpha included in mode trinary, as in map_server. Raises SceneError, without the map
+    file's name, for a field that is missing, unknown or not allowed, and for an image that is missing, damaged, huge,
+    entirely free or entirely solid.
     """
     table = _read_yaml(file)
     check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
@@ -60,7 +58,9 @@ def read_map(file: Path) -> Array:
     if negate not in ("0", "1", "false", "true"):
         raise SceneError(f"negate: found {shown(table['negate'])}, allowed: 0 or 1")
     occupied_threshold = _fraction("occupied_thresh", table["occupied_thresh"])
-    _fraction("free_thresh", table["free_thresh"])
+    free_threshold = _fraction("free_thresh", table["free_thresh"])
+    if free_threshold > occupied_threshold:
+        raise SceneError(f"free_thresh: found {free_threshold:g}, allowed: at most occupied_thresh")
     mode = table.get("mode", "trinary")
     if mode not in ("trinary", "scale"):
         raise SceneError(f"mode: found {shown(mode)}, allowed: trinary, scale")
@@ -70,9 +70,11 @@ def read_map(file: Path) -> Array:
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # mean of each sum, 0 black to 1 white
     occupancy = shade if negate in ("1", "true") else 1.0 - shade
-    occupied = (occupancy > occupied_threshold)[total]
+    occupied = (occupancy > occupied_threshold if unknown == "free" else occupancy >= free_threshold)[total]
     if not occupied.any():
         raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
+    if occupied.all():
+        raise SceneError(f"{image}: found no free pixel, allowed: at least one below free_thresh")
     loops = [simplify(loop) for loop in outlines(occupied[::-1])]  # the image's first row is the map's top
     corners_map = np.concatenate(loops) * resolution
     ends_map = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops]) * resolution

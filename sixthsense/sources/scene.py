@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -76,8 +77,10 @@ def shipped_scenes() -> dict[str, Path]:
     return {} if folder is None else {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
-def load_scene(name_or_file: str | Path) -> Scene:
+def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = "wall") -> Scene:
     """Read a shipped scene by its name, or a `.toml`, map_server `.yaml` or report `.scn` file.
+
+    `map_unknown` is what the unknown cells of a map_server map are.
 
     Raises SceneError, one line, for an unknown name (with the known ones), and for a field that is missing, misspelt,
     not finite, or places the robot in a wall or outside the region.
@@ -97,7 +100,7 @@ def load_scene(name_or_file: str | Path) -> Scene:
             return _from_scn(path)
         from sixthsense.sources.ros_map import read_map
 
-        walls = read_map(path)
+        walls = read_map(path, map_unknown)
         return Scene(path.stem, walls, None, DEFAULT_ROBOT_RADIUS_M, None, (), _bounds(walls), solid_left=True)
     except SceneError as error:
         raise SceneError(f"{path}: {error}") from None

@@ -157,7 +157,7 @@ def test_what_a_card_says_is_escaped(run):
 
 def test_runs_are_compared_under_what_tells_them_apart(run, other):
     both = ss.compare([run, other])
-    assert both.names == ["ekf-invariant · explore · max_time 1800.0", "isam2 · tour · max_time 10.0"]
+    assert both.names == ["ekf-invariant · explore · max_time None", "isam2 · tour · max_time 10.0"]
     assert ss.compare([run, run]).names == ["rectangle (1)", "rectangle (2)"]
     assert ss.compare({"one": run, "two": other}).names == ["one", "two"]
     assert [one.trace for one in both] == [run.trace, other.trace] and len(both) == 2

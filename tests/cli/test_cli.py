@@ -172,7 +172,13 @@ def test_a_bad_scene_file_ends_in_one_line(here: Path, capsys: pytest.CaptureFix
 def test_a_scene_without_goals_names_the_tasks_that_are_left(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (here / "room.toml").write_text(CLOSET.replace("goal = [1.4, 1.4]\n", ""))
     said = complaint(["run", "room.toml", "--task", "tour"], capsys, here)
-    assert said == "task: found 'tour', but the scene room lists no goals for one, allowed: explore, goal"
+    assert said == "tour: missing, the scene room has none of its own, allowed: x y x y ..."
+    said = complaint(["run", "room.toml", "--task", "explore", "--tour", "1", "1"], capsys, here)
+    assert said == "--tour: found with --task explore, allowed: with --task tour"
+    said = complaint(["run", "room.toml", "--tour", "1", "1", "0.5"], capsys, here)
+    assert said == "--tour: found 3 values, allowed: 2 of each entry"
+    said = complaint(["run", "room.toml", "--tour", "0.7", "0.7", "9", "0.5"], capsys, here)
+    assert "tour, entry 2" in said
     said = complaint(["run", "room.toml", "--task", "goal"], capsys, here)
     assert said == "goal: missing, the scene room has none of its own, allowed: x y"
 

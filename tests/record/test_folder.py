@@ -136,7 +136,7 @@ def test_the_landmarks_table_tells_the_same_as_the_arrays(out: Path) -> None:
 
 def test_the_map_is_read_back_with_walls_near_the_true_ones(out: Path, trace: Trace) -> None:
     assert trace.scene is not None
-    walls = read_map(out / "map.yaml")
+    walls = read_map(out / "map.yaml", unknown="free")
     middles = walls.mean(axis=1)
     off = np.array([point_segment_distance(point, trace.scene.walls).min() for point in middles])
     assert off.max() < 0.12
@@ -159,7 +159,7 @@ def test_a_map_keeps_its_cells_and_their_place(seed: int, tmp_path: Path) -> Non
     assert np.array_equal(image == 0, part == 100)
     assert np.array_equal(image == 254, part == 0)
     assert np.array_equal(image == 205, part == -1)
-    corners = read_map(tmp_path / "map.yaml").reshape(-1, 2)
+    corners = read_map(tmp_path / "map.yaml", unknown="free").reshape(-1, 2)
     assert np.all((corners - (-3.0, 2.0)) / 0.25 == np.round((corners - (-3.0, 2.0)) / 0.25))
     solid = np.argwhere(occupancy == 100)
     assert corners.min(axis=0) == pytest.approx(solid.min(axis=0)[::-1] * 0.5 + (-3.0, 2.0))

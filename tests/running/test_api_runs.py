@@ -11,6 +11,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.core import interrupt
+from sixthsense.evaluation.measure import measure
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -134,6 +135,26 @@ def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tm
     assert len(run.trace.stamps_ns) == 20
     assert run.plot().png()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["outcome"] == "interrupted"
+
+
+def test_a_ctrl_c_after_the_end_does_not_lose_what_a_run_has_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(interrupt, "_last_s", -np.inf)
+
+    def measured(trace):
+        os.kill(os.getpid(), signal.SIGINT)
+        return measure(trace)
+
+    monkeypatch.setattr("sixthsense.evaluation.measured_run.measure", measured)
+    run = ss.run("rectangle", task="tour", max_time=3.0, out=tmp_path / "whole")
+    assert json.loads((tmp_path / "whole" / "metrics.json").read_text())["outcome"] == run.outcome == "tour ended"
+
+
+def test_a_tour_of_given_goals_is_driven_once_unless_its_time_is_limited():
+    goals = ((0.5, 0.5), (1.0, 0.5))
+    once = ss.run("rectangle", tour=goals)
+    assert once.outcome == "tour ended" and np.hypot(*(once.trace.truths[-1][:2] - goals[-1])) < 0.1
+    again = ss.run("rectangle", tour=goals, max_time=once.metrics["sim_time_s"] + 5.0)
+    assert again.outcome == "tour ended" and again.metrics["path_length_m"] > once.metrics["path_length_m"]
 
 
 class Renamed(EKF):

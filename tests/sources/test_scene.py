@@ -464,6 +464,17 @@ def test_the_solid_is_on_the_left_of_the_walls_of_a_map(tmp_path: Path) -> None:
     assert len(walls) == 8 and 0.5 * (x * v - u * y).sum() == pytest.approx(4.0 - 1.0)
 
 
+def test_unknown_cells_are_walls_unless_they_are_said_to_be_free(tmp_path: Path) -> None:
+    pixels = np.full((30, 30), 205)
+    pixels[5:25, 5:25] = 254
+    pixels[5, 5:25] = 0  # one wall of four was seen
+    file = write_map(tmp_path, pixels, resolution="0.1")
+    assert load_scene(file).region == pytest.approx((0.0, 0.0, 3.0, 3.0))
+    inside = cast_rays(Pose(1.5, 1.5), np.linspace(-3.1, 3.1, 50), load_scene(file).walls, 10.0)
+    assert inside.max() < 1.5
+    assert load_scene(file, "free").region == pytest.approx((0.5, 2.4, 2.5, 2.5))
+
+
 def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     grey = rng.choice(np.array([0, 60, 120, 205, 254], np.uint8), (20, 30))
@@ -488,15 +499,17 @@ def test_alpha_is_averaged_in_trinary_maps_but_not_in_scale_maps(tmp_path: Path)
     pixels = np.full((3, 3, 4), 255)
     pixels[1, 1] = [0, 0, 0, 255]  # the mean with alpha is 64: occupancy 0.75
     assert len(load_scene(write_map(tmp_path, pixels)).walls) == 4
-    assert "no occupied pixel" in fails(write_map(tmp_path, pixels, occupied_thresh="0.8"))
-    assert len(load_scene(write_map(tmp_path, pixels, occupied_thresh="0.8", mode="scale")).walls) == 4
+    assert "no occupied pixel" in fails(write_map(tmp_path, pixels, occupied_thresh="0.8", free_thresh="0.8"))
+    scale = write_map(tmp_path, pixels, occupied_thresh="0.8", free_thresh="0.8", mode="scale")
+    assert len(load_scene(scale).walls) == 4
 
 
 def test_a_cell_exactly_at_the_threshold_is_not_occupied(tmp_path: Path) -> None:
     pixels = np.full((2, 2), 255)
     pixels[0, 0] = 51  # occupancy 0.8
-    assert "no occupied pixel" in fails(write_map(tmp_path, pixels, occupied_thresh="0.8"))
-    assert len(load_scene(write_map(tmp_path, pixels, occupied_thresh="0.7999")).walls) == 4
+    with pytest.raises(SceneError, match="no occupied pixel"):
+        load_scene(write_map(tmp_path, pixels, occupied_thresh="0.8"), "free")
+    assert len(load_scene(write_map(tmp_path, pixels, occupied_thresh="0.7999"), "free").walls) == 4
 
 
 @pytest.mark.parametrize(
