@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.driving_limits import DrivingLimits, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.gridsearch import Costs, cell_before_gap, far_from, geodesic_distances
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Region, Target
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
@@ -31,6 +31,8 @@ from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+_LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
+_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
 
 
@@ -139,9 +141,12 @@ class Exploration:
         return self.state
 
     def _replan_or_choose_view(self, pose: Pose) -> State:
-        """Without a path, choose anew: the cells seen on the way may favour another viewpoint."""
+        """Without a path, or with a much longer one, choose anew: what was seen on the way may favour another view."""
+        promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
-        return self.state if self.driver.following else self._choose_view(pose)
+        if self.driver.remaining_m(pose) <= _LONGER * promised_m < math.inf:
+            return self.state
+        return self._choose_view(pose)
 
     def _turn_around(self, pose: Pose) -> State:
         self.driver.turn_around(pose, self._task.sensor.turn_rad)
@@ -259,7 +264,7 @@ class Exploration:
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         def free_space(margin_m: float, places: Array) -> FreeSpace:
             space = grid.free_space(*places, margin_m=margin_m)
-            blocked = self._limits().blocked(space)
+            blocked = self._limits().blocked(space) | far_from(space.seen, round(_UNKNOWN_M / space.cell_m))
             if self._retracing and margin_m == 0.0:
                 blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
             return replace(space, blocked=blocked)

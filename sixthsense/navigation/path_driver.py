@@ -117,6 +117,13 @@ class PathDriver:
         """Whether there is a path and the rest of it is free."""
         return self.following and path_is_free(self.space, self._follower.remaining(pose))
 
+    def remaining_m(self, pose: Pose) -> float:
+        """Length of the rest of the path; infinite without one."""
+        if not self.following:
+            return math.inf
+        steps = np.diff(self._follower.remaining(pose), axis=0)
+        return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
+
     def stop(self) -> None:
         """Drop the path, and end a turn."""
         self.following, self._turn = False, None

@@ -8,9 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import ndimage
 
-from sixthsense.navigation.frontier import centre_cell, frontier_cells
+from sixthsense.navigation.frontier import Cells, centre_cell, frontier_cells, frontier_clusters
 from sixthsense.navigation.view_planner import ViewPlanner
-from sixthsense.navigation.visibility import nearest_viewpoint
+from sixthsense.navigation.visibility import nearest_viewpoint, visible_cells
+from sixthsense.slam.mapping.freespace import Bools
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
@@ -26,7 +27,7 @@ class UnseenPlace:
     y: float
     """world frame, metres"""
     area_m2: float
-    """area that was not seen there, according to the map"""
+    """area there that was not seen and would be visible from the cells that were, according to the map"""
     reason: Reason
     """cut off by inflation only: the robot would fit through without the clearance; unreachable: it would not fit;
     gave up: the robot looked at it from its viewpoints and did not see it"""
@@ -56,10 +57,10 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
         beside = np.argwhere(edge & frontier_cells(edge, labels == label))
         row, col = centre_cell(beside)
         reason: Reason = "unreachable"
-        area = np.count_nonzero(labels == label)
+        area = _visible_area(planner, beside, labels == label)
         if nearest_viewpoint(planner.cost, window.obstacles, row, col, reach) >= 0:
             reason = "gave up"
-            area = np.count_nonzero(given_up & (labels == label))
+            area = int(np.count_nonzero(given_up & (labels == label)))
         elif nearest_viewpoint(without_clearance, window.obstacles, row, col, reach) >= 0:
             reason = "cut off by inflation only"
         x, y = window.point(row, col)
@@ -69,3 +70,16 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     if small > _SMALL_PLACES_FRACTION * np.count_nonzero(window.seen) * window.cell_m**2:
         return places
     return [place for place in places if place.area_m2 >= explore.least_area_m2]
+
+
+def _visible_area(planner: ViewPlanner, beside: Cells, unseen: Bools) -> int:
+    """How many of the `unseen` cells (H, W) are visible from the cells (N, 2) beside them.
+
+    The inside of a wall is unseen, too, and a hole in its face connects it to all other walls' insides.
+    """
+    window, visible = planner.window, np.zeros_like(unseen)
+    edge = np.zeros_like(unseen)
+    edge[tuple(beside.T)] = True
+    for cells in frontier_clusters(edge, planner.tile):
+        visible |= visible_cells(window.obstacles, unseen, *centre_cell(cells), planner.sensor.reach)
+    return int(np.count_nonzero(visible))

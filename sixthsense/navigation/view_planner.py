@@ -23,13 +23,14 @@ from sixthsense.navigation.frontier import (
     frontier_cells,
     frontier_clusters,
 )
-from sixthsense.navigation.gridsearch import Costs, cell_before_gap, connected_mask, geodesic_distances
+from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
 from sixthsense.navigation.map_window import UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
 from sixthsense.slam.mapping.freespace import Bools
 
 _TILE_M = 1.0  # longer frontiers are split
 _GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
+_GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
 _MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
 
 
@@ -104,16 +105,29 @@ class ViewPlanner:
         return target or self.nearest_occluded(candidates)
 
     def candidates(self, outside_m: float, widened: bool) -> Candidates:
-        """What may be looked at: unseen cells that were not given up, beside free cells connected to the robot."""
+        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
         window, explore = self.window, self.config.explore
         few = self.failed_views < explore.tries
         # Cells that were looked at and not seen are no reason to drive farther outside.
         sought = window.unseen & (few | (self.failed_views == UNREACHABLE)) if widened else window.unseen
         iterations = max(1, round(outside_m / window.cell_m))
         wanted = ndimage.binary_dilation(sought, iterations=iterations, mask=window.unknown) & few
-        edge = frontier_cells(connected_mask(window.free, *window.cell(self.pose.position)), wanted)
+        edge = frontier_cells(self._open_cells(), wanted)
         wanted, edge = drop_small_regions(wanted, edge, explore.dust * np.count_nonzero(window.seen))
-        return Candidates(wanted, frontier_clusters(edge, self._tile))
+        return Candidates(wanted, frontier_clusters(edge, self.tile))
+
+    def _open_cells(self) -> Bools:
+        """(H, W) free cells connected to the robot, and places that were glimpsed.
+
+        A room that was seen through a door which the map has closed since, after an error of the pose perhaps, is none
+        that nobody need look at.
+        """
+        window = self.window
+        labels, count = ndimage.label(window.free)
+        kept = np.bincount(labels.ravel(), minlength=count + 1) * window.cell_m**2 >= _GLIMPSED_M2
+        kept[labels[window.cell(self.pose.position)]] = True
+        kept[0] = False
+        return np.asarray(kept[labels])
 
     def best(self, candidates: Candidates) -> Target | None:
         """The visible target with the largest gain per time; None if no cluster is visible from a reachable cell."""
@@ -200,7 +214,7 @@ class ViewPlanner:
         unreachable = window.unseen & (self.failed_views == UNREACHABLE)
         labels, _ = ndimage.label(unreachable)
         visible: set[int] = set()
-        for cells in frontier_clusters(frontier_cells(window.free, unreachable), self._tile):
+        for cells in frontier_clusters(frontier_cells(window.free, unreachable), self.tile):
             if nearest_viewpoint(self.cost, window.obstacles, *centre_cell(cells), self.sensor.reach) >= 0:
                 visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
         return np.isin(labels, list(visible))
@@ -210,7 +224,8 @@ class ViewPlanner:
         return distances_without_clearance(self.window, self.pose, self.radius_m)
 
     @property
-    def _tile(self) -> int:
+    def tile(self) -> int:
+        """Side of the squares that frontiers are split into, cells."""
         return max(1, round(_TILE_M / self.window.cell_m))
 
 

@@ -4,12 +4,13 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.ndimage import label
 from test_planners import WORLDS
 
 from sixthsense.navigation.gridsearch import (
     cell_before_gap,
-    connected_mask,
+    far_from,
     geodesic_distances,
     path_to_nearest,
     reachable_cells,
@@ -77,14 +78,6 @@ def test_reachable_cells_are_the_connected_ones(world, seed: int) -> None:
     cells = reachable_cells(blocked, row, col)
     assert cells[0] == row * blocked.shape[1] + col
     assert np.array_equal(np.sort(cells), np.flatnonzero(rooms == rooms[row, col]))
-    assert np.array_equal(np.flatnonzero(connected_mask(~blocked, row, col)), np.sort(cells))
-
-
-def test_cells_behind_a_wall_are_not_connected() -> None:
-    free = np.ones((5, 9), dtype=np.bool_)
-    free[:, 4] = False
-    assert connected_mask(free, 0, 0).sum() == 20
-    assert connected_mask(free, 2, 4).sum() == 0
 
 
 def test_the_cell_before_a_gap_is_the_last_reachable_one_on_the_path_through_it() -> None:
@@ -101,3 +94,12 @@ def test_the_cell_before_a_gap_is_the_last_reachable_one_on_the_path_through_it(
     assert np.isfinite(cost[row, col]) and math.hypot(row - 2, col - 6) < 3.0
     assert cell_before_gap(cost, without_clearance, 5, 2) is None  # reached by both
     assert cell_before_gap(cost, cost, 7, 10) is None  # reached by neither
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("reach", [0, 1, 4])
+def test_far_cells_are_beyond_a_square_around_every_marked_one(seed: int, reach: int) -> None:
+    rng = np.random.default_rng(seed)
+    marked = rng.random((int(rng.integers(1, 30)), int(rng.integers(1, 40)))) < rng.choice([0.0, 0.01, 0.2])
+    near = ndimage.maximum_filter(marked, size=2 * reach + 1, mode="constant", cval=False)
+    assert np.array_equal(far_from(marked, reach), ~near)

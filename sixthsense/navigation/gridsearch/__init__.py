@@ -12,16 +12,17 @@ depends on it, so they are not merged:
 
 from __future__ import annotations
 
-from sixthsense.navigation.gridsearch.connected import connected_mask, reachable_cells
+from sixthsense.navigation.gridsearch.connected import reachable_cells
 from sixthsense.navigation.gridsearch.cost_tree import CostTree, shortest_path
 from sixthsense.navigation.gridsearch.distances import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.gridsearch.far import far_from
 from sixthsense.navigation.gridsearch.nearest import path_to_nearest
 
 __all__ = [
     "CostTree",
     "Costs",
     "cell_before_gap",
-    "connected_mask",
+    "far_from",
     "geodesic_distances",
     "path_to_nearest",
     "reachable_cells",

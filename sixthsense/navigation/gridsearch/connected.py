@@ -36,11 +36,3 @@ def reachable_cells(blocked: Bools, row: int, col: int) -> NDArray[np.int32]:
                 count += 1
         i += 1
     return cells[:count].copy()
-
-
-def connected_mask(free: Bools, row: int, col: int) -> Bools:
-    """(H, W) the cells of `free` that are connected to a cell by straight steps; none if that cell is not free."""
-    mask = np.zeros(free.shape, dtype=np.bool_)
-    if free[row, col]:
-        mask.reshape(-1)[reachable_cells(~free, row, col)] = True
-    return mask
