@@ -31,6 +31,7 @@ from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+_LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
 _UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
@@ -206,7 +207,10 @@ class Exploration:
         return "returning"
 
     def _finish(self, pose: Pose) -> State:
-        self.outcome = "explored in part" if self.left else "explored"
+        if self._history.sigma_m > _LOST_M:
+            self.outcome = "lost"
+        else:
+            self.outcome = "explored in part" if self.left else "explored"
         return self.state
 
     def _give_up(self, pose: Pose) -> State:

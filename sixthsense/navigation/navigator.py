@@ -10,7 +10,7 @@ from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 
-Outcome = Literal["goal reached", "tour ended", "explored", "explored in part", "goal unreachable", "stuck"]
+Outcome = Literal["goal reached", "tour ended", "explored", "explored in part", "lost", "goal unreachable", "stuck"]
 
 
 class Navigator(Protocol):

@@ -195,6 +195,13 @@ def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
     np.testing.assert_array_equal(*truths)
 
 
+def test_a_robot_that_does_not_know_where_it_is_has_not_explored(tmp_path: Path) -> None:
+    unsure = {"motion": {"slip_position_per_sqrt_m": 0.5}}
+    blind = {"lines": {"min_points": 300}, "points": {"min_points": 300}}
+    made = explored(tmp_path, L_SHAPE, assumed=unsure, features=blind, explore={"revisit": False})
+    assert made.outcome == "lost"
+
+
 def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> None:
     made = explored(tmp_path, L_SHAPE, explore={"return_home": False})
     assert made.outcome == "explored"
