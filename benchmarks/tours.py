@@ -10,7 +10,7 @@ import argparse
 import dataclasses
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -58,22 +58,27 @@ def judge(trace: Trace) -> Row:
     NEES is None before the covariance has full rank.
     """
     metrics = measure(trace)
-    assert trace.scene is not None
     truths = np.array(trace.key_truths)
-    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
-    scene = true_identities(trace.scene.walls)
-    matches = judge_matches([a.sightings for a in trace.associations], truths, scene, laser)
     row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor", "landmarks")}
     row |= {key: metrics[key] for key in ("ate_rmse_m", "ate_max_m", "heading_rmse_rad", "scan_ms_p99")}
-    row |= {"nis": sum(a.nis for a in trace.associations), "nis_dof": sum(a.dof for a in trace.associations)}
-    row |= {"sightings": matches.sightings, "discarded_share": discarded_share(trace.associations)}
-    row |= {name: len(getattr(matches, name)) for name in MATCHES}
+    row |= judged_matches(trace)
     row["key_scans"] = len(truths)
     poses = np.array([e.pose.array() for e in trace.key_estimates])
     covs = np.array([e.pose_cov for e in trace.key_estimates])
     for name, values in key_scan_nees(poses, truths, covs).items():
         row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
     return row
+
+
+def judged_matches(trace: Trace) -> Row:
+    """NIS of a run, and its matches judged by the truth."""
+    assert trace.scene is not None
+    laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
+    scene, truths = true_identities(trace.scene.walls), np.array(trace.key_truths)
+    matches = judge_matches([a.sightings for a in trace.associations], truths, scene, laser)
+    row: Row = {"nis": sum(a.nis for a in trace.associations), "nis_dof": sum(a.dof for a in trace.associations)}
+    row |= {"sightings": matches.sightings, "discarded_share": discarded_share(trace.associations)}
+    return row | {name: len(getattr(matches, name)) for name in MATCHES}
 
 
 def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
@@ -98,8 +103,10 @@ def make_row(config: Config) -> Row:
     return {**{name: getattr(config, name) for name in names}, **judge(run(config).trace)}
 
 
-def rows(configs: Sequence[Config], jobs: int, folder: Path | None = None) -> list[Row]:
-    """A row per configuration, in order, computed by `jobs` processes.
+def rows(
+    configs: Sequence[Config], jobs: int, folder: Path | None = None, make: Callable[[Config], Row] = make_row
+) -> list[Row]:
+    """A row per configuration, in order, which `make` computes in one of `jobs` processes.
 
     With a `folder`, rows are saved there, and a run whose row it has is not repeated.
     """
@@ -108,7 +115,7 @@ def rows(configs: Sequence[Config], jobs: int, folder: Path | None = None) -> li
         folder.mkdir(parents=True, exist_ok=True)
     found: dict[int, Row] = {k: json.loads(f.read_text()) for k, f in enumerate(files) if f is not None and f.exists()}
     due = [k for k in range(len(configs)) if k not in found]
-    for k, row in zip(due, pooled(make_row, [configs[k] for k in due], jobs, warm_up), strict=True):
+    for k, row in zip(due, pooled(make, [configs[k] for k in due], jobs, warm_up), strict=True):
         found[k] = row
         file = files[k]
         if file is not None:
@@ -161,6 +168,6 @@ def nees_of(row: Row, name: str = "nees3") -> float:
 
 
 __all__ = [
-    "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "make_row", "nees_of",
-    "over_runs", "rows", "seeded", "tour",
+    "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "judged_matches",
+    "key_scan_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "tour",
 ]  # fmt: skip

@@ -57,7 +57,7 @@ def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = Non
     scene = scene or load_scene(config.scene, config.map_unknown)
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
-    source = World(scene.walls, start, radius_m, config, streams.world)
+    source = World(scene.walls, start, radius_m, config, streams.world, scene.glass)
     region = config.region or scene.region
     navigator = make_navigator(config, start, goals, region, radius_m, streams.planner, streams.exploration)
     return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick)

@@ -119,7 +119,15 @@ def scene_digest(scene: str) -> str:
     from sixthsense.sources.scene import load_scene
 
     loaded = load_scene(scene)
-    content = (loaded.walls.tolist(), loaded.start, loaded.radius, loaded.goal, loaded.tour, loaded.region)
+    content: tuple[Any, ...] = (
+        loaded.walls.tolist(),
+        loaded.start,
+        loaded.radius,
+        loaded.goal,
+        loaded.tour,
+        loaded.region,
+    )
+    content += (loaded.glass.tolist(),) if len(loaded.glass) else ()
     return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 

@@ -89,20 +89,21 @@ UNEXPLAINED = Identified("unexplained")
 def true_identities(walls: Array) -> TrueLandmarks:
     """The lines and points of the `walls` (N, 2, 2) of a scene, metres; collinear walls form one line."""
     segments = walls[np.linalg.norm(walls[:, 1] - walls[:, 0], axis=1) > 2.0 * _SAME_M]
-    lines: list[Array] = []
+    lines, count = np.empty((len(segments), 2)), 0
     line_of = np.empty(len(segments), dtype=np.int64)
     for k, segment in enumerate(segments):
         along = segment[1] - segment[0]
         alpha = float(np.arctan2(along[0], -along[1]))
-        for j, line in enumerate(lines):
-            off = segment @ np.array([np.cos(line[0]), np.sin(line[0])]) - line[1]
-            if abs(np.sin(alpha - line[0])) < _SAME_RAD and np.abs(off).max() < _SAME_M:
-                line_of[k] = j
-                break
+        known = lines[:count]
+        off = segment @ np.array([np.cos(known[:, 0]), np.sin(known[:, 0])]) - known[:, 1]  # (2, count)
+        same = (np.abs(np.sin(alpha - known[:, 0])) < _SAME_RAD) & (np.abs(off).max(axis=0) < _SAME_M)
+        if same.any():
+            line_of[k] = int(same.argmax())
         else:
-            line_of[k] = len(lines)
-            lines.append(np.array([alpha, float(segment[0] @ np.array([np.cos(alpha), np.sin(alpha)]))]))
-    return TrueLandmarks(np.array(lines).reshape(-1, 2), segments, line_of, true_landmarks(walls))
+            line_of[k] = count
+            lines[count] = alpha, float(segment[0] @ np.array([np.cos(alpha), np.sin(alpha)]))
+            count += 1
+    return TrueLandmarks(lines[:count].copy(), segments, line_of, true_landmarks(walls))
 
 
 def identify(

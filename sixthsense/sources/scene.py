@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -36,7 +36,8 @@ from sixthsense.sources.scene_fields import (
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
-_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons")
+_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass")
+_NO_GLASS = np.zeros((0, 2, 2))
 _SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
 
@@ -60,13 +61,24 @@ class Scene:
     """x0, y0, x1, y1 of the region of interest."""
     solid_left: bool = False
     """Whether walls are closed outlines with the solid on their left (a ROS map), so that a point can lie inside."""
+    glass: Array = field(default_factory=lambda: _NO_GLASS)
+    """(G, 2, 2) segments that stop the robot and return no beam; read-only."""
 
     def __post_init__(self) -> None:
         walls = np.array(self.walls, dtype=np.float64)
         if walls.ndim != 3 or walls.shape[1:] != (2, 2) or len(walls) == 0:
             raise SceneError(f"walls: expected shape (N, 2, 2) with N > 0, got {walls.shape}")
-        walls.flags.writeable = False
-        object.__setattr__(self, "walls", walls)
+        glass = np.array(self.glass, dtype=np.float64)
+        if glass.ndim != 3 or glass.shape[1:] != (2, 2):
+            raise SceneError(f"glass: expected shape (G, 2, 2), got {glass.shape}")
+        for name, segments in (("walls", walls), ("glass", glass)):
+            segments.flags.writeable = False
+            object.__setattr__(self, name, segments)
+
+    @property
+    def solid(self) -> Array:
+        """(N + G, 2, 2) walls and glass: all that stops the robot."""
+        return np.concatenate([self.walls, self.glass])
 
 
 def shipped_scenes() -> dict[str, Path]:
@@ -154,13 +166,25 @@ def _from_toml(path: Path) -> Scene:
     if not segments:
         raise SceneError("walls: found none, allowed: at least one wall or polygon")
     walls = np.array(segments)
+    glass = [
+        read_wall(f"glass, entry {k}", values) for k, values in enumerate(read_list("glass", table.get("glass", [])), 1)
+    ]
     region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
     tour = tuple(
         read_point(f"tour, entry {k}", values) for k, values in enumerate(read_list("tour", table.get("tour", [])), 1)
     )
     goal = read_point("goal", table["goal"]) if "goal" in table else None
     start = Pose(*read_numbers("start", table["start"], "x y theta"))
-    scene = Scene(path.stem, walls, start, read_positive("radius", table["radius"]), goal, tour, region)
+    scene = Scene(
+        path.stem,
+        walls,
+        start,
+        read_positive("radius", table["radius"]),
+        goal,
+        tour,
+        region,
+        glass=np.array(glass).reshape(-1, 2, 2),
+    )
     _check_inside("start", (start.x, start.y), region)
     check_placement(scene, goal=goal, tour=tour)
     return scene
@@ -197,7 +221,7 @@ def _check_inside(where: str, point: Point, region: Region) -> None:
 
 
 def _check_clear(where: str, point: Point, scene: Scene, radius: float) -> None:
-    distance = float(point_segment_distance(np.array(point), scene.walls).min())
+    distance = float(point_segment_distance(np.array(point), scene.solid).min())
     found = f"{where}: found ({point[0]:g}, {point[1]:g}),"
     if distance < radius:
         raise SceneError(f"{found} {distance:.3g} m from a wall, allowed: at least the robot's radius {radius:g} m")

@@ -48,10 +48,22 @@ def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: f
 class World:
     """A simulated `Source`: each step is one control tick, and every `laser.period_ticks` steps yield a scan."""
 
-    def __init__(self, walls: Array, start: Pose, radius_m: float, config: Config, rng: np.random.Generator) -> None:
-        """Place the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame."""
+    def __init__(
+        self,
+        walls: Array,
+        start: Pose,
+        radius_m: float,
+        config: Config,
+        rng: np.random.Generator,
+        glass: Array | None = None,
+    ) -> None:
+        """Place the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame.
+
+        `glass` (G, 2, 2) stops the robot as walls do, and lets every beam through.
+        """
         self._walls = np.array(walls, dtype=np.float64)
-        self._flat = self._walls.reshape(-1, 4)
+        solid = self._walls if glass is None else np.concatenate([self._walls, glass])
+        self._flat = solid.reshape(-1, 4)
         self._radius_m = radius_m
         self._config = config
         self._rng = rng

@@ -1,0 +1,265 @@
+"""Consistency in worlds that no scene of this repository has: eight generated families, and maps that others drew.
+
+Every seed is another world, or another tour of the same map. The tour is a closed path through the free space of the
+truth, a list of way points each of which the next can be reached from in a straight line. The robot finds its way from
+one to the next with its own map. Columns as of `pipeline_nees.py`; ± is the standard error over runs, and the NEES of a
+row is that of the pose in world coordinates (3 if consistent).
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from generated_worlds import FAMILIES, generated_world
+from harness import Figures, arguments, machine, print_table, write_json
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, label
+from tours import (
+    MATCHES,
+    Row,
+    add_tour_options,
+    check_tour_options,
+    judged_matches,
+    key_scan_nees,
+    nees_of,
+    over_runs,
+    rows,
+    seeded,
+)
+
+from sixthsense.config import Config, load_config, preset
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import cast_rays
+from sixthsense.evaluation.metrics import ate, nees_band, share_in_band
+from sixthsense.navigation.planners.astar import AStar
+from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.running.runs import simulate
+from sixthsense.slam.estimators import ESTIMATORS
+from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.sources.scene import Scene, load_scene
+
+_CELL_M = 0.05
+_MARGINS_M = (0.12, 0.08, 0.05)
+"""beside the robot's radius; the widest that leaves a tour is taken"""
+_REACH_M = 200.0  # of a beam that leaves a building
+_LEG_M = (3.0, 12.0)  # from goal to goal
+_SHARE_OUT = 0.2
+"""of the distance that the robot could drive in the time: the length of the tour's first half, on the way out"""
+
+
+def world(name: str, seed: int, seconds: float, speed: float) -> Scene:
+    """A scene with a start and a tour that takes about `seconds`: of a family, or read from a file.
+
+    Raises InputError for a file that cannot be read or has no room for a tour.
+    """
+    scene = generated_world(name, seed) if name in FAMILIES else load_scene(name)
+    rng = np.random.default_rng([seed, 1])
+    radius = min(scene.radius, 0.2)
+    for margin in _MARGINS_M:
+        points = _tour(scene, radius + margin, _SHARE_OUT * seconds * speed, rng)
+        if len(points) > 2:
+            first, second = points[:2]
+            start = Pose(*first, math.atan2(*(second - first)[::-1]))
+            tour = tuple((float(x), float(y)) for x, y in [*points[1:-1], first])
+            low, high = scene.solid.min(axis=(0, 1)) - 1.0, scene.solid.max(axis=(0, 1)) + 1.0
+            return dataclasses.replace(scene, start=start, radius=radius, tour=tour, region=(*low, *high))
+    raise InputError(f"{name}: has no room for a tour")
+
+
+def _tour(scene: Scene, clearance_m: float, out_m: float, rng: np.random.Generator) -> Array:
+    """(K, 2) way points of a closed tour, the first repeated at the end; (0, 2) if there is none."""
+    space = _free_space(scene, clearance_m)
+    inside = _inside(space, scene, rng)
+    free = np.argwhere(inside)
+    if len(free) < 100:
+        return np.zeros((0, 2))
+    planner = AStar()
+    goals = [space.centre(*_any(free, rng)) if scene.start is None else scene.start.position]
+    paths: list[Array] = []
+    driven = 0.0
+    for _ in range(200):
+        goal = space.centre(*_any(free, rng))
+        if not _LEG_M[0] <= float(np.linalg.norm(goal - goals[-1])) <= _LEG_M[1]:
+            continue
+        plan = planner.plan(space, goals[-1], goal)
+        if plan.found and plan.cost <= 2.0 * out_m:
+            paths.append(shortcut(space, plan.path_world))
+            goals.append(goal)
+            driven += plan.cost
+        if driven >= out_m:
+            break
+    if not paths:
+        return np.zeros((0, 2))
+    back = planner.plan(space, goals[-1], goals[0])
+    return np.concatenate([p[:-1] for p in paths] + [shortcut(space, back.path_world)])
+
+
+def _any(cells: NDArray[np.int64], rng: np.random.Generator) -> tuple[int, int]:
+    row, col = cells[rng.integers(len(cells))].tolist()
+    return row, col
+
+
+def _free_space(scene: Scene, clearance_m: float) -> FreeSpace:
+    """The cells whose centre is farther than `clearance_m` from all that is solid."""
+    solid = scene.solid
+    origin = solid.min(axis=(0, 1)) - 1.0
+    shape = tuple(np.ceil((solid.max(axis=(0, 1)) + 1.0 - origin) / _CELL_M).astype(int)[::-1])
+    occupied = np.zeros(shape, dtype=bool)
+    for a, b in solid:
+        steps = np.linspace(0.0, 1.0, 2 + math.ceil(float(np.linalg.norm(b - a)) / (0.5 * _CELL_M)))
+        cells = np.floor((a + steps[:, None] * (b - a) - origin) / _CELL_M).astype(int)
+        occupied[cells[:, 1], cells[:, 0]] = True
+    away = distance_transform_edt(~occupied) * _CELL_M
+    blocked = away <= clearance_m + 0.5 * _CELL_M
+    return FreeSpace(blocked, ~blocked, (float(origin[0]), float(origin[1])), _CELL_M)
+
+
+def _inside(space: FreeSpace, scene: Scene, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """(H, W) the connected free cells that hold the start; without one, those where beams end, most of them.
+
+    A map has free cells outside the building and in its solids. From outside beams get away. The largest connected part
+    that is inside is taken.
+    """
+    parts, count = label(~space.blocked)
+    if scene.start is not None:
+        return np.asarray(parts == parts[space.cell_of(scene.start.position)])
+    sizes = np.bincount(parts.ravel())
+    bearings = np.linspace(-math.pi, math.pi, 180, endpoint=False)
+    best, score = np.zeros_like(parts, dtype=bool), 0.0
+    for part in np.argsort(-sizes[1:])[:4] + 1 if count else ():
+        cells = np.argwhere(parts == part)
+        poses = [Pose(*space.centre(*_any(cells, rng))) for _ in range(40)]
+        closed = [np.isfinite(cast_rays(pose, bearings, scene.solid, _REACH_M)).mean() for pose in poses]
+        if (found := float(np.mean(closed)) ** 8 * len(cells)) > score and _in_free(poses, scene) > 0.5:
+            best, score = np.asarray(parts == part), found
+    return best
+
+
+def _in_free(poses: Sequence[Pose], scene: Scene) -> float:
+    """Share of the poses that are not inside a solid of a map, whose outlines have the solid on their left."""
+    if not scene.solid_left:
+        return 1.0
+    outside = 0
+    for pose in poses:
+        off = scene.walls.mean(axis=1) - pose.position
+        along = scene.walls[:, 1] - scene.walls[:, 0]
+        nearest = int(np.argmin(np.hypot(*off.T)))
+        outside += bool(along[nearest, 0] * -off[nearest, 1] - along[nearest, 1] * -off[nearest, 0] < 0.0)
+    return outside / len(poses)
+
+
+def make_row(config: Config) -> Row:
+    """Tour a world and evaluate it."""
+    scene = world(config.scene, config.seed, config.max_time, config.robot.speed)
+    trace = simulate(config, scene).trace
+    truths = np.array(trace.key_truths)
+    poses = np.array([e.pose.array() for e in trace.key_estimates])
+    covs = np.array([e.pose_cov for e in trace.key_estimates])
+    names = ("scene", "estimator", "preset", "seed")
+    row: Row = {**{name: getattr(config, name) for name in names}, **judged_matches(trace)}
+    row["outcome"], row["key_scans"] = trace.outcome, len(truths)
+    row["ate_rmse_m"], row["ate_max_m"] = ate(poses, truths)
+    row["sigma_m"] = float(np.median(np.sqrt(covs[:, 0, 0] + covs[:, 1, 1])))
+    row["sigma_rad"] = float(np.median(np.sqrt(covs[:, 2, 2])))
+    for name, values in key_scan_nees(poses, truths, covs).items():
+        row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
+    return row
+
+
+def world_figures(found: Sequence[Row]) -> Figures:
+    """Figures of the runs of one family, or of one map, with one estimator."""
+    nees = np.array([nees_of(row) for row in found])
+    sightings = max(sum(row["sightings"] for row in found), 1)
+    steps = over_runs(found, "nees3")
+    figures: Figures = {"runs": len(found), "nees3": float(nees.mean())}
+    figures["nees3_se"] = float(nees.std(ddof=1) / math.sqrt(len(nees))) if len(nees) > 1 else math.nan
+    figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
+    figures |= {f"{name}_per_1000": 1e3 * sum(row[name] for row in found) / sightings for name in MATCHES}
+    for name in ("discarded_share", "sigma_m", "sigma_rad"):
+        figures[name] = float(np.mean([row[name] for row in found]))
+    errors = [row["ate_rmse_m"] for row in found]
+    figures |= {"ate_median_m": float(np.median(errors)), "ate_max_m": float(np.max(errors))}
+    figures["nis_per_dof"] = sum(row["nis"] for row in found) / max(sum(row["nis_dof"] for row in found), 1)
+    figures["tour_ended"] = sum(row["outcome"] == "tour ended" for row in found)
+    return figures
+
+
+COLUMNS = (
+    ("NEES", "nees3", ".2f"),
+    ("±", "nees3_se", ".2f"),
+    ("in band", "share_in_band", ".2f"),
+    ("NIS/dof", "nis_per_dof", ".2f"),
+    ("wrong/1000", "wrong_per_1000", ".2f"),
+    ("spanning/1000", "spanning_per_1000", ".2f"),
+    ("unexplained/1000", "unexplained_per_1000", ".1f"),
+    ("left out/1000", "left_out_per_1000", ".1f"),
+    ("discarded", "discarded_share", ".3f"),
+    ("ATE m", "ate_median_m", ".4f"),
+    ("max", "ate_max_m", ".4f"),
+    ("sigma m", "sigma_m", ".4f"),
+    ("sigma rad", "sigma_rad", ".5f"),
+    ("ended", "tour_ended", ".0f"),
+)
+
+
+def table(found: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str]) -> tuple[list[list[str]], Figures]:
+    """A row per world and estimator, and one of all worlds together; the same figures by flat keys."""
+    lines = [["world", "runs", *(head for head, *_ in COLUMNS)]]
+    figures: Figures = {}
+    of_all = [("all", estimator) for estimator in estimators] if len(worlds) > 1 else []
+    for name, estimator in [*itertools.product(worlds, estimators), *of_all]:
+        own = [r for r in found if r["estimator"] == estimator and name in ("all", r["scene"])]
+        stem = Path(name).stem
+        values = world_figures(own)
+        figures |= {f"{stem}.{estimator.replace('-', '_')}.{key}": value for key, value in values.items()}
+        lines.append([f"{stem} {estimator}", f"{len(own)}", *(format(values[key], form) for _, key, form in COLUMNS)])
+    return lines, figures
+
+
+def maps_at_hand() -> list[str]:
+    """The scenes and plans under SIXTHSENSE_DATA; none without it."""
+    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent"))
+    return [str(f) for pattern in ("scenes_report/market.scn", "plans/*.yaml") for f in sorted(folder.glob(pattern))]
+
+
+def main() -> None:
+    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
+    add_tour_options(parser, seeds=10)
+    parser.set_defaults(first_seed=1000, max_time=80.0, jobs=1)
+    parser.add_argument("--estimator", nargs="+", default=["ekf-invariant"], choices=ESTIMATORS)
+    parser.add_argument("--maps", action="store_true", help="also the scenes and plans under SIXTHSENSE_DATA")
+    parser.add_argument(
+        "--world", nargs="+", default=list(FAMILIES), metavar="WORLD", help="families, or files of maps"
+    )
+    options: argparse.Namespace = parser.parse_args()
+    check_tour_options(parser, options)
+    worlds = [*options.world, *(maps_at_hand() if options.maps else ())]
+    try:
+        base = preset("default") if options.config is None else load_config(options.config, preset("default"))
+        fields = {"task": "tour", "max_time": options.max_time}
+        configs = [
+            dataclasses.replace(base, scene=name, estimator=estimator, **fields)
+            for name, estimator in itertools.product(worlds, options.estimator)
+        ]
+        for name in worlds:
+            world(name, options.first_seed, options.max_time, base.robot.speed)
+    except InputError as error:
+        parser.error(str(error))
+    found = rows(seeded(configs, options), options.jobs, options.rows, make_row)
+    lines, figures = table(found, worlds, options.estimator)
+    print(machine())
+    print(f"{options.seeds} tours of {options.max_time:g} s, seeds from {options.first_seed}")
+    print_table(lines)
+    write_json(options.json, figures)
+
+
+if __name__ == "__main__":
+    main()
