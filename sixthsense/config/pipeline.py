@@ -58,6 +58,9 @@ class LinesConfig(Section):
     """A line needs this many inliers."""
     min_length_m: NonNegative = 0.2
     """Shorter lines are dropped."""
+    cut_false_alarm: Annotated[float, Range(0.0, 1.0)] = 0.01
+    """A line is cut where two lines explain its returns better than a straight wall allows with this probability; 0:
+    never."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +148,7 @@ class AssociationConfig(Section):
     """report: squared Mahalanobis distance of a match."""
     new_above: Positive = 200.0
     """report: squared Mahalanobis distance, to every landmark, of a new one."""
-    wall_gap_m: NonNegative = 0.5
+    wall_gap_m: NonNegative = 0.05
     """Collinear walls may be one landmark if the gap between their seen extents is at most this."""
     pre_gate_m: Positive = 1.5
     """Only landmarks this near a sighting are compared with it."""
@@ -153,8 +156,9 @@ class AssociationConfig(Section):
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
     """A named sighting outside this quantile of its innovation's distribution is a misread name; 1: never."""
-    assignment: Literal["optimal", "joint"] = "optimal"
-    """optimal: the likeliest one-to-one matches; joint: the most jointly compatible ones (Neira and Tardos 2001)."""
+    assignment: Literal["agreeing", "optimal", "joint"] = "agreeing"
+    """optimal: the likeliest one-to-one matches; agreeing: those of them that all others agree with; joint: the most
+    jointly compatible ones (Neira and Tardos 2001)."""
     joint_probability: Probability = 0.999
     """joint: all matches together lie inside this quantile of their innovations' distribution."""
     proposed_by: Literal["estimate", "scans"] = "estimate"

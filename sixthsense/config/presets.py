@@ -32,10 +32,10 @@ PRESETS: dict[str, dict[str, Any]] = {
         "features": {
             "landmarks": "corners",
             "partition": {"method": "fixed", "epsilon_m": 1.0},  # rectangle and apartment; the block had 2 m
-            "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8},
+            "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8, "cut_false_alarm": 0.0},
         },
         # The report has no other rules than its two thresholds.
-        "association": {"method": "report", "pre_gate_m": 5.0, "new_separation_m": 0.0},
+        "association": {"method": "report", "assignment": "optimal", "pre_gate_m": 5.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,

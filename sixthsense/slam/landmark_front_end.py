@@ -10,6 +10,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association, Associator
+from sixthsense.slam.association.blind_zone import BlindZone
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
@@ -32,6 +33,7 @@ class LandmarkFrontEnd:
         self._config, self._estimator, self._associator = config, estimator, associator
         self._ransac_rng, self._pose = ransac_rng, start
         self._key_scans = KeyScans(config.keyscans)
+        self._blind_zone = BlindZone()
         self._predict = timed("predict", estimator.predict)
         self._extract = timed("extract", self._extracted)
         self._associate = timed("associate", self._associated)
@@ -60,6 +62,9 @@ class LandmarkFrontEnd:
         association = self._associate(features, tick)
         estimate = self._update(association)
         self._pose = estimate.pose
+        lost = self._blind_zone.uncertainty(association)
+        if lost is not None:
+            self._estimator.predict(lost)
         return KeyScan(motion, estimate, association, features)
 
     @property

@@ -597,3 +597,19 @@ def test_the_scenes_of_the_report_load(data_dir: Path) -> None:
         "simple_rectangle": 4,
     }
     assert found["apartment"].start == Pose(12.5, 1.6, 1.57) and found["simple_block"].radius == 0.2
+
+
+def test_glass_is_solid_and_no_wall(tmp_path: Path) -> None:
+    file = tmp_path / "glazed.toml"
+    file.write_text(GOOD + ROOM + "glass = [[2, 0, 2, 0.5]]\n")
+    scene = load_scene(file)
+    assert len(scene.walls) == 4
+    assert scene.glass.tolist() == [[[2.0, 0.0], [2.0, 0.5]]]
+    assert len(scene.solid) == 5
+    with pytest.raises(SceneError, match="goal"):
+        check_placement(scene, goal=(2.1, 0.4))
+    file.write_text(GOOD + ROOM + "glass = [[2, 0, 2]]\n")
+    with pytest.raises(SceneError, match="glass, entry 1: found"):
+        load_scene(file)
+    with pytest.raises(SceneError, match="glass: expected shape"):
+        Scene("s", scene.walls, None, 0.2, None, (), scene.region, glass=np.zeros((1, 4)))

@@ -113,3 +113,17 @@ def test_range_noise_has_the_configured_standard_deviation():
         if tick.scan is not None:
             scans.append(tick.scan.ranges.astype(float))
     assert np.std(scans, axis=0).mean() == pytest.approx(0.01, rel=0.03)
+
+
+def test_glass_stops_the_robot_and_returns_nothing():
+    walls = np.array([[[-5.0, 3.0], [5.0, 3.0]], [[-5.0, -3.0], [5.0, -3.0]]])
+    glass = np.array([[[1.0, -3.0], [1.0, 3.0]]])
+    config = preset(world={"laser": {"range_m": 0.0}})
+    source = World(walls, Pose(), 0.2, config, np.random.default_rng(1), glass)
+    clear = World(walls, Pose(), 0.2, config, np.random.default_rng(1))
+    one, other = source.step(Command()), clear.step(Command())
+    assert np.array_equal(one.scan.ranges, other.scan.ranges)
+    while (tick := source.step(Command(0.5, 0.0))) is not None:
+        last = tick
+    assert last.collided
+    assert last.truth.x == pytest.approx(0.8, abs=0.02)

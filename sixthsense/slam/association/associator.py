@@ -15,12 +15,17 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, innovations
+from sixthsense.slam.association.agreement import agreed, predicted_cov
+from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, joint_nis
 from sixthsense.slam.association.pre_gate import pre_gate
 from sixthsense.slam.association.wall_alignment import Alignment, align
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
+
+_CONFIRMED = 3
+"""matches that agree with each other, from which on a wall beside a known one can be another wall"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +68,8 @@ class Record:
     """upper bound of a point's sigma along any direction, when it was last compared"""
     extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
     """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
+    shape: MeanShape = field(default_factory=MeanShape)
+    """of a wall"""
 
 
 class Associator:
@@ -78,6 +85,7 @@ class Associator:
         """landmarks removed so far"""
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
+        self._crookedness = Crookedness()
         self.observer: Observer | None = None
         """called before the sightings of a key scan are matched; for evaluation"""
         if config.method == "chi2":
@@ -96,6 +104,8 @@ class Associator:
         estimate = estimator.estimate()
         if not sightings:
             return Association({}, 0, 0.0, 0, 0, estimate.pose, estimate.pose_cov)
+        for sighting in sightings:
+            self._crookedness.add(sighting.shape)
         records = [self.records[i] for i in estimate.ids.tolist()]
         sigmas = np.array([record.sigma_m for record in records])
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
@@ -105,19 +115,23 @@ class Associator:
         fits = pre_gate(sightings, estimate, aligned, sigmas, extents, self._gate_sigmas, self._config)
         near = np.flatnonzero(fits.plausible.any(axis=0))
         known: dict[LandmarkId, Sighting] = {}
-        nis, free, pieces = 0.0, np.ones(len(sightings), dtype=bool), 0
+        nis, free, pieces, confirmed = 0.0, np.ones(len(sightings), dtype=bool), 0, False
         if len(near):
             joint = estimator.joint_covariance(estimate.ids[near].tolist())
             for j, k in enumerate(near):
                 records[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
-            innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near])
-            rows, cols = self._assigned(innovation, sightings, joint)
-            free = innovation.squared.min(axis=1) > self._new_gate
+            squares = np.array([records[k].shape.square_m2(self._crookedness.excess) for k in near])
+            noise = noise_of_pairs(sightings, squares)
+            innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near], noise)
+            rows, cols, squared = self._assigned(innovation, noise, joint)
+            free = squared.min(axis=1) > self._new_gate
             free[rows] = False
+            confirmed = len(rows) >= _CONFIRMED and self._config.assignment == "agreeing"
             matched = [sightings[i] for i in rows.tolist()]
             for i in np.flatnonzero(~free).tolist():
                 if i not in rows and sightings[i].is_wall:
-                    pieces += self._fuse(sightings[i], innovation.squared[i, cols], matched)
+                    pieces += self._fuse(sightings[i], squared[i, cols], matched)
+            matched = [less_certain(sighting, squares[j]) for j, sighting in zip(cols, matched, strict=True)]
             known = {int(estimate.ids[near[j]]): sighting for j, sighting in zip(cols, matched, strict=True)}
             nis = _matches_nis(innovation, matched, cols, joint)
         dof = 2 * len(known)
@@ -126,8 +140,10 @@ class Associator:
                 records[j].sightings += 1
                 records[j].last_scan = self._scan
                 if known[i].is_wall:
+                    records[j].shape.add(known[i].shape)
                     records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
-        unmatched = np.flatnonzero(free & fits.apart.all(axis=1)).tolist()
+        is_wall = np.array([s.is_wall for s in sightings])
+        unmatched = np.flatnonzero(free & (fits.apart.all(axis=1) | (is_wall & confirmed))).tolist()
         new, more = self._start_landmarks(sightings, unmatched, fits.sigmas, estimate)
         accepted, pieces = known | new, pieces + more
         discarded = len(sightings) - len(accepted) - pieces
@@ -212,13 +228,15 @@ class Associator:
         self.walls_merged += len(gone)
         return gone
 
-    def _assigned(
-        self, innovation: Innovations, sightings: Sequence[Sighting], joint: Array
-    ) -> tuple[Indices, Indices]:
+    def _assigned(self, innovation: Innovations, noise: Array, joint: Array) -> tuple[Indices, Indices, Array]:
+        """Rows (sightings) and columns (landmarks) of the matches, and the squared innovations (m, k) of the others."""
+        if self._config.assignment == "joint":
+            probability = self._config.joint_probability
+            return *jointly_compatible(innovation, joint, noise, self._match_gate, probability), innovation.squared
+        rows, cols = assign(innovation, self._match_gate)
         if self._config.assignment == "optimal":
-            return assign(innovation, self._match_gate)
-        noise = np.array([s.cov for s in sightings])
-        return jointly_compatible(innovation, joint, noise, self._match_gate, self._config.joint_probability)
+            return rows, cols, innovation.squared
+        return agreed(innovation, predicted_cov(innovation, joint), noise, rows, cols, self._match_gate)
 
     def _fuse(self, piece: Sighting, squared: Array, matched: list[Sighting]) -> bool:
         """Fuse another piece of a wall with the matched sighting of it; whether the two agree, so that it was done.
@@ -252,12 +270,16 @@ class Associator:
                     new[twin] = fused(new[twin], sighting)
                     pieces += 1
                     self.records[twin].extent = ends(estimate.pose, new[twin])
-                continue
+                # Of two walls of a scan that contradict each other both are taken: the returns of each are straight.
+                if not sighting.is_wall or apart <= self._match_gate or self._config.assignment != "agreeing":
+                    continue
             extent = ends(estimate.pose, sighting) if sighting.is_wall else np.zeros((2, 2))
             new[self._next_id] = sighting
             self.records[self._next_id] = Record(sighting.kind, 1, self._scan, self._scan, float(sigmas[k]), extent)
+            self.records[self._next_id].shape.add(sighting.shape)
             self._next_id += 1
-        return new, pieces
+        squares = {i: self.records[i].shape.square_m2(self._crookedness.excess) for i in new}
+        return {i: less_certain(sighting, squares[i]) for i, sighting in new.items()}, pieces
 
     def _are_one(self, one: Sighting, other: Sighting) -> bool:
         """Whether two sightings of one scan are too close to be of two landmarks."""

@@ -25,8 +25,8 @@ def jointly_compatible(
 ) -> tuple[Indices, Indices]:
     """The largest set of matches inside a joint chi-square gate; among the largest, the one with the least NIS.
 
-    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks, `noise` (m, 2, 2) of the sightings; each match must pass
-    the single `gate`, too. Returns rows (sightings) and columns (landmarks).
+    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks, `noise` (m, k, 2, 2) of the sightings; each match must
+    pass the single `gate`, too. Returns rows (sightings) and columns (landmarks).
     """
     H = stacked_jacobian(innovation.by_pose, innovation.by_landmark)
     predicted = H @ joint @ H.T
@@ -91,7 +91,7 @@ class _Search:
         mine = slice(2 * j, 2 * j + 2)
         n = len(index)
         cross = solve_triangular(hypothesis.factor, self.predicted[index, mine], lower=True) if n else np.zeros((0, 2))
-        corner = np.linalg.cholesky(self.predicted[mine, mine] + self.noise[i] - cross.T @ cross)
+        corner = np.linalg.cholesky(self.predicted[mine, mine] + self.noise[i, j] - cross.T @ cross)
         own = solve_triangular(corner, self.values[i, j] - cross.T @ hypothesis.whitened, lower=True)
         factor = np.zeros((n + 2, n + 2))
         factor[:n, :n], factor[n:, :n], factor[n:, n:] = hypothesis.factor, cross.T, corner

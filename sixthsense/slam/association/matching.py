@@ -39,15 +39,24 @@ class Innovations:
 
 
 def compare(
-    sightings: Sequence[Sighting], estimate: Estimate, near: Indices, joint: Array, plausible: Mask
+    sightings: Sequence[Sighting],
+    estimate: Estimate,
+    near: Indices,
+    joint: Array,
+    plausible: Mask,
+    noise: Array | None = None,
 ) -> Innovations:
-    """Innovations of all sightings against the landmarks at `near` (k,), whose covariance with the pose is `joint`."""
+    """Innovations of all sightings against the landmarks at `near` (k,), whose covariance with the pose is `joint`.
+
+    `noise` (m, k, 2, 2) of the sightings where it is not the same for all landmarks.
+    """
     walls = estimate.walls[near]
     predicted, by_pose, by_landmark = predict(estimate.pose, estimate.landmarks[near], walls)
     z = np.array([s.z for s in sightings])
-    noise = np.array([s.cov for s in sightings])
+    if noise is None:
+        noise = np.array([s.cov for s in sightings])[:, None]
     values = innovations(z[:, None, :], predicted[None, :, :], walls[None, :])
-    S = predicted_covs(joint, by_pose, by_landmark)[None] + noise[:, None]  # (m, k, 2, 2)
+    S = predicted_covs(joint, by_pose, by_landmark)[None] + noise  # (m, k, 2, 2)
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
     a, b = values[..., 0], values[..., 1]
     squared = (a * a * S[..., 1, 1] - 2 * a * b * S[..., 0, 1] + b * b * S[..., 0, 0]) / det

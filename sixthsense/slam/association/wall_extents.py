@@ -84,4 +84,4 @@ def fused(first: Sighting, second: Sighting) -> Sighting:
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
     bearings = np.concatenate([first.bearings, second.bearings])
-    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent, bearings)
+    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent, bearings, first.shape)

@@ -11,11 +11,12 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark
+from sixthsense.core.landmarks import Kind, Sighting, WallShape, initialize_landmark
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
 from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
-from sixthsense.slam.features.lines import FittedLines, LaserSigmas, LineRules, fit_lines
+from sixthsense.slam.features.line_fit import LaserSigmas
+from sixthsense.slam.features.lines import FittedLines, LineRules, fit_lines
 from sixthsense.slam.features.partition import Indices, partition
 from sixthsense.slam.features.points import find_points
 from sixthsense.slam.features.split import split
@@ -115,6 +116,7 @@ def _line_rules(config: FeaturesConfig) -> LineRules:
         lines.least_squares,
         lines.min_points,
         lines.min_length_m,
+        lines.cut_false_alarm,
     )
 
 
@@ -163,12 +165,12 @@ def _point_sightings(
 def _wall_sightings(
     walls: Array, bearings: Sequence[Array], mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
 ) -> list[Sighting]:
-    """Sightings in the robot's frame of walls (W, 7) in the laser's frame; their normals point towards the laser.
+    """Sightings in the robot's frame of walls (W, 11) in the laser's frame; their normals point towards the laser.
 
     `bearings` holds those of the returns of each wall.
     """
     sightings = []
-    for (alpha, d, aa, ad, dd, low, high), own in zip(walls.tolist(), bearings, strict=True):
+    for (alpha, d, aa, ad, dd, low, high, *deviation), own in zip(walls.tolist(), bearings, strict=True):
         if not aa <= config.walls.max_sigma_rad**2:
             continue
         # A line turns about the middle of its returns, so an error of its angle lengthens d by d/2 times its square.
@@ -180,12 +182,18 @@ def _wall_sightings(
         z, _, by_z = initialize_landmark(mount, in_laser)
         middle = 0.5 * (low + high)
         # The floor is that of the wall's shape about its middle, whatever the robot's distance: not about its foot.
-        to_foot = np.array([[1.0, 0.0], [middle, 1.0]])
+        to_foot = np.array([[1.0, 0.0], [-middle, 1.0]])
         floor = to_foot @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ to_foot.T
         cov = by_z @ (in_laser.cov + floor) @ by_z.T
         foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
-        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low), own))
+        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low), own, _as_shape(deviation)))
     return sightings
+
+
+def _as_shape(deviation: list[float]) -> WallShape:
+    """Amplitudes and variances of a wall's shape; the normal of the sighting points the other way."""
+    c2, c3, v2, v3 = deviation
+    return WallShape((-c2, c3), (v2, v3))
 
 
 def _clip(points: Array, lines: FittedLines) -> Array:

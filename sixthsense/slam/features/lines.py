@@ -1,7 +1,4 @@
-"""Line fitting: RANSAC (Fischler and Bolles 1981), then orthogonal least squares with the line's covariance.
-
-A line is (alpha, d), the points with x cos(alpha) + y sin(alpha) = d and d >= 0, in the laser's frame.
-"""
+"""Finding the lines of a scan: RANSAC (Fischler and Bolles 1981), a test whether they are straight, least squares."""
 
 from __future__ import annotations
 
@@ -13,18 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line
 from sixthsense.slam.features.partition import Indices
+from sixthsense.slam.features.straightness import straight_pieces
 
-_MIN_INCIDENCE_COSINE = 0.02  # a wall met flatter than 1.1 degrees is weighted as if met at that angle
-
-
-class LaserSigmas(NamedTuple):
-    """Assumed noise of the laser."""
-
-    range_m: float
-    """sigma of a range"""
-    bearing_rad: float
-    """sigma of a beam's direction"""
+_WHOLE = np.zeros((1, 2), np.int64)  # one piece, of all returns
 
 
 class LineRules(NamedTuple):
@@ -42,6 +32,8 @@ class LineRules(NamedTuple):
     """fewest inliers"""
     min_length_m: float
     """a shorter line is dropped"""
+    cut_false_alarm: float
+    """probability that a straight wall is cut in two; 0: lines are not cut"""
 
 
 class FittedLines(NamedTuple):
@@ -104,79 +96,6 @@ def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: float) -> Array:
-    """Fit a line to laser returns, with its covariance.
-
-    `points` (N, 2) metres in the laser's frame, of which those at `index` take part; sigmas in metres and radians.
-    Returns (5,): alpha, d and the entries aa, ad, dd of its covariance. Orthogonal least squares (Arras and Siegwart
-    1997) gives the initial line. Two Gauss-Newton steps then weight each return by its noise across the line, with
-    lever arms of the fitted line, since those of the noisy returns would bias the angle.
-    """
-    n = len(index)
-    mx = my = sxx = syy = sxy = 0.0
-    for i in index:
-        mx += points[i, 0] / n
-        my += points[i, 1] / n
-    for i in index:
-        dx, dy = points[i, 0] - mx, points[i, 1] - my
-        sxx += dx * dx
-        syy += dy * dy
-        sxy += dx * dy
-    alpha = 0.5 * math.atan2(-2.0 * sxy, syy - sxx)
-    d = mx * math.cos(alpha) + my * math.sin(alpha)
-    if d < 0.0:
-        alpha, d = alpha + math.pi, -d
-    aa = ad = dd = 0.0
-    for _ in range(2):
-        c, s = math.cos(alpha), math.sin(alpha)
-        i_aa = i_ad = i_dd = b_a = b_d = 0.0
-        for i in index:
-            x, y = points[i, 0], points[i, 1]
-            r = math.hypot(x, y)
-            cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)  # of the angle between beam and normal
-            sine = (y * c - x * s) / r
-            arm = min(d / cosine, 2.0 * r) * sine
-            across_sq = (sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2
-            weight = 1.0 / max(across_sq, 1e-18)
-            e = x * c + y * s - d
-            # de/dalpha = arm, de/dd = -1
-            i_aa += weight * arm * arm
-            i_ad -= weight * arm
-            i_dd += weight
-            b_a -= weight * arm * e
-            b_d += weight * e
-        det = i_aa * i_dd - i_ad * i_ad
-        aa, ad, dd = i_dd / det, -i_ad / det, i_aa / det
-        alpha += aa * b_a + ad * b_d
-        d += ad * b_a + dd * b_d
-    if d < 0.0:
-        alpha, d, ad = alpha + math.pi, -d, -ad
-    return np.array([alpha, d, aa, ad, dd])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float, sigma_bearing: float) -> Array:
-    """The line through the returns at `index` that is parallel to a fitted `line`; arguments and result as `fit_line`.
-
-    Its distance is the weighted mean of the returns' distances; direction and its variance are those of `line`.
-    """
-    c, s = math.cos(line[0]), math.sin(line[0])
-    total = offset = along = 0.0
-    for i in index:
-        x, y = points[i, 0], points[i, 1]
-        r = math.hypot(x, y)
-        cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)
-        arm = min(line[1] / cosine, 2.0 * r) * (y * c - x * s) / r
-        weight = 1.0 / max((sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2, 1e-18)
-        total += weight
-        offset += weight * (x * c + y * s)
-        along += weight * arm
-    arm = along / total
-    aa = line[2]
-    return np.array([line[0], offset / total, aa, arm * aa, arm * arm * aa + 1.0 / total])
-
-
-@numba.njit(cache=True, error_model="numpy")
 def _one_line(
     points: Array, free: NDArray[np.bool_], rules: LineRules, sigmas: LaserSigmas, seed: int
 ) -> tuple[Array, Indices]:
@@ -220,13 +139,20 @@ def fit_lines(
             if len(index) < rules.min_points:
                 break
             free[index] = False
-            a, b = points[index[0]], points[index[-1]]
-            along = (b[1] - a[1]) * math.cos(fit[0]) - (b[0] - a[0]) * math.sin(fit[0])
-            if abs(along) >= rules.min_length_m:
-                owner[index] = found
-                lines[found] = fit
-                where[found] = (k, index[0], index[-1])
-                found += 1
+            pieces = _WHOLE
+            if rules.cut_false_alarm > 0.0 and rules.least_squares:
+                pieces = straight_pieces(points, index, fit, sigmas, rules.cut_false_alarm, rules.min_points)
+            for first, past in pieces:
+                own = index[first:past] if past > 0 else index
+                if len(own) < len(index):
+                    fit = fit_line(points, own, sigmas.range_m, sigmas.bearing_rad)
+                a, b = points[own[0]], points[own[-1]]
+                along = (b[1] - a[1]) * math.cos(fit[0]) - (b[0] - a[0]) * math.sin(fit[0])
+                if abs(along) >= rules.min_length_m:
+                    owner[own] = found
+                    lines[found] = fit
+                    where[found] = (k, own[0], own[-1])
+                    found += 1
     order = np.argsort(where[:found, 1])
     rank = np.empty(found + 1, np.int64)
     rank[order] = np.arange(found)

@@ -22,7 +22,8 @@ from sixthsense.slam.features.endpoints import (
     mark_free_ends,
     mean_spacing,
 )
-from sixthsense.slam.features.lines import FittedLines, LaserSigmas, fit_line
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line
+from sixthsense.slam.features.lines import FittedLines
 from sixthsense.slam.features.partition import Indices
 
 CORNER, END = 0, 1

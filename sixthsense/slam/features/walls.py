@@ -23,8 +23,10 @@ from sixthsense.slam.features.endpoints import (
     mark_free_ends,
     mean_spacing,
 )
-from sixthsense.slam.features.lines import FittedLines, LaserSigmas, fit_line, parallel_line
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
+from sixthsense.slam.features.lines import FittedLines
 from sixthsense.slam.features.partition import Indices
+from sixthsense.slam.features.straightness import shape
 
 # A return of the neighbouring wall lies within the threshold of this line with a probability of threshold over
 # spacing. Outermost returns that are this many thresholds apart are therefore trusted.
@@ -61,9 +63,9 @@ def find_walls(
     A free end takes the last `reserved` returns on its side. Its wall takes all others, except those near a corner and,
     on a side with neither, an ambiguous outermost return. So few returns determine no direction: a free end takes that
     of its wall. Walls shorter than `min_length` (m) are left out; `rules.corners` is ignored.
-    Returns (W, 7) alpha, d, aa, ad, dd, and the first and last place along the wall that was seen; (E, 5) x, y, xx, xy,
-    yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall (W, 2) and
-    of each free end (E, 2).
+    Returns (W, 11) alpha, d, aa, ad, dd, the first and last place along the wall that was seen, and its `shape`; (E, 5)
+    x, y, xx, xy, yy; (U,) the returns that were used; and first and past-last place in that array of those of each wall
+    (W, 2) and of each free end (E, 2).
     """
     count, spacing = len(lines.fits), mean_spacing(scan.bearings)
     corners = np.full((count, 2), UNDECIDED, np.int64)
@@ -72,7 +74,7 @@ def find_walls(
     if rules.ends:
         mark_free_ends(scan, lines, rules, ends)
     points = scan.points
-    walls, found = np.empty((count, 7)), np.empty((2 * count, 5))
+    walls, found = np.empty((count, 11)), np.empty((2 * count, 5))
     used = np.empty(len(lines.owner), np.int64)
     of_walls, of_ends = np.empty((count, 2), np.int64), np.empty((2 * count, 2), np.int64)
     w = e = u = 0
@@ -105,6 +107,7 @@ def find_walls(
         if abs(b - a) >= min_length:
             walls[w, :5] = fit
             walls[w, 5], walls[w, 6] = min(a, b), max(a, b)
+            walls[w, 7:] = shape(points, owned, fit, sigmas)
             used[u : u + len(owned)] = owned
             of_walls[w] = u, u + len(owned)
             u += len(owned)

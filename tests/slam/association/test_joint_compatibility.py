@@ -30,6 +30,11 @@ def problem(seed, sightings=4, landmarks=5):
     return Innovations(values, squared, np.zeros_like(squared), by_pose, by_landmark, predicted, walls), joint, noise
 
 
+def of_pairs(innovation, noise):
+    """(m, k, 2, 2) the covariance of each sighting against every landmark."""
+    return np.repeat(noise[:, None], innovation.squared.shape[1], axis=1)
+
+
 def nis_of(innovation, joint, noise, pairs):
     rows, cols = np.array(pairs, dtype=int).reshape(-1, 2).T
     index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
@@ -56,7 +61,7 @@ def exhaustive(innovation, joint, noise, gate, probability):
 def test_the_largest_jointly_compatible_set_is_found(seed):
     innovation, joint, noise = problem(seed)
     gate = float(chi2.ppf(0.999, 2))
-    rows, cols = jointly_compatible(innovation, joint, noise, gate, 0.999)
+    rows, cols = jointly_compatible(innovation, joint, of_pairs(innovation, noise), gate, 0.999)
     count, nis = exhaustive(innovation, joint, noise, gate, 0.999)
     assert len(rows) == count and len(set(cols.tolist())) == len(cols)
     assert nis_of(innovation, joint, noise, np.column_stack([rows, cols])) == pytest.approx(nis, rel=1e-6)
@@ -71,7 +76,7 @@ def test_each_alone_may_pass_where_both_together_cannot():
     squared = np.where(np.eye(2, dtype=bool), 0.81, np.inf)
     walls = np.zeros(2, dtype=bool)
     innovation = Innovations(values, squared, np.zeros((2, 2)), by_pose, by_landmark, np.zeros((2, 2)), walls)
-    rows, _ = jointly_compatible(innovation, joint, noise, 13.8, 0.999)
+    rows, _ = jointly_compatible(innovation, joint, of_pairs(innovation, noise), 13.8, 0.999)
     assert len(rows) == 1
 
 
@@ -79,5 +84,5 @@ def test_the_search_ends_in_a_room_full_of_ambiguous_matches(monkeypatch):
     monkeypatch.setattr("sixthsense.slam.association.joint_compatibility._MAX_NODES", 300)
     innovation, joint, noise = problem(1, 14, 14)
     innovation.squared[:] = 1.0
-    rows, cols = jointly_compatible(innovation, 100.0 * joint, noise, 13.8, 0.999)
+    rows, cols = jointly_compatible(innovation, 100.0 * joint, of_pairs(innovation, noise), 13.8, 0.999)
     assert len(rows) and len(set(cols.tolist())) == len(cols)

@@ -328,7 +328,7 @@ def test_duplicate_walls_are_merged():
         # Two pieces with a gap too large for one wall, until a sighting of the first reaches the second.
         first = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
         second = Sighting(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
-        for longer in (-0.5, 0.2):
+        for longer in (-0.5, 0.48):
             seen = Sighting(Kind.WALL, first.z, COV, (-2.0, longer))
             estimator.update(associator.associate([seen, second], estimator).sightings)
         assert estimator.estimate().walls.sum() == 2

@@ -9,7 +9,8 @@ from sixthsense.core.landmarks import Kind, predict_walls
 from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
-from sixthsense.slam.features.lines import LaserSigmas, LineRules, fit_line, fit_lines, parallel_line, ransac
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
+from sixthsense.slam.features.lines import LineRules, fit_lines, ransac
 from sixthsense.slam.features.partition import partition
 from sixthsense.slam.features.split import split
 
@@ -148,7 +149,9 @@ def test_lines_follow_each_other_in_the_order_of_the_scan():
     scan = scan_from(Pose(1.5, 1.0, 0.3), config)
     points = scan.points_robot
     spans = np.array([[0, 360]])
-    lines, where, owner = fit_lines(points, spans, LineRules(True, 0.05, 200, True, 6, 0.2), LaserSigmas(0.01, 0.0), 7)
+    lines, where, owner = fit_lines(
+        points, spans, LineRules(True, 0.05, 200, True, 6, 0.2, 0.01), LaserSigmas(0.01, 0.0), 7
+    )
     assert (np.diff(where[:, 1]) > 0).all()
     for k, (_, first, last) in enumerate(where):
         mine = np.flatnonzero(owner == k)

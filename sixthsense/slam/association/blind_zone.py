@@ -1,0 +1,47 @@
+"""Noticing that the robot is not where it is believed to be, from sightings that neither match nor are new.
+
+A sighting between the gate of a match and that of a new landmark is discarded. One of them is noise or clutter. If
+most are, scan after scan, the prediction is off by more than its covariance says, and odometry alone would go on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.association.associator import Association
+
+_PATIENCE = 3
+"""key scans in a row before anything is done"""
+_SIGMAS = (0.05, 0.03)
+"""of position, m, and heading, rad, that are added first; doubled at each further key scan"""
+_LARGEST = (1.0, 0.5)
+"""of position, m, and heading, rad, that are added at a key scan"""
+
+
+class BlindZone:
+    """Counts key scans most of whose sightings are discarded, and says how uncertain the pose is then."""
+
+    def __init__(self) -> None:
+        self._scans = 0
+
+    def uncertainty(self, association: Association) -> Odometry | None:
+        """Uncertainty of the pose beyond its covariance, as a motion of zero; None while sightings match.
+
+        With it the gates are wide enough for the matches that the alignment of walls proposes, so that the robot is
+        localised again by all landmarks around it.
+        """
+        if association.discarded <= association.dof // 2 + _new_landmarks(association):
+            self._scans = 0
+            return None
+        self._scans += 1
+        if self._scans < _PATIENCE:
+            return None
+        growth = 2.0 ** (self._scans - _PATIENCE)
+        position, heading = (min(first * growth, most) for first, most in zip(_SIGMAS, _LARGEST, strict=True))
+        return Odometry(Pose(), np.diag([position, position, heading]) ** 2)
+
+
+def _new_landmarks(association: Association) -> int:
+    return len(association.sightings) - association.dof // 2

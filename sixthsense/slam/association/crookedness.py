@@ -1,0 +1,120 @@
+"""Walls that are not straight: what their own returns say of it, and how much less a sighting of them determines.
+
+A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
+not depend on where the robot is, so that it is averaged over all sightings of a landmark. A line that is fitted to
+another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import Sighting, WallShape
+
+_SIGNIFICANT = 3.0
+"""sigmas below which a mean shape, or the mean over all walls, says that walls are straight"""
+_TILT = 3.0
+"""variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
+_LARGEST = 25.0
+"""of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
+_MEMORY = 500.0
+"""sightings of walls over which their mean crookedness is taken"""
+
+
+class Crookedness:
+    """How crooked walls are here, in the mean: the shapes of single sightings against the laser's noise."""
+
+    def __init__(self) -> None:
+        self._counts = [0.0, 0.0]
+        self._squares = [0.0, 0.0]
+
+    def add(self, shape: WallShape) -> None:
+        """Take the shape of a sighting; older ones are forgotten gradually."""
+        for k, (c, var) in enumerate(zip(shape.amplitudes_m, shape.variances_m2, strict=True)):
+            if math.isfinite(var):
+                keep = 1.0 - 1.0 / _MEMORY
+                self._counts[k] = keep * self._counts[k] + 1.0
+                self._squares[k] = keep * self._squares[k] + min(c * c / var, _LARGEST)
+
+    @property
+    def excess(self) -> tuple[float, float]:
+        """Variances of both amplitudes of an unknown wall over those of the laser's noise; 0: straight."""
+        first, second = (
+            max(0.0, square / count - _mean_square_limit(count)) if count >= 1.0 else 0.0
+            for square, count in zip(self._squares, self._counts, strict=True)
+        )
+        return first, second
+
+
+def _mean_square_limit(count: float) -> float:
+    """What the mean of `count` squares of standard normals exceeds as seldom as a normal exceeds `_SIGNIFICANT` sigmas.
+
+    Wilson and Hilferty, "The distribution of chi-square", PNAS 17, 1931.
+    """
+    var = 2.0 / (9.0 * count)
+    return float((1.0 - var + _SIGNIFICANT * math.sqrt(var)) ** 3)
+
+
+@dataclass(slots=True)
+class MeanShape:
+    """The mean shape of a wall over its sightings."""
+
+    sightings: int = 0
+    information: tuple[float, float] = (0.0, 0.0)
+    """of the two amplitudes, 1 / m^2"""
+    weighted: tuple[float, float] = (0.0, 0.0)
+    """sums of the amplitudes over their variances, 1 / m"""
+
+    def add(self, shape: WallShape) -> None:
+        """Take the shape of another sighting."""
+        weights = [1.0 / var for var in shape.variances_m2]
+        first, second = (w * c for w, c in zip(weights, shape.amplitudes_m, strict=True))
+        self.sightings += 1
+        self.weighted = (self.weighted[0] + first, self.weighted[1] + second)
+        self.information = (self.information[0] + weights[0], self.information[1] + weights[1])
+
+    def square_m2(self, excess: tuple[float, float]) -> float:
+        """Mean square of the deviation from a straight wall.
+
+        Before the wall is seen an amplitude is normal with a variance of `excess` times that of a single sighting; its
+        mean over the sightings tells the rest. A mean that is significant counts wherever walls are straight otherwise.
+        """
+        total = 0.0
+        for information, weighted, prior_ratio in zip(self.information, self.weighted, excess, strict=True):
+            if information > 0.0:
+                mean_sq, var = (weighted / information) ** 2, 1.0 / information
+                prior = prior_ratio * self.sightings * var
+                share = prior / (prior + var)
+                expected = share * share * mean_sq + share * var
+                total += max(expected, mean_sq - _SIGNIFICANT**2 * var)
+        return total
+
+
+def noise_of_pairs(sightings: Sequence[Sighting], squares_m2: Array) -> Array:
+    """(m, k, 2, 2) covariances of the sightings if they are of landmarks whose walls deviate by `squares_m2` (k,)."""
+    noise = np.array([s.cov for s in sightings])[:, None]
+    if not squares_m2.any():
+        return np.repeat(noise, len(squares_m2), axis=1)
+    units = np.array([_unit(s) for s in sightings])
+    return np.asarray(noise + squares_m2[None, :, None, None] * units[:, None])
+
+
+def less_certain(sighting: Sighting, square_m2: float) -> Sighting:
+    """The sighting of a wall that deviates from a straight one by a mean square of `square_m2`."""
+    if square_m2 == 0.0:
+        return sighting
+    return replace(sighting, cov=sighting.cov + square_m2 * _unit(sighting))
+
+
+def _unit(sighting: Sighting) -> Array:
+    """(2, 2) covariance that a mean square of 1 m^2 adds to a sighting: an offset, and a tilt about its middle."""
+    if not sighting.is_wall:
+        return np.zeros((2, 2))
+    first, last = sighting.extent
+    about_middle = np.array([[1.0, 0.0], [0.5 * (first + last), 1.0]])
+    return np.asarray(about_middle @ np.diag([4.0 * _TILT / (last - first) ** 2, 1.0]) @ about_middle.T)

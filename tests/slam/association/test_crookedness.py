@@ -1,0 +1,151 @@
+"""Walls that are not straight determine less, by what their own returns say."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind, Sighting, WallShape, initialize_landmark, innovations, predict_walls
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
+from sixthsense.slam.features import extract
+
+VARIANCES = (4e-6, 9e-6)
+
+
+def shapes(rng, count, excess=0.0):
+    """Shapes of walls whose amplitudes vary by `excess` times the noise, seen once each."""
+    scale = math.sqrt(1.0 + excess)
+    for _ in range(count):
+        first, second = rng.normal(0.0, scale * np.sqrt(VARIANCES))
+        yield WallShape((float(first), float(second)), VARIANCES)
+
+
+def test_straight_walls_have_no_excess_and_crooked_ones_have_theirs():
+    rng, along = np.random.default_rng(1), []
+    for _ in range(20):
+        straight = Crookedness()
+        for seen in shapes(rng, 300):
+            straight.add(seen)
+            along.append(sum(straight.excess))
+        assert straight.excess == (0.0, 0.0)
+    assert np.mean(along) < 0.01
+    crooked = Crookedness()
+    for seen in shapes(rng, 3000, excess=3.0):
+        crooked.add(seen)
+    assert 1.8 < min(crooked.excess) <= max(crooked.excess) < 3.8
+
+
+def test_a_straight_wall_loses_hardly_any_information():
+    rng = np.random.default_rng(2)
+    means = [MeanShape() for _ in range(300)]
+    for mean in means:
+        for seen in shapes(rng, 10):
+            mean.add(seen)
+    single = sum(VARIANCES)
+    assert np.mean([mean.square_m2((0.0, 0.0)) for mean in means]) < 0.01 * single
+
+
+def test_a_bend_that_no_single_scan_shows_is_found_in_many():
+    rng, mean = np.random.default_rng(3), MeanShape()
+    bend = math.sqrt(VARIANCES[0])  # one sigma of a single scan
+    for seen in shapes(rng, 60):
+        mean.add(WallShape((seen.amplitudes_m[0] + bend, seen.amplitudes_m[1]), VARIANCES))
+    assert mean.square_m2((0.0, 0.0)) == pytest.approx(bend**2, rel=0.5)
+
+
+def test_where_walls_are_crooked_a_new_wall_is_taken_to_be():
+    mean = MeanShape()
+    mean.add(WallShape((0.0, 0.0), VARIANCES))
+    # The posterior variance of an amplitude with the prior 3 v and the noise v.
+    assert mean.square_m2((3.0, 3.0)) == pytest.approx(0.75 * sum(VARIANCES))
+    assert mean.square_m2((0.0, 0.0)) == 0.0
+
+
+def test_an_unknown_shape_says_nothing():
+    mean, crookedness = MeanShape(), Crookedness()
+    mean.add(WallShape())
+    crookedness.add(WallShape())
+    assert mean.square_m2((3.0, 3.0)) == 0.0
+    assert crookedness.excess == (0.0, 0.0)
+
+
+def test_a_crooked_wall_is_less_certain_about_its_middle():
+    wall = Sighting(Kind.WALL, np.array([0.3, -2.0]), np.diag([1e-6, 1e-6]), (1.0, 3.0))
+    less = less_certain(wall, 1e-4)
+    lever = np.array([-2.0, 1.0])  # the offset at the middle of what was seen
+    assert lever @ (less.cov - wall.cov) @ lever == pytest.approx(1e-4)
+    assert less.cov[0, 0] - wall.cov[0, 0] == pytest.approx(3e-4)  # half of its length is 1 m
+    assert less_certain(wall, 0.0) is wall
+    point = Sighting(Kind.END, np.array([1.0, 1.0]), 1e-4 * np.eye(2))
+    pairs = noise_of_pairs([wall, point], np.array([1e-4, 0.0]))
+    assert pairs[0, 0] == pytest.approx(less.cov)
+    assert np.array_equal(pairs[0, 1], wall.cov)
+    assert np.array_equal(pairs[1, 0], point.cov)
+
+
+def arc(radius_m, segment_m=0.03):
+    """A wall that is part of a circle around a point 2 m beyond its nearest place, which is 2 m ahead of the origin."""
+    angles = np.arange(-1.0, 1.0, segment_m / radius_m)
+    corners = np.column_stack([2.0 + radius_m - radius_m * np.cos(angles), radius_m * np.sin(angles)])
+    return np.stack([corners[:-1], corners[1:]], axis=1)
+
+
+def nis_of_neighbours(walls, seeds):
+    """NIS (2) of walls sighted 0.1 m farther on, against those sighted before: as they are, and less certain."""
+    config = preset()
+    raw, honest = [], []
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        poses = [Pose(0.0, -0.5 + 0.1 * k, 0.0) for k in range(11)]
+        seen = []
+        crookedness = Crookedness()
+        for pose in poses:
+            ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
+            scan = Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser)
+            found = extract(scan, config.assumed, config.features, rng).sightings
+            seen.append([s for s in found if s.is_wall])
+            for sighting in seen[-1]:
+                crookedness.add(sighting.shape)
+        for before, after, one, two in zip(poses, poses[1:], seen, seen[1:], strict=False):
+            for first in one:
+                for with_shape, out in ((False, raw), (True, honest)):
+                    out += _nis(before, after, first, two, crookedness.excess if with_shape else None)
+    return np.array(raw), np.array(honest)
+
+
+def _nis(before, after, first, candidates, excess):
+    """NIS of the candidate that looks most alike, if any is near; the wall's shape is known from its first sighting."""
+    square = 0.0
+    if excess is not None:
+        mean = MeanShape()
+        mean.add(first.shape)
+        square = mean.square_m2(excess)
+    landmark, _, by_z = initialize_landmark(before, first)
+    predicted, _, by_landmark = predict_walls(after, landmark[None])
+    jacobian = by_landmark[0] @ by_z
+    known = jacobian @ less_certain(first, square).cov @ jacobian.T
+    found = []
+    for second in candidates:
+        off = innovations(second.z[None], predicted, np.array([True]))[0]
+        overlap = min(first.extent[1], second.extent[1] + 0.1) - max(first.extent[0], second.extent[0] + 0.1)
+        if overlap > 0.7 * (first.extent[1] - first.extent[0]):
+            found.append(float(off @ np.linalg.solve(known + less_certain(second, square).cov, off)))
+    return found[:1]
+
+
+@pytest.mark.parametrize("radius_m", [6.0, 12.0])
+def test_a_curved_wall_is_as_certain_as_it_says(radius_m):
+    raw, honest = nis_of_neighbours(arc(radius_m), 12)
+    assert len(honest) > 100
+    assert raw.mean() > 4.0
+    assert 1.2 < honest.mean() < 3.0
+
+
+def test_a_straight_wall_stays_as_certain_as_it_was():
+    walls = np.array([[(2.0, -5.0), (2.0, 5.0)]])
+    raw, honest = nis_of_neighbours(walls, 12)
+    assert raw.mean() == pytest.approx(2.0, abs=0.45)
+    assert honest.mean() == pytest.approx(raw.mean(), rel=0.15)

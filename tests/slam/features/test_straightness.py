@@ -1,0 +1,171 @@
+"""Lines are cut where they are not straight, and what is left of their shape is measured."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.slam.features import extract
+from sixthsense.slam.features.line_fit import LaserSigmas, across_line, fit_line
+from sixthsense.slam.features.straightness import cut_gains, shape, straight_pieces
+
+SIGMAS = LaserSigmas(0.01, 0.001)
+BEARINGS = np.radians(np.arange(-60.0, 60.0, 1.5))
+ALL = np.arange(len(BEARINGS))
+
+
+def seen(distances, rng, sigma=0.01):
+    """Returns (N, 2) of a wall ahead whose distance along the x axis at each bearing is `distances` (N,)."""
+    ranges = distances / np.cos(BEARINGS) + rng.normal(0.0, sigma, len(BEARINGS))
+    return ranges[:, None] * np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)])
+
+
+def straight(rng, sigma=0.01):
+    return seen(np.full(len(BEARINGS), 2.0), rng, sigma)
+
+
+def bent(rng, degrees, sigma=0.01):
+    """A wall 2 m ahead that turns away to the left of the laser."""
+    slope = np.tan(BEARINGS)
+    turned = 2.0 / (1.0 - math.tan(math.radians(degrees)) * slope)
+    return seen(np.where(slope > 0.0, turned, 2.0), rng, sigma)
+
+
+def weighted(points, index, line, sigmas):
+    rows = np.array([across_line(*points[i], line, sigmas) for i in index])
+    return rows[:, 0], rows[:, 1], 1.0 / rows[:, 2]
+
+
+def pieces_of(points, index, sigmas, false_alarm, least):
+    return straight_pieces(points, index, fit_line(points, index, *sigmas), sigmas, false_alarm, least)
+
+
+def left_over(off, columns, weights):
+    """Chi-square of offsets (n,) after the weighted fit of `columns` (n, k)."""
+    root = np.sqrt(weights)
+    solution = np.linalg.lstsq(columns * root[:, None], off * root, rcond=None)[0]
+    return float((weights * (off - columns @ solution) ** 2).sum())
+
+
+def test_the_gain_of_a_cut_is_what_two_separate_fits_explain_more():
+    points = bent(np.random.default_rng(1), 2.0)
+    index = ALL[::4]
+    line = fit_line(points, index, *SIGMAS)
+    off, arm, weights = weighted(points, index, line, SIGMAS)
+    columns = np.column_stack([np.ones(len(index)), arm])
+    one = left_over(off, columns, weights)
+
+    def side(part):
+        kept = columns[part] if len(off[part]) > 2 else columns[part][:, :1]
+        return left_over(off[part], kept, weights[part])
+
+    expected = [one - side(slice(0, k)) - side(slice(k, None)) for k in range(1, len(index))]
+    assert cut_gains(points, index, line, SIGMAS) == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("false_alarm", [0.01, 0.1])
+@pytest.mark.parametrize("step", [1, 8])
+def test_a_straight_wall_is_cut_as_seldom_as_it_is_set_to(false_alarm, step):
+    rng, index = np.random.default_rng(2), ALL[::step]
+    runs = 4000
+    pieces = [pieces_of(straight(rng), index, LaserSigmas(0.01, 0.0), false_alarm, 1) for _ in range(runs)]
+    share = sum(len(found) > 1 for found in pieces) / runs
+    assert 0.5 * false_alarm < share < 1.6 * false_alarm
+
+
+def test_a_bend_of_a_degree_and_a_half_is_cut_where_it_is():
+    rng = np.random.default_rng(3)
+    bend = int(np.searchsorted(BEARINGS, 0.0))
+    found = [pieces_of(bent(rng, 3.0, 0.005), ALL, LaserSigmas(0.005, 0.0), 0.01, 6) for _ in range(100)]
+    assert sum(len(pieces) == 2 for pieces in found) >= 95
+    assert np.median([abs(pieces[0, 1] - bend) for pieces in found]) <= 6
+
+
+def test_a_foreign_return_at_the_end_costs_a_short_wall_nothing_else():
+    points = straight(np.random.default_rng(10), 0.001)[:6].copy()
+    points[5] *= 1.1
+    fine = LaserSigmas(0.001, 0.0)
+    assert pieces_of(points, np.arange(6), fine, 0.01, 6).tolist() == [[0, 5]]
+    # Three returns may be a wall of their own, so that neither is known to be one.
+    points[3:5] *= 1.1
+    assert pieces_of(points, np.arange(6), fine, 0.01, 6).tolist() == []
+
+
+def walls_sighted(walls, config, rng):
+    ranges = cast_rays(Pose(), beam_bearings(config.laser), walls, config.laser.max_range)
+    noise = config.assumed.laser.range_m
+    scan = Scan.from_config(ranges + rng.normal(0.0, noise, len(ranges)), config.laser)
+    return [s for s in extract(scan, config.assumed, config.features, rng).sightings if s.is_wall]
+
+
+def test_no_line_spans_two_walls_that_meet_at_one_and_a_half_degrees():
+    bend = math.radians(1.4)
+    walls = np.array([[(2.0, -5.0), (2.0, 0.0)], [(2.0, 0.0), (2.0 + 5.0 * math.tan(bend), 5.0)]])
+    config, rng = preset(laser={"beams": 1440}), np.random.default_rng(4)
+    for _ in range(30):
+        sightings = walls_sighted(walls, config, rng)
+        turns = np.array([math.remainder(s.z[0] - math.pi, 2.0 * math.pi) for s in sightings])
+        off = np.abs(turns[:, None] - np.array([0.0, -bend])) / np.sqrt([[s.cov[0, 0]] for s in sightings])
+        assert (off.min(axis=1) < 4.5).all()
+        assert set(off.argmin(axis=1).tolist()) == {0, 1}
+
+
+def test_two_faces_five_centimetres_apart_are_two_landmarks():
+    walls = np.array([[(2.0, -3.0), (2.0, 0.0)], [(2.0, 0.0), (2.05, 0.0)], [(2.05, 0.0), (2.05, 3.0)]])
+    rng = np.random.default_rng(5)
+    config = preset()
+    for _ in range(30):
+        near, far = sorted(-s.z[1] for s in walls_sighted(walls, config, rng))
+        assert near == pytest.approx(2.0, abs=0.015)
+        assert far == pytest.approx(2.05, abs=0.015)
+
+
+def test_a_line_is_not_cut_where_that_is_switched_off():
+    walls = np.array([[(2.0, -3.0), (2.0, 0.0)], [(2.0, 0.0), (2.04, 0.0)], [(2.04, 0.0), (2.04, 3.0)]])
+    config = preset(features={"lines": {"cut_false_alarm": 0.0}})
+    assert len(walls_sighted(walls, config, np.random.default_rng(5))) == 1
+
+
+def test_the_shape_of_a_wall_is_the_least_squares_fit_of_two_polynomials():
+    points = bent(np.random.default_rng(6), 2.0)
+    line = fit_line(points, ALL, *SIGMAS)
+    off, arm, weights = weighted(points, ALL, line, SIGMAS)
+    u = (arm - 0.5 * (arm[0] + arm[-1])) / (0.5 * (arm[-1] - arm[0]))
+    columns = np.polynomial.legendre.legvander(u, 3)
+    cov = np.linalg.inv(columns.T @ (weights[:, None] * columns))
+    amplitudes = cov @ columns.T @ (weights * off)
+    expected = [*amplitudes[2:], cov[2, 2], cov[3, 3]]
+    assert shape(points, ALL, line, SIGMAS) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_shape_of_a_straight_wall_is_as_uncertain_as_it_says():
+    rng = np.random.default_rng(7)
+    exact = LaserSigmas(0.01, 0.0)
+    found = []
+    for _ in range(500):
+        points = straight(rng)
+        found.append(shape(points, ALL, fit_line(points, ALL, *exact), exact))
+    values = np.array(found)
+    squared = values[:, :2] ** 2 / values[:, 2:]
+    assert squared.mean() == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_shape_of_few_returns_is_unknown():
+    points = straight(np.random.default_rng(8))
+    found = shape(points, ALL[:4], fit_line(points, ALL[:4], *SIGMAS), SIGMAS)
+    assert found.tolist() == [0.0, 0.0, math.inf, math.inf]
+
+
+def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was():
+    walls = np.array([[(2.0, 1.0), (2.0, 5.0)]])
+    variances = []
+    for floor in (0.0, 0.05):
+        config = preset(assumed={"wall_floor_rad": floor}, features={"walls": {"max_sigma_rad": 0.2}})
+        (sighting,) = walls_sighted(walls, config, np.random.default_rng(9))
+        middle = 0.5 * sum(sighting.extent)
+        lever = np.array([-middle, 1.0])
+        variances.append(float(lever @ sighting.cov @ lever))
+    assert variances[1] == pytest.approx(variances[0], rel=1e-3)
