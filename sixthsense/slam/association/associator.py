@@ -14,11 +14,11 @@ import numpy as np
 from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, innovations
+from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
 from sixthsense.slam.association.agreement import agreed, predicted_cov
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
-from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, joint_nis
+from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, matches_nis
 from sixthsense.slam.association.pre_gate import pre_gate
 from sixthsense.slam.association.wall_alignment import Alignment, align
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
@@ -133,7 +133,7 @@ class Associator:
                     pieces += self._fuse(sightings[i], squared[i, cols], matched)
             matched = [less_certain(sighting, squares[j]) for j, sighting in zip(cols, matched, strict=True)]
             known = {int(estimate.ids[near[j]]): sighting for j, sighting in zip(cols, matched, strict=True)}
-            nis = _matches_nis(innovation, matched, cols, joint)
+            nis = matches_nis(innovation, matched, cols, joint)
         dof = 2 * len(known)
         for j, i in enumerate(estimate.ids.tolist()):
             if i in known:
@@ -164,7 +164,7 @@ class Associator:
             innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=bool))
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = _matches_nis(innovation, [seen[k] for k in kept], kept, joint)
+            nis = matches_nis(innovation, [seen[k] for k in kept], kept, joint)
         accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
         for i, sighting in accepted.items():
             self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
@@ -181,7 +181,7 @@ class Associator:
         near, seen = np.array([order[i] for i in old]), [sightings[i] for i in old]
         joint = estimator.joint_covariance(old)
         innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=np.bool_))
-        return _matches_nis(innovation, seen, np.arange(len(old)), joint), 2 * len(old)
+        return matches_nis(innovation, seen, np.arange(len(old)), joint), 2 * len(old)
 
     def cull(self) -> list[LandmarkId]:
         """Landmarks to forget now: seen too rarely a period after their first sighting (report: bad landmarks)."""
@@ -291,16 +291,3 @@ class Associator:
         extent = ends(Pose(), other)[None]
         here = Alignment(Pose(), 1.0)
         return not pre_gate([one], other_known, here, np.zeros(1), extent, self._gate_sigmas, self._config).apart[0, 0]
-
-
-def _matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:
-    """Normalised innovation squared of all matches together, with the correlations between them."""
-    index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
-    z = np.array([s.z for s in matched]).reshape(-1, 2)
-    return joint_nis(
-        joint[np.ix_(index, index)],
-        innovation.by_pose[cols],
-        innovation.by_landmark[cols],
-        innovations(z, innovation.predicted[cols], innovation.walls[cols]),
-        np.array([s.cov for s in matched]),
-    )

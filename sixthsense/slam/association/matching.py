@@ -98,6 +98,19 @@ def joint_nis(joint: Array, by_pose: Array, by_landmark: Array, innovation: Arra
     return float(stacked @ np.linalg.solve(S, stacked))
 
 
+def matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:
+    """Normalised innovation squared of all matches together, with the correlations between them."""
+    index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
+    z = np.array([s.z for s in matched]).reshape(-1, 2)
+    return joint_nis(
+        joint[np.ix_(index, index)],
+        innovation.by_pose[cols],
+        innovation.by_landmark[cols],
+        innovations(z, innovation.predicted[cols], innovation.walls[cols]),
+        np.array([s.cov for s in matched]),
+    )
+
+
 def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
     """(2m, 3 + 2m) Jacobian of m predicted sightings by the pose and the landmarks, in order."""
     m = len(by_pose)
