@@ -9,14 +9,17 @@ import numpy as np
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.gridsearch import far_from
 from sixthsense.navigation.map_window import Region
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
+_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
+
 
 @dataclass(frozen=True, slots=True)
 class DrivingLimits:
-    """A rectangle that the robot's centre must not leave."""
+    """A rectangle that the robot's centre must not leave, and the cells in it near what was seen."""
 
     region: Region
     """the region to be explored"""
@@ -37,10 +40,10 @@ class DrivingLimits:
         return slices[0], slices[1]
 
     def blocked(self, space: FreeSpace) -> Bools:
-        """(H, W) the blocked cells of a space, and all cells outside the limits."""
+        """(H, W) the blocked cells of a space, all cells outside the limits, and those far into the unknown."""
         inside = self.rows_and_cols(space)
         blocked = np.ones(space.blocked.shape, dtype=np.bool_)
-        blocked[inside] = space.blocked[inside]
+        blocked[inside] = space.blocked[inside] | far_from(space.seen[inside], round(_UNKNOWN_M / space.cell_m))
         return blocked
 
 

@@ -7,24 +7,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.driving_limits import DrivingLimits, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
-from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.gridsearch import Costs, cell_before_gap, far_from, geodesic_distances
-from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Region, Target
+from sixthsense.navigation.exploration_task import ExplorationTask
+from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
 from sixthsense.navigation.path_margin import margin_m
-from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
+from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_planner import SensorModel, ViewPlanner, distances_without_clearance
+from sixthsense.navigation.view_planner import ViewPlanner, distances_without_clearance
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
@@ -33,26 +32,7 @@ from sixthsense.slam.mapping.grid import Grid
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
-_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ExplorationTask:
-    """What to explore, and by what means."""
-
-    home: Array
-    """(2,) where the robot starts and returns to"""
-    region: Region
-    """holds the start"""
-    radius_m: float
-    """the robot's"""
-    sensor: SensorModel
-    paths: PathPlanner
-    follower: Follower
-    config: Config
-    rng: np.random.Generator
-    """for the random method"""
 
 
 class Exploration:
@@ -77,6 +57,7 @@ class Exploration:
         self._retries = 0  # of unreachable cells
         self._stuck_since_arrival = False
         self._retracing = False
+        self._has_seen_more = True  # since the last revisit: else one revisit could follow another for ever
         self._map = self._driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
         self._window = self._window_of_map()
@@ -89,10 +70,12 @@ class Exploration:
         self._history.add(pose, estimate.pose_cov)
         if self._history.is_certain:
             self._react("pose certain", pose)
-        elif self._history.needs_revisit:
+        elif self._history.needs_revisit and self._has_seen_more:
             self._react("pose uncertain", pose)
-        if self._target_is_seen() and self._react("target seen", pose):
-            return
+        if self._target_is_seen():
+            self._has_seen_more |= self._target is not NO_TARGET
+            if self._react("target seen", pose):
+                return
         if not self.driver.path_is_free(pose):
             self._react("path blocked", pose)
 
@@ -155,7 +138,7 @@ class Exploration:
 
     def _count_failed_view(self, pose: Pose) -> State:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
-        window = self._window
+        window, self._has_seen_more = self._window, True
         cell, reach = window.cell(pose.position), self._task.sensor.gapless_reach
         visible = visible_cells(window.obstacles, window.unknown, *cell, reach)
         failed = (self._target.mask(window) | visible) & window.unknown
@@ -180,7 +163,7 @@ class Exploration:
         costs = np.array([cost[self._window.cell(place)] for place in places])
         if not np.isfinite(costs).any():
             return self.state
-        self._target = NO_TARGET
+        self._target, self._has_seen_more = NO_TARGET, False
         self.driver.head_for(places[int(np.argmin(costs))], pose)
         return "revisiting"
 
@@ -268,7 +251,7 @@ class Exploration:
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         def free_space(margin_m: float, places: Array) -> FreeSpace:
             space = grid.free_space(*places, margin_m=margin_m)
-            blocked = self._limits().blocked(space) | far_from(space.seen, round(_UNKNOWN_M / space.cell_m))
+            blocked = self._limits().blocked(space)
             if self._retracing and margin_m == 0.0:
                 blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
             return replace(space, blocked=blocked)

@@ -7,7 +7,8 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Command
-from sixthsense.navigation.exploration import Exploration, ExplorationTask
+from sixthsense.navigation.exploration import Exploration
+from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.map_window import Region
 from sixthsense.navigation.navigator import Outcome

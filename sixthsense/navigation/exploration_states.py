@@ -52,6 +52,7 @@ _AFTER_CHOICE: tuple[State, ...] = ("to viewpoint", "returning")
 
 _CHOOSE = Transition("choose view", _AFTER_CHOICE)
 _COUNT_FAILED_VIEW = Transition("count failed view", _AFTER_CHOICE)  # then choose a view
+_OTHER_WAY_HOME = Transition("approach gap or retrace", ("approaching gap", "returning"))
 _MARK_UNREACHABLE = Transition("mark unreachable", _AFTER_CHOICE)  # then choose a view
 
 
@@ -103,8 +104,8 @@ TRANSITIONS: Mapping[State, Mapping[Event, Transition]] = MappingProxyType(
         "returning": {
             "path blocked": _replan("returning"),
             "arrived": Transition("finish", ("returning",)),
-            "turned around": Transition("approach gap or retrace", ("approaching gap", "returning")),
-            "stuck": _give_up("returning"),
+            "turned around": _OTHER_WAY_HOME,
+            "stuck": _OTHER_WAY_HOME,
             "stuck again": _give_up("returning"),
         },
     }

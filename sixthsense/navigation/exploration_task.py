@@ -1,0 +1,32 @@
+"""What an exploration is asked to do, and by what means."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.map_window import Region
+from sixthsense.navigation.path_planner import PathPlanner
+from sixthsense.navigation.view_planner import SensorModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExplorationTask:
+    """What to explore, and by what means."""
+
+    home: Array
+    """(2,) where the robot starts and returns to"""
+    region: Region
+    """holds the start"""
+    radius_m: float
+    """the robot's"""
+    sensor: SensorModel
+    paths: PathPlanner
+    follower: Follower
+    config: Config
+    rng: np.random.Generator
+    """for the random method"""
