@@ -22,13 +22,13 @@ from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-CONFIG = Config()
+CONFIG = Config(task="goal")
 NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser)
 BOX = [[[1.0, -1.0], [3.0, -1.0]], [[3.0, -1.0], [3.0, 1.0]], [[3.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, -1.0]]]
 
 
-def navigator_to(*goals: tuple[float, float], is_tour: bool = False, config: Config = CONFIG) -> GoalNavigator:
-    return GoalNavigator(np.array(goals), is_tour, make_planner("astar"), Follower(config.follow, config.robot), config)
+def navigator_to(*goals: tuple[float, float], config: Config = CONFIG) -> GoalNavigator:
+    return GoalNavigator(np.array(goals), make_planner("astar"), Follower(config.follow, config.robot), config)
 
 
 def empty_grid() -> Grid:
@@ -109,7 +109,7 @@ def test_goals_are_visited_in_turn() -> None:
 
 
 def test_a_tour_starts_over_and_never_ends() -> None:
-    navigator = navigator_to((0.5, 0.0), (0.0, 0.0), is_tour=True)
+    navigator = navigator_to((0.5, 0.0), (0.0, 0.0), config=merge(CONFIG, {"task": "tour", "max_time": 60.0}))
     positions = xy(steer(navigator, empty_grid(), Pose(0.2, 0.0, 0.0), 40.0))
     assert navigator.outcome is None
     at_first = np.linalg.norm(positions - (0.5, 0.0), axis=1) <= CONFIG.follow.goal_slack_m
@@ -201,7 +201,7 @@ def test_a_replan_reuses_the_last_search() -> None:
             return asked[-1][0]
 
     grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
-    navigator = GoalNavigator(np.array([[4.0, 1.0]]), False, Compared(), Follower(config.follow, config.robot), config)
+    navigator = GoalNavigator(np.array([[4.0, 1.0]]), Compared(), Follower(config.follow, config.robot), config)
     add_walls(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
     navigator.look(grid, believed(Pose()))
     add_walls(grid, [[[1.0, -0.5], [1.0, 0.9]]])
@@ -223,7 +223,7 @@ def test_the_planner_is_called_once_per_plan_and_only_if_there_is_a_path() -> No
             return Plan.along(np.array([start, goal]), 1, 0.0)
 
     grid, config = empty_grid(), CONFIG
-    navigator = GoalNavigator(np.array([[4.0, 0.0]]), False, Straight(), Follower(config.follow, config.robot), config)
+    navigator = GoalNavigator(np.array([[4.0, 0.0]]), Straight(), Follower(config.follow, config.robot), config)
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
     add_walls(grid, [[[2.0, -0.5], [2.0, 0.5]]])

@@ -188,7 +188,7 @@ class SuddenWall(World):
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
     source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
     follower = Follower(config.follow, config.robot)
-    navigator = GoalNavigator(np.array([goal]), False, make_planner("astar"), follower, config)
+    navigator = GoalNavigator(np.array([goal]), make_planner("astar"), follower, config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
     recorded_drive(source, Pose(), navigator, trace)
