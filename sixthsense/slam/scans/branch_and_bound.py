@@ -1,7 +1,8 @@
 """All places of points in a submap within a window, by branch and bound.
 
 Hess, Kohler, Rapp and Andor, "Real-time loop closure in 2D LIDAR SLAM", ICRA 2016, search for the best one alone. What
-is bounded here is the least score that is asked for, so that the places that look alike are found together.
+is bounded here is the least score that is asked for, so that the places that look alike are found together. One level
+of blocks is enough: their bounds are sums of contiguous bytes, and below the best of them most need no closer look.
 """
 
 from __future__ import annotations
@@ -14,14 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.submap import CELL_M, Pyramid
+from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, Pyramid
 
 STEP_RAD = 0.012
 """between two headings that are tried"""
 MOST_PEAKS = 64
 """places that are returned at most"""
-
-_COARSE, _FINE = 4, 2  # levels of the blocks of cells that are bounded; each of the finer ones holds one place
 
 
 class Window(NamedTuple):
@@ -42,95 +41,149 @@ class Apart(NamedTuple):
     turn_rad: float
 
 
-def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart) -> Array:
-    """(m, 4) score and pose in the submap's frame of all places of points (N, 2) in the window, the best first.
+def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int = MOST_PEAKS) -> Array:
+    """(m, 4) score and pose in the submap's frame of the `most` best places of points (N, 2) in the window, best first.
 
-    A score is the mean value of the points' cells, 0 to 1, and above `least`.
+    A score is the mean value of the points' cells, 0 to 1, and above `least`. A place is the best cell of a block.
     """
-    turns = 2 * int(window.half_rad / STEP_RAD) + 1
-    columns, rows = _cells(pyramid, points, window, turns)
-    blocks, count = _blocks(pyramid, columns, rows, window, least)
-    best = _best_of_blocks(pyramid, columns, rows, window, blocks[:count], least)
-    return _apart(best[np.argsort(-best[:, 0], kind="stable")], apart)
+    turns, cells = 2 * int(window.half_rad / STEP_RAD) + 1, int(window.half_m / CELL_M)
+    turned = Turned(*_cells(pyramid, points, window, turns), cells)
+    bounds = _bounds(pyramid.blocks, turned)
+    lowest = math.floor(least * PEAK * len(points))
+    blocks = np.flatnonzero(bounds > lowest)
+    blocks = blocks[np.argsort(-bounds.ravel()[blocks].astype(np.int32), kind="stable")]
+    found = _best_first(pyramid.values, turned, bounds, blocks, lowest, apart, most)
+    offsets = np.column_stack([found[:, 2:] * CELL_M, (found[:, 1] - turns // 2) * STEP_RAD])
+    return np.column_stack([found[:, 0] / (PEAK * len(points)), window.centre + offsets])
+
+
+class Turned(NamedTuple):
+    """Cells of points at the window's centre, for each heading."""
+
+    columns: NDArray[np.int32]
+    """(turns, N)"""
+    rows: NDArray[np.int32]
+    """(turns, N)"""
+    cells: int
+    """half the side of the window"""
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _blocks(
-    pyramid: Pyramid, columns: NDArray[np.int32], rows: NDArray[np.int32], window: Window, least: float
-) -> tuple[NDArray[np.int32], int]:
-    """(n, 3) heading and first cell of the blocks that may hold a score above `least`, and how many they are."""
-    cells, side, wide = int(window.half_m / CELL_M), 1 << _FINE, 1 << _COARSE
-    blocks, n = np.empty((256, 3), np.int32), 0
-    for a in range(len(columns)):
-        for left in range(-cells, cells + 1, wide):
-            for low in range(-cells, cells + 1, wide):
-                if _score(pyramid.values[_COARSE], columns[a], rows[a], left, low) <= least:
-                    continue
-                for dx in range(left, min(left + wide, cells + 1), side):
-                    for dy in range(low, min(low + wide, cells + 1), side):
-                        if _score(pyramid.values[_FINE], columns[a], rows[a], dx, dy) <= least:
-                            continue
-                        if n == len(blocks):
-                            blocks = np.concatenate((blocks, np.empty_like(blocks)))
-                        blocks[n, 0], blocks[n, 1], blocks[n, 2] = a, dx, dy
-                        n += 1
-    return blocks, n
+def _bounds(blocks: NDArray[np.uint8], turned: Turned) -> NDArray[np.uint16]:
+    """(turns, n, n) bounds of the sum of the points' values in each block of cells of the window."""
+    wide, high, n = blocks.shape[2], blocks.shape[3], 2 * turned.cells // BLOCK + 1
+    sums = np.zeros((len(turned.columns), n, n), np.uint16)
+    for a in range(len(turned.columns)):
+        for k in range(turned.columns.shape[1]):
+            left, low = turned.columns[a, k] - turned.cells, turned.rows[a, k] - turned.cells
+            layer, x, y = blocks[left % BLOCK, low % BLOCK], left // BLOCK, low // BLOCK
+            first, last = max(0, -y), min(n, high - y)
+            if first >= last:
+                continue
+            for i in range(max(0, -x), min(n, wide - x)):
+                added, row = layer[x + i, y + first : y + last], sums[a, i, first:last]
+                for j in range(len(row)):  # contiguous bytes: the compiler adds many at once
+                    row[j] += added[j]
+    return sums
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _best_of_blocks(
-    pyramid: Pyramid,
-    columns: NDArray[np.int32],
-    rows: NDArray[np.int32],
-    window: Window,
-    blocks: NDArray[np.int32],
-    least: float,
-) -> Array:
-    """(m, 4) score and pose of the best cell of each block that has one above `least`."""
-    cells, side, turns = int(window.half_m / CELL_M), 1 << _FINE, len(columns)
-    found, count = np.empty((len(blocks), 4)), 0
-    for k in range(len(blocks)):
-        best, x, y, a = least, 0, 0, blocks[k, 0]
-        for dx in range(blocks[k, 1], min(blocks[k, 1] + side, cells + 1)):
-            for dy in range(blocks[k, 2], min(blocks[k, 2] + side, cells + 1)):
-                score = _score(pyramid.values[0], columns[a], rows[a], dx, dy)
-                if score > best:
-                    best, x, y = score, dx, dy
-        if best > least:
-            found[count, 0] = best
-            found[count, 1], found[count, 2] = window.centre[0] + x * CELL_M, window.centre[1] + y * CELL_M
-            found[count, 3] = window.centre[2] + (a - turns // 2) * STEP_RAD
-            count += 1
-    return found[:count]
+def _best_first(
+    values: NDArray[np.uint8],
+    turned: Turned,
+    bounds: NDArray[np.uint16],
+    blocks: NDArray[np.int64],
+    least: int,
+    apart: Apart,
+    most: int,
+) -> NDArray[np.int64]:
+    """(m, 4) sum, heading and cell of the best cells of `blocks`, indices of `bounds`, the largest bound first.
 
-
-@numba.njit(cache=True, error_model="numpy")
-def _apart(found: Array, apart: Apart) -> Array:
-    """(m, 4) of `found` (n, 4), the best first: those that are apart from all better ones."""
-    kept, m = np.empty((MOST_PEAKS, 4)), 0
-    for k in range(len(found)):
-        is_new = True
-        for q in range(m):
-            near = math.hypot(found[k, 1] - kept[q, 1], found[k, 2] - kept[q, 2]) < apart.distance_m
-            if near and abs(found[k, 3] - kept[q, 3]) < apart.turn_rad:
-                is_new = False
-                break
-        if is_new:
-            kept[m] = found[k]
+    A block is looked into before a cell is taken that is not better than the block's bound. It is left out if it lies
+    around a better cell.
+    """
+    n, flat = bounds.shape[1], bounds.ravel()
+    kept, m = np.empty((most, 4), np.int64), 0
+    waiting, size = np.empty((len(blocks), 4), np.int64), 0  # in the order of the blocks, but for equal sums
+    sums = np.empty((BLOCK, BLOCK), np.uint16)
+    k, best = 0, -1  # the next block, and the best of those that wait
+    while m < most:
+        if k < len(blocks) and (best < 0 or flat[blocks[k]] >= waiting[best, 0]):
+            a, x, y = blocks[k] // (n * n), blocks[k] // n % n, blocks[k] % n
+            low_x, low_y = x * BLOCK - turned.cells, y * BLOCK - turned.cells
+            k += 1
+            if _is_near(kept[:m], a, low_x, low_y, BLOCK - 1, apart):
+                continue
+            total, at_x, at_y = _best_cell(values, turned, a, low_x, low_y, sums)
+            if total > least and not _is_near(kept[:m], a, at_x, at_y, 0, apart):
+                waiting[size, 0], waiting[size, 1], waiting[size, 2], waiting[size, 3] = total, a, at_x, at_y
+                if best < 0 or _is_before(waiting[size], waiting[best]):
+                    best = size
+                size += 1
+        elif best >= 0:
+            kept[m] = waiting[best]
             m += 1
-            if m == MOST_PEAKS:
-                break
+            size, best = _remaining(waiting[:size], kept[m - 1 : m], apart)
+        else:
+            break
     return kept[:m].copy()
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _score(values: NDArray[np.uint8], columns: NDArray[np.int32], rows: NDArray[np.int32], dx: int, dy: int) -> float:
-    total, width, height = 0, values.shape[0], values.shape[1]
+def _remaining(waiting: NDArray[np.int64], taken: NDArray[np.int64], apart: Apart) -> tuple[int, int]:
+    """Move those that are not near the one taken to the front; how many they are, and which is the best, -1 if none."""
+    size, best = 0, -1
+    for q in range(len(waiting)):
+        if _is_near(taken, waiting[q, 1], waiting[q, 2], waiting[q, 3], 0, apart):
+            continue
+        waiting[size] = waiting[q]
+        if best < 0 or _is_before(waiting[size], waiting[best]):
+            best = size
+        size += 1
+    return size, best
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_before(one: NDArray[np.int64], other: NDArray[np.int64]) -> bool:
+    """Whether the sum is larger, or the heading and cell come first."""
+    for k in range(4):
+        if one[k] != other[k]:
+            return bool((one[k] > other[k]) == (k == 0))
+    return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_near(kept: NDArray[np.int64], a: int, x: int, y: int, beyond: int, apart: Apart) -> bool:
+    """Whether all cells from (x, y) to `beyond` ahead, at heading a, are near one that was kept."""
+    for q in range(len(kept)):
+        dx = max(abs(x - kept[q, 2]), abs(x + beyond - kept[q, 2])) * CELL_M
+        dy = max(abs(y - kept[q, 3]), abs(y + beyond - kept[q, 3])) * CELL_M
+        if abs(a - kept[q, 1]) * STEP_RAD < apart.turn_rad and math.hypot(dx, dy) < apart.distance_m:
+            return True
+    return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _best_cell(
+    values: NDArray[np.uint8], turned: Turned, a: int, left: int, low: int, sums: NDArray[np.uint16]
+) -> tuple[int, int, int]:
+    """The largest sum in the block that begins at (left, low), at heading a, and its cell; `sums` is overwritten."""
+    width, height = values.shape[0] - BLOCK, values.shape[1] - BLOCK
+    columns, rows = turned.columns[a], turned.rows[a]
+    sums[:] = 0
     for k in range(len(columns)):
-        i, j = columns[k] + dx, rows[k] + dy
-        if 0 <= i < width and 0 <= j < height:
-            total += values[i, j]
-    return total / (255.0 * len(columns))
+        i, j = columns[k] + left, rows[k] + low
+        # Blocks over the edge hold no point: there is room around the points.
+        if 0 <= i <= width and 0 <= j <= height:
+            for p in range(BLOCK):
+                for q in range(BLOCK):
+                    sums[p, q] += values[i + p, j + q]
+    best, x, y = -1, 0, 0
+    for p in range(min(BLOCK, turned.cells + 1 - left)):
+        for q in range(min(BLOCK, turned.cells + 1 - low)):
+            if sums[p, q] > best:
+                best, x, y = int(sums[p, q]), left + p, low + q
+    return best, x, y
 
 
 @numba.njit(cache=True, error_model="numpy")

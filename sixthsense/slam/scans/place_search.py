@@ -76,22 +76,31 @@ class PlaceSearch:
         points = self._recent_points(key, travelled_m) if len(anchors) else np.zeros((0, 2))
         if len(points) < _LEAST_POINTS:
             return None
+        looks = [self._look(key, anchor, int(old[-1]) + 1, (sigma_m, sigma_rad), travelled_m) for anchor in anchors]
+        top, least = 0.0, self._config.min_score
+        for submap, window in looks:
+            best = peaks(submap.cells, points, window, max(least, top), _APART, most=1)
+            top = max(top, float(best[0, 0]) if len(best) else 0.0)
+        # What is worth a comparison is known only now, and most looks end here.
+        if top < least:
+            return None
         candidates: list[_Candidate] = []
-        top = 0.0
-        for anchor in anchors:
-            submap = self._submap(int(anchor), travelled_m, past=int(old[-1]) + 1)
-            half_m = min(_SIGMAS * sigma_m[anchor] + _MARGIN_M, self._config.search_radius_m)
-            half_rad = min(_SIGMAS * sigma_rad[anchor] + _MARGIN_RAD, _MOST_RAD)
-            window = Window(between(self._graph.poses[anchor], self._graph.poses[key]), half_m, half_rad)
+        for submap, window in looks:
             found = peaks(submap.cells, points, window, max(_LEAST_SCORE, _WORTH * top), _APART)
-            placed = compose(self._graph.poses[anchor], found[:, 1:])
+            placed = compose(self._graph.poses[submap.anchor], found[:, 1:])
             candidates += [
                 _Candidate(submap, pose, score) for pose, score in zip(placed, found[:, 0].tolist(), strict=True)
             ]
-            top = max(top, float(found[0, 0]) if len(found) else 0.0)
-        if top < self._config.min_score:
-            return None
         return self._judged(key, old, _distinct(candidates, _WORTH * top), travelled_m)
+
+    def _look(
+        self, key: int, anchor: int, past: int, sigmas: tuple[Array, Array], travelled_m: Array
+    ) -> tuple[_Submap, Window]:
+        """The submap around an anchor, and where in it the key scan may be; `sigmas` are of position and heading."""
+        half_m = min(_SIGMAS * float(sigmas[0][anchor]) + _MARGIN_M, self._config.search_radius_m)
+        half_rad = min(_SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
+        window = Window(between(self._graph.poses[anchor], self._graph.poses[key]), half_m, half_rad)
+        return self._submap(anchor, travelled_m, past), window
 
     def _anchors(self, key: int, old: NDArray[np.int64], sigma_m: Array, travelled_m: Array) -> list[int]:
         """Anchors of old submaps that the key scan may be in, the likeliest first."""

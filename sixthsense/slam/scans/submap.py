@@ -13,17 +13,20 @@ from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import Returns
 
 CELL_M = 0.1
-LEVELS = 6
+BLOCK = 4  # cells along the side of a block
+PEAK = 17  # of a cell with a point; sums of some thousand points fit into 16 bits
 _RANGE_M = 12.0  # farther returns are few and their place depends on the heading
-_PEAK, _SIDE, _CORNER = 255, 150, 90  # values of a cell with a point, and of those beside it
+_SIDE, _CORNER = 10, 6  # of the cells beside one with a point
 _HALF_CELLS = 600  # of the square in which each voxel is taken once
 
 
 class Pyramid(NamedTuple):
-    """How well a point fits into a submap, by cell; each level has the maximum over twice as many cells ahead."""
+    """How well a point fits into a submap, by cell and by block of cells."""
 
     values: NDArray[np.uint8]
-    """(LEVELS, columns, rows), 255 for a cell with a point; level k has the maximum over 2^k x 2^k cells from there"""
+    """(columns, rows), `PEAK` for a cell with a point"""
+    blocks: NDArray[np.uint8]
+    """(BLOCK, BLOCK, n, m), at (a, b, i, j) the maximum over BLOCK x BLOCK cells from (BLOCK i + a, BLOCK j + b) on"""
     x0: float
     """m, submap's frame, of the first cell's corner"""
     y0: float
@@ -37,14 +40,12 @@ def submap_points(returns: Returns, keys: NDArray[np.int64], poses: Array, frame
 
 def pyramid(points: Array) -> Pyramid:
     """The pyramid of points (N, 2)."""
-    # Below the points there is room for the largest block: a block that begins outside the cells holds no point.
-    low = points.min(axis=0) - CELL_M * ((1 << (LEVELS - 1)) + 1)
-    cells = ((points.max(axis=0) + CELL_M - low) / CELL_M).astype(np.int64) + 1
-    values = np.zeros((LEVELS, cells[0], cells[1]), dtype=np.uint8)
-    _draw(points, float(low[0]), float(low[1]), values[0])
-    for level in range(1, LEVELS):
-        _pool(values[level - 1], 1 << (level - 1), values[level])
-    return Pyramid(values, float(low[0]), float(low[1]))
+    # Around the points there is room for a block: one that is not wholly inside the cells holds no point.
+    low = points.min(axis=0) - CELL_M * (BLOCK + 1)
+    cells = BLOCK * (((points.max(axis=0) + CELL_M - low) / CELL_M).astype(np.int64) // BLOCK + 2)
+    values = np.zeros((cells[0], cells[1]), dtype=np.uint8)
+    _draw(points, float(low[0]), float(low[1]), values)
+    return Pyramid(values, _pooled(values), float(low[0]), float(low[1]))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -75,21 +76,24 @@ def _draw(points: Array, x0: float, y0: float, values: NDArray[np.uint8]) -> Non
         i, j = int((points[k, 0] - x0) / CELL_M), int((points[k, 1] - y0) / CELL_M)
         for a in range(max(i - 1, 0), min(i + 2, columns)):
             for b in range(max(j - 1, 0), min(j + 2, rows)):
-                value = _PEAK if a == i and b == j else (_SIDE if a == i or b == j else _CORNER)
+                value = PEAK if a == i and b == j else (_SIDE if a == i or b == j else _CORNER)
                 values[a, b] = max(values[a, b], value)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _pool(fine: NDArray[np.uint8], step: int, coarse: NDArray[np.uint8]) -> None:
-    """The maximum over the cells at 0 and `step` ahead, in both directions."""
-    columns, rows = fine.shape
+def _pooled(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The blocks' maxima, (BLOCK, BLOCK, n, m)."""
+    columns, rows = values.shape
+    along = np.zeros_like(values)
     for i in range(columns):
         for j in range(rows):
-            value = fine[i, j]
-            if i + step < columns:
-                value = max(value, fine[i + step, j])
-            if j + step < rows:
-                value = max(value, fine[i, j + step])
-            if i + step < columns and j + step < rows:
-                value = max(value, fine[i + step, j + step])
-            coarse[i, j] = value
+            for k in range(j, min(j + BLOCK, rows)):
+                along[i, j] = max(along[i, j], values[i, k])
+    blocks = np.zeros((BLOCK, BLOCK, columns // BLOCK, rows // BLOCK), np.uint8)
+    for i in range(columns):
+        for j in range(rows):
+            value = along[i, j]
+            for k in range(i + 1, min(i + BLOCK, columns)):
+                value = max(value, along[k, j])
+            blocks[i % BLOCK, j % BLOCK, i // BLOCK, j // BLOCK] = value
+    return blocks

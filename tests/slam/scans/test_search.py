@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Pose
 from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Apart, Window, peaks
-from sixthsense.slam.scans.submap import CELL_M, pyramid, submap_points
+from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, pyramid, submap_points
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 
@@ -58,7 +58,7 @@ def room():
 
 def brute_force(cells, points, window):
     """The best score in the window, and the score of each heading, column and row."""
-    values, n = cells.values[0].astype(float), int(window.half_m / CELL_M)
+    values, n = cells.values.astype(float), int(window.half_m / CELL_M)
     scores = {}
     turns = int(window.half_rad / STEP_RAD)
     for a in range(-turns, turns + 1):
@@ -69,7 +69,7 @@ def brute_force(cells, points, window):
             for dy in range(-n, n + 1):
                 i, j = (at + np.array([dx, dy])).T
                 inside = (i >= 0) & (j >= 0) & (i < values.shape[0]) & (j < values.shape[1])
-                scores[a, dx, dy] = values[i[inside], j[inside]].sum() / (255 * len(points))
+                scores[a, dx, dy] = values[i[inside], j[inside]].sum() / (PEAK * len(points))
     return scores
 
 
@@ -86,6 +86,36 @@ def test_branch_and_bound_finds_what_brute_force_finds(room, seed):
     assert found[0, 0] == pytest.approx(max(scores.values()), abs=1e-12)
     assert np.hypot(*(found[0, 1:3] - pose.position)) < 2 * CELL_M
     assert len(peaks(cells, points, window, found[0, 0], Apart(0.7, 0.2))) == 0  # nothing is better
+
+
+@pytest.mark.parametrize(("seed", "most"), [(0, 64), (1, 64), (2, 1), (3, 3)])
+def test_places_are_the_best_cells_of_blocks_that_are_apart(room, seed, most):
+    rng = np.random.default_rng(seed)
+    points = room[rng.choice(len(room), 90, replace=False)] - rng.uniform(-1, 1, 2)
+    window, cells, apart = Window(rng.uniform(-1, 1, 3) * [1.0, 1.0, 0.1], 1.3, 0.1), pyramid(room), Apart(0.7, 0.06)
+    n = int(window.half_m / CELL_M)
+    best = {}
+    for (a, dx, dy), score in brute_force(cells, points, window).items():
+        best.setdefault((a, (dx + n) // BLOCK, (dy + n) // BLOCK), []).append((-score, a, dx, dy))
+    expected = []
+    for score, a, dx, dy in sorted(min(block) for block in best.values()):
+        pose = window.centre + np.array([dx * CELL_M, dy * CELL_M, a * STEP_RAD])
+        is_near = [np.hypot(*(p[1:3] - pose[:2])) < 0.7 - 1e-9 and abs(p[3] - pose[2]) < 0.06 - 1e-9 for p in expected]
+        if -score > 0.15 and len(expected) < most and not any(is_near):
+            expected.append(np.array([-score, *pose]))
+    found = peaks(cells, points, window, 0.15, apart, most)
+    assert len(expected) >= min(most, 4)
+    assert found == pytest.approx(np.array(expected), abs=1e-9)
+
+
+def test_blocks_have_the_largest_value_of_their_cells(room):
+    cells = pyramid(room)
+    columns, rows = cells.values.shape
+    padded = np.pad(cells.values, ((0, BLOCK), (0, BLOCK)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (BLOCK, BLOCK)).max(axis=(2, 3))[:columns, :rows]
+    for a in range(BLOCK):
+        for b in range(BLOCK):
+            assert (cells.blocks[a, b] == windows[a::BLOCK, b::BLOCK]).all()
 
 
 def test_places_that_look_alike_are_all_found(room):
