@@ -192,7 +192,7 @@ def main() -> int:
         lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",
                       f"{f['true']:.0f}", f"{100 * f['closed']:.1f} %", f"{100 * f['closed_worst']:.0f} %",
                       f"{f['ate_m']:.3f} / {f['ate_max_m']:.3f}", f"{f['accepted']:.1f}", f"{f['undone']:.1f}",
-                      f"{f['ambiguous']:.1f}", f"{f['seconds']:.1f}"])  # fmt: skip
+                      f"{f['refused']:.1f}", f"{f['seconds']:.1f}"])  # fmt: skip
     print(machine())
     print_table(lines)
     write_json(options.json, {f"{name}.{key}": value for name, f in figures.items() for key, value in f.items()})
