@@ -26,7 +26,7 @@ from sixthsense.slam.scans.scan_store import Returns
 
 _BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
 _PARTNERS = 2  # old key scans that each is compared with
-_REACH_M, _REACH_RAD = 4.0, 2.2
+_REACH_M = 4.0  # between the centres of two views
 _LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or the pair says nothing
 _LEAST_HITS = 20.0
 _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
@@ -101,20 +101,17 @@ def evidence_of(
 def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], most_m: float) -> tuple[float, Array]:
     """The share that a key scan at a pose and the old ones near it explain, and its pose as aligned with them."""
     poses, returns = graph.poses, graph.store.returns
-    off = between(poses[old], at)
-    distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
-    nearest = np.argsort(distance + turn, kind="stable")[:_PARTNERS]
-    nearest = nearest[(distance[nearest] < _REACH_M) & (turn[nearest] < _REACH_RAD)]
-    if not len(nearest):
+    targets = old[graph.overlapping(key, at, old, _REACH_M)[:_PARTNERS]]
+    if not len(targets):
         return np.nan, at
-    targets = old[nearest]
-    aligned = align_pairs(returns, targets, np.full(len(targets), key), off[nearest], WIDE_GATES_M)
-    shift = between(off[nearest], aligned.poses)
+    off = between(poses[targets], at)
+    aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATES_M)
+    shift = between(off, aligned.poses)
     is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
     is_near &= aligned.sums[:, HITS] >= _LEAST_HITS
     total, best, there = np.zeros(3), 0.0, at
     for k, target in enumerate(targets.tolist()):
-        pair = aligned.poses[k] if is_near[k] else off[nearest[k]]
+        pair = aligned.poses[k] if is_near[k] else off[k]
         found = explained(returns, target, key, pair) + explained(returns, key, target, inverse(pair))
         total += found
         if is_near[k] and found[0] > best:

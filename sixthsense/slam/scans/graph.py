@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator
 from sixthsense.slam.scans.alignment import SUMS
 from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.poses import between
+from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 
 _RECENT = 4  # key scans before a key scan that it is linked to
@@ -47,6 +47,8 @@ class ScanGraph:
         self.store, self.estimator = store, estimator
         self._sigma_m = sigma_m
         self._rows = np.zeros((64, 3))
+        self._centres = np.zeros((64, 3))
+        """middle of what each key scan sees, in its frame, as poses without a turn"""
         self.mount = Mount(Pose())
         self.old_links: dict[int, list[int]] = {}
         """of a key scan: the older ones of another pass that it is linked to"""
@@ -68,7 +70,10 @@ class ScanGraph:
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             self._links = np.concatenate([self._links, np.zeros_like(self._links)])
+            self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[self.count], self.mount = pose, mount
+        points = self.store.returns.points[self.count]
+        self._centres[self.count, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
         self.count += 1
 
     def refresh(self) -> None:
@@ -153,6 +158,19 @@ class ScanGraph:
         near = np.flatnonzero((distance < _REACH_M) & (turn < _REACH_RAD))
         order = np.argsort(distance[near] + _M_PER_RAD * turn[near], kind="stable")
         return candidates[near[order][:_OLD]]
+
+    def overlapping(self, key: int, pose: Array, candidates: NDArray[np.int64], reach_m: float) -> NDArray[np.int64]:
+        """Rows of `candidates` whose views overlap that of key scan `key` if it is at `pose` (3,), the most first.
+
+        What counts is the distance between the centres of what the scans see: a laser that looks forward sees from
+        either end of a corridor what is between. The pose and those in `poses` are of one frame.
+        """
+        seen = compose(self.poses[candidates], self._centres[candidates])[:, :2]
+        off = seen - compose(pose, self._centres[key])[:2]
+        distance = np.hypot(off[:, 0], off[:, 1])
+        turn = np.abs(wrap_angle(self.poses[candidates, 2] - pose[2]))
+        order = np.argsort(distance + _M_PER_RAD * turn, kind="stable")
+        return np.asarray(order[distance[order] < reach_m])
 
     def linked_old(self, key: int) -> NDArray[np.int64]:
         """Old key scans that a key scan is linked to."""

@@ -41,6 +41,7 @@ _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
 _FLOOR_M = 3e-4
+_FEW_RETURNS = 3.0  # returns' worth that wrong partners may feign
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a matrix's entries in its upper triangle
 _UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say nothing
 
@@ -82,7 +83,8 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     return. A scan of m links has the information of its returns once: against a map of m scans, whose points have
     1 / m of its variance, that is m / (m + 1) of what a map without noise would give, and m + 1 share it. The
     residuals themselves give their variance. What the noise of the normals adds to the Hessian is no information:
-    along a corridor it would feign some. What the residuals have beyond the noise of the laser is shape, common to
+    along a corridor it would feign some, as would a few wrong partners at the edges of doors: a direction of which only
+    so many returns tell is not observed. What the residuals have beyond the noise of the laser is shape, common to
     neighbouring returns: a part of it stays in the pose, however many returns there are.
     """
     noise = 2.0 * sigma_m**2
@@ -90,8 +92,9 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
     # Both ways the returns of a pair are counted twice.
     upper = sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6]
-    information = (0.5 / variance)[:, None, None] * upper[:, _SYMMETRIC]
-    values, axes = np.linalg.eigh((2.0 / np.maximum(shared_by, 2.0))[:, None, None] * information)
+    returns, axes = np.linalg.eigh(0.5 * upper[:, _SYMMETRIC])
+    share = 2.0 / (np.maximum(shared_by, 2.0) * variance)
+    values = share[:, None] * np.maximum(returns - _FEW_RETURNS, 0.0)
     spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)
     shape = floor[:, None, None] * np.diag([1.0, 1.0, _LEVER_M**-2])
     return np.asarray((axes * spread[:, None, :]) @ axes.transpose(0, 2, 1) + shape)

@@ -14,7 +14,7 @@ from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between, compose
 
 _PARTNERS = 3  # old key scans that each recent one is aligned with
-_REACH_M, _REACH_RAD = 4.0, 2.2
+_REACH_M = 4.0  # between the centres of two views
 _LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
 _AGREEMENT = 0.75  # least share of hits among hits and views through
 _APART_M, _APART_RAD = 0.35, 0.06  # of the poses that good pairs imply, from their median
@@ -36,7 +36,7 @@ def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypot
     """
     poses = graph.poses
     moved = compose(found.pose, between(poses[key], poses[recent]))
-    targets, sources, starts = _pairs(poses, found.old, recent, moved)
+    targets, sources, starts = _pairs(graph, found.old, recent, moved)
     if len(targets) < _LEAST_PAIRS:
         return None
     aligned = align_pairs(graph.store.returns, targets, sources, starts, WIDE_GATES_M)
@@ -55,17 +55,14 @@ def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypot
 
 
 def _pairs(
-    poses: Array, old: NDArray[np.int64], recent: NDArray[np.int64], moved: Array
+    graph: ScanGraph, old: NDArray[np.int64], recent: NDArray[np.int64], moved: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
     """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent key scan is used."""
     targets, sources, starts = [], [], []
     for k in range(len(recent) - 1, -1, -2):
-        off = between(poses[old], moved[k])
-        distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
-        nearest = np.argsort(distance + turn, kind="stable")[:_PARTNERS]
-        for q in nearest[(distance[nearest] < _REACH_M) & (turn[nearest] < _REACH_RAD)]:
+        for q in graph.overlapping(int(recent[k]), moved[k], old, _REACH_M)[:_PARTNERS]:
             targets.append(int(old[q]))
             sources.append(int(recent[k]))
-            starts.append(off[q])
+            starts.append(between(graph.poses[old[q]], moved[k]))
     ends = np.array([targets, sources], dtype=np.int64).reshape(2, -1)
     return ends[0], ends[1], np.array(starts).reshape(-1, 3)

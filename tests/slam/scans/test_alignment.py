@@ -25,7 +25,7 @@ from sixthsense.slam.scans.alignment import (
     turned,
 )
 from sixthsense.slam.scans.bearings import direction
-from sixthsense.slam.scans.links import NEAR_GATES_M, align_pairs
+from sixthsense.slam.scans.links import NEAR_GATES_M, align_pairs, covariances
 from sixthsense.slam.scans.see_through import compare_views
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
@@ -154,6 +154,17 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
     assert len(squared) > 40
     assert np.sum(squared) < chi2.ppf(0.999, 3 * len(squared))  # not overconfident
     assert np.mean(squared) > 0.3  # nor worthless
+
+
+@pytest.mark.parametrize(("along", "is_observed"), [(2.0, False), (30.0, True)])
+def test_a_direction_of_which_few_returns_tell_is_not_observed(along, is_observed):
+    sums = np.zeros((1, SUMS))
+    # Both ways each return counts twice.
+    sums[0, HESSIAN : HESSIAN + 6] = 2.0 * np.array([along, 0.0, 0.0, 200.0, 0.0, 800.0])
+    sums[0, WEIGHT], sums[0, SQUARES] = 400.0, 400.0 * 2.0 * 0.01**2
+    cov = covariances(sums, np.array([2.0]), 0.01)[0]
+    assert cov[1, 1] < 0.002**2
+    assert cov[0, 0] < 0.01**2 if is_observed else cov[0, 0] > 1.0
 
 
 def test_along_a_corridor_the_covariance_claims_nothing():

@@ -12,7 +12,9 @@ from sixthsense.core.geometry import Pose, rotation
 from sixthsense.slam.scans.evidence import Evidence, evidence_of, explained, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
+from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between
+from sixthsense.slam.scans.verification import verified
 from sixthsense.slam.slam import Slam
 
 PITCH = 3.0
@@ -76,6 +78,29 @@ def test_where_old_scans_saw_nothing_there_is_no_evidence(twice):
     graph, old = twice
     far = evidence_of(graph, np.arange(graph.count - 1, old, -2), np.array([[60.0, 1.1, 0.0]]), [np.arange(old)])[0]
     assert np.isnan(far.shares).all() and not far.is_enough()
+
+
+@pytest.mark.parametrize("laser", [ROUND, LaserConfig(beams=181, fov=math.pi, max_range=6.0)])
+def test_scans_of_the_way_back_tell_about_a_place(laser):
+    old = [Pose(x, 1.1, 0.0) for x in np.arange(4.0, 16.0, 0.4)]
+    new = [Pose(x, 1.2, math.pi) for x in np.arange(15.0, 10.0, -0.4)]
+    graph = graph_of([*old, *new], corridor(), laser)
+    keys = np.arange(graph.count - 1, len(old) - 1, -2)
+    found = evidence_of(graph, keys, graph.poses[-1:], [np.arange(len(old))])[0]
+    assert np.isfinite(found.shares).sum() >= 5 and found.is_enough()
+    hypothesis = Hypothesis(graph.poses[-1], np.arange(len(old)), 0.8, False)
+    place = verified(graph, graph.count - 1, np.arange(graph.count - 5, graph.count), hypothesis)
+    assert place is not None and np.abs(place.pose - graph.poses[-1])[1:].max() < 0.02
+
+
+def test_views_overlap_where_scans_look_at_one_place():
+    ahead, away = Pose(8.0, 1.1, 0.0), Pose(15.0, 1.1, 0.0)
+    graph = graph_of([ahead, away, Pose(13.0, 1.1, math.pi)], corridor(), HALF)
+    assert graph.overlapping(2, graph.poses[2], np.arange(2), 4.0).tolist() == [0]
+    behind = graph_of([ahead, Pose(8.5, 1.2, math.pi)], corridor(), HALF)
+    assert not len(behind.overlapping(1, behind.poses[1], np.arange(1), 4.0))
+    around = graph_of([ahead, Pose(8.5, 1.2, math.pi), Pose(8.8, 1.2, 0.1)], corridor(), ROUND)
+    assert around.overlapping(2, around.poses[2], np.arange(2), 4.0).tolist() == [0, 1]
 
 
 def test_a_place_that_explains_clearly_less_is_not_followed_further(twice):
