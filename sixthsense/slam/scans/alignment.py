@@ -13,12 +13,14 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.bearings import cell_of, direction
+from sixthsense.slam.scans.bearings import Bearings, cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
+_SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
 NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 _MIN_DISTANCE_M = 0.3
@@ -42,30 +44,40 @@ class Loss(NamedTuple):
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) -> int:
     """The cell of the target's return that is nearest to a point in the target's frame; -1 for none within the gate."""
-    points, bearings = returns.points, returns.bearings
-    distance = max(math.sqrt(x * x + y * y), _MIN_DISTANCE_M)
+    return _nearest(returns.points[target], returns.bearings, x, y, gate_m)
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
+def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
+    """As `partner`, among the returns `points` (beams, 3) of one scan."""
+    beams = bearings.beams
+    distance = math.sqrt(x * x + y * y)
     centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
-    reach = int(min(gate_m / distance, _MAX_REACH_RAD) / bearings.spacing) + 1
+    reach = int(min(gate_m / max(distance, _MIN_DISTANCE_M), _MAX_REACH_RAD) / bearings.spacing) + 1
+    # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
+    apart = (_SINE_OF_REACH * distance * bearings.spacing) ** 2
     nearest, found = gate_m * gate_m, -1
-    first, last = centre - reach, centre + reach
-    if not bearings.closed:
-        first, last = max(first, 0), min(last, bearings.beams - 1)
-    for k in range(first, last + 1):
-        q = k % bearings.beams if bearings.closed else k
-        if points[target, q, 2] == 0.0:
-            continue
-        dx, dy = x - points[target, q, 0], y - points[target, q, 1]
-        squared = dx * dx + dy * dy
-        if squared < nearest:
-            nearest, found = squared, q
+    for n in range(reach + 1):
+        if n > 1 and apart * (n - 1) * (n - 1) >= nearest:
+            break
+        for side in range(-1, 2 if n > 0 else 0, 2):
+            q = centre + side * n
+            if q < 0 or q >= beams:
+                if not bearings.closed:
+                    continue
+                q %= beams
+            dx, dy = x - points[q, 0], y - points[q, 1]
+            squared = dx * dx + dy * dy
+            if squared < nearest and points[q, 2] > 0.0:
+                nearest, found = squared, q
     if found >= 0:
         return found
     # On a distant wall the beams are farther apart than the gate.
-    q = centre % bearings.beams if bearings.closed else centre
-    if q < 0 or q >= bearings.beams or points[target, q, 2] == 0.0:
+    q = centre % beams if bearings.closed else centre
+    if q < 0 or q >= beams or points[q, 2] == 0.0:
         return -1
-    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
-    sparse = _SPARSE_CELLS * bearings.spacing * points[target, q, 2]
+    dx, dy = x - points[q, 0], y - points[q, 1]
+    sparse = _SPARSE_CELLS * bearings.spacing * points[q, 2]
     return q if dx * dx + dy * dy <= sparse * sparse else -1
 
 
@@ -75,47 +87,44 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
 
     Hessian and gradient are by (x, y, theta) of the pose, of half the weighted squares, m.
     """
-    points, normals = returns.points, returns.normals
+    bearings, gate_m, per_scale = returns.bearings, loss.gate_m, 1.0 / loss.scale_m
+    points, normals = returns.points[target], returns.normals[target]
+    moved, turned_normals = returns.points[source], returns.normals[source]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    for k in range(0, returns.bearings.beams, returns.bearings.stride):
-        if points[source, k, 2] == 0.0:
+    # Numbers instead of rows of `sums`: a compiler keeps them in registers.
+    xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = 0.0
+    fxx = fxy = fxt = fyy = fyt = ftt = 0.0
+    for k in range(0, bearings.beams, bearings.stride):
+        if moved[k, 2] == 0.0:
             continue
-        dx = c * points[source, k, 0] - s * points[source, k, 1]
-        dy = s * points[source, k, 0] + c * points[source, k, 1]
-        q = partner(returns, target, x + dx, y + dy, loss.gate_m)
+        px, py = moved[k, 0], moved[k, 1]
+        dx, dy = c * px - s * py, s * px + c * py
+        q = _nearest(points, bearings, x + dx, y + dy, gate_m)
         if q < 0:
             continue
-        nx, ny = float(normals[target, q, 0]), float(normals[target, q, 1])
+        nx, ny = float(normals[q, 0]), float(normals[q, 1])
         if nx == 0.0 and ny == 0.0:
             continue
-        mx, my = normals[source, k, 0], normals[source, k, 1]
+        mx, my = turned_normals[k, 0], turned_normals[k, 1]
         if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
             continue
-        r = nx * (x + dx - points[target, q, 0]) + ny * (y + dy - points[target, q, 1])
-        if abs(r) > loss.gate_m:
+        r = nx * (x + dx - points[q, 0]) + ny * (y + dy - points[q, 1])
+        if abs(r) > gate_m:
             continue
-        weight = 1.0 / (1.0 + (r / loss.scale_m) ** 2)
+        weight = 1.0 / (1.0 + (r * per_scale) ** 2)
         turn = ny * dx - nx * dy  # of r by theta
-        _add_square(sums, HESSIAN, weight, nx, ny, turn)
-        sums[GRADIENT] += weight * nx * r
-        sums[GRADIENT + 1] += weight * ny * r
-        sums[GRADIENT + 2] += weight * turn * r
-        sums[WEIGHT] += weight
-        sums[HITS] += 1.0
-        sums[SQUARES] += weight * r * r
+        wx, wy, wt = weight * nx, weight * ny, weight * turn
+        xx, xy, xt, yy, yt, tt = xx + wx * nx, xy + wx * ny, xt + wx * turn, yy + wy * ny, yt + wy * turn, tt + wt * turn
+        gx, gy, gt = gx + wx * r, gy + wy * r, gt + wt * r
+        weights, hits, squares = weights + weight, hits + 1.0, squares + weight * r * r
         # The same line turned by a quarter: what an error of the normal's angle adds to the Hessian.
-        _add_square(sums, SPREAD, weight * normals[target, q, 2], -ny, nx, nx * dx + ny * dy)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _add_square(sums: Array, at: int, weight: float, a: float, b: float, c: float) -> None:
-    """Add the upper triangle of weight * (a, b, c) (a, b, c)^T at a place of the sums."""
-    sums[at] += weight * a * a
-    sums[at + 1] += weight * a * b
-    sums[at + 2] += weight * a * c
-    sums[at + 3] += weight * b * b
-    sums[at + 4] += weight * b * c
-    sums[at + 5] += weight * c * c
+        along, feigned = nx * dx + ny * dy, weight * normals[q, 2]
+        fx, fy = -feigned * ny, feigned * nx
+        fxx, fxy, fxt = fxx - fx * ny, fxy + fx * nx, fxt + fx * along
+        fyy, fyt, ftt = fyy + fy * nx, fyt + fy * along, ftt + feigned * along * along
+    found = (xx, xy, xt, yy, yt, tt, gx, gy, gt, weights, hits, squares, fxx, fxy, fxt, fyy, fyt, ftt)
+    for i in range(SUMS):
+        sums[i] += found[i]
 
 
 @numba.njit(cache=True, error_model="numpy")
