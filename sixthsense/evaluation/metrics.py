@@ -9,8 +9,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import cKDTree
 
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
@@ -145,6 +143,8 @@ def match_landmarks(estimated: Array, truth: Array, radius: float) -> tuple[floa
     squared = np.sum((estimated[:, None] - truth[None]) ** 2, axis=2)  # (N, M)
     # A pair beyond the radius costs more than all pairs within it, so the number of matches comes first.
     beyond_radius = radius**2 * (1 + min(squared.shape))
+    from scipy.optimize import linear_sum_assignment  # here, since it takes half a second to load
+
     rows, columns = linear_sum_assignment(np.where(squared <= radius**2, squared, beyond_radius))
     matched = squared[rows, columns]
     matched = matched[matched <= radius**2]
@@ -163,6 +163,8 @@ def true_landmarks(walls: Array, tolerance_m: float = 1e-3) -> Array:
         return np.empty((0, 2))
     candidates = np.concatenate([walls.reshape(-1, 2), *(_crossings(w, walls[i + 1 :]) for i, w in enumerate(walls))])
     candidates = np.unique(candidates, axis=0)
+    from scipy.spatial import cKDTree
+
     duplicates = cKDTree(candidates).query_pairs(tolerance_m, output_type="ndarray")
     points = np.delete(candidates, duplicates.max(axis=1), axis=0)
     directions: list[list[float]] = [[] for _ in points]  # of the walls that leave each point

@@ -73,21 +73,27 @@ def replay_log(recorded: Recorded, folder: RunFolder | None = None, watch: Watch
     log, config, relations = recorded.log, recorded.config, recorded.relations
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
     go = functools.partial(loop.replay, log, config, relations)
-    return _watched(go, recorded.name, config, bar, folder, watch)
+    return _watched(go, recorded.name, config, bar, folder, watch, of_log=True)
 
 
 def _watched(
-    go: Callable[[OnTick], Trace], name: str, config: Config, bar: Progress, folder: RunFolder | None, watch: Watch
+    go: Callable[[OnTick], Trace],
+    name: str,
+    config: Config,
+    bar: Progress,
+    folder: RunFolder | None,
+    watch: Watch,
+    of_log: bool = False,
 ) -> Run:
     """What `go` makes of a run, called after each tick with the hooks that record, show and watch it."""
     from sixthsense.running.warmup import prepare
 
     if watch.say is not None:
-        prepare(watch.say, config)
+        prepare(watch.say, config, of_log)
     with ExitStack() as open_hooks:
         open_hooks.enter_context(bar)
         if watch.say is None:
-            prepare(bar.say, config)
+            prepare(bar.say, config, of_log)
             bar.say("")
         hooks: list[OnTick] = [bar, *watch.hooks]
         if folder is not None:

@@ -32,11 +32,15 @@ WALLS = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2
 COMPILING = "compiling the hot loops, once; this takes about half a minute ..."
 
 
-def prepare(say: Callable[[str], object], config: Config | None = None) -> None:
-    """Compile the hot loops of a run, or load them compiled, once per process; `say` is told where that takes long."""
+def prepare(say: Callable[[str], object], config: Config | None = None, of_log: bool = False) -> None:
+    """Compile the hot loops of a run, or load them compiled, once per process; `say` is told where that takes long.
+
+    `of_log` is whether the run replays a log: with aligned scans alone it needs neither a world nor a planner.
+    """
     if not is_compiled():
         say(COMPILING)
-    _warm_up_once()
+    if config is None or not of_log or config.front_end != "scans":
+        _warm_up_once()
     if config is not None and "scans" in (config.front_end, config.association.proposed_by):
         _warm_up_scans_once()
 
@@ -84,7 +88,11 @@ def warm_up() -> None:
     mapper = Mapper(config.grid, 0.2)
     mapper.add(lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
     mapper.grid.free_space(margin_m=0.1).between((0.0, 0.0), (1.0, 0.0), 1.0)
-    # What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
+    _keep_imports()
+
+
+def _keep_imports() -> None:
+    """What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans."""
     gc.collect()
     gc.freeze()
 
@@ -115,3 +123,4 @@ def warm_up_scans() -> None:
     graph = UncertaintyGraph()
     graph.add(0, 1, 1.0, 1.0)
     graph.sigmas(0, np.zeros((2, 3)))
+    _keep_imports()

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.optimize import linear_sum_assignment
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import Sighting, innovations, predict
@@ -69,6 +68,8 @@ def assign(innovation: Innovations, gate: float) -> tuple[Indices, Indices]:
     inside = innovation.squared < gate
     # The log-likelihood, since the distance alone would favour a landmark with a large covariance.
     cost = np.where(inside, innovation.squared + innovation.log_det, 1e6)
+    from scipy.optimize import linear_sum_assignment  # here, since it takes half a second to load
+
     rows, cols = linear_sum_assignment(cost)
     paired = inside[rows, cols]
     return rows[paired], cols[paired]

@@ -114,7 +114,8 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
         weight = 1.0 / (1.0 + (r * per_scale) ** 2)
         turn = ny * dx - nx * dy  # of r by theta
         wx, wy, wt = weight * nx, weight * ny, weight * turn
-        xx, xy, xt, yy, yt, tt = xx + wx * nx, xy + wx * ny, xt + wx * turn, yy + wy * ny, yt + wy * turn, tt + wt * turn
+        xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turn
+        yy, yt, tt = yy + wy * ny, yt + wy * turn, tt + wt * turn
         gx, gy, gt = gx + wx * r, gy + wy * r, gt + wt * r
         weights, hits, squares = weights + weight, hits + 1.0, squares + weight * r * r
         # The same line turned by a quarter: what an error of the normal's angle adds to the Hessian.
