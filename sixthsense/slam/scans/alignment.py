@@ -23,7 +23,6 @@ _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
 _SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
 NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
-_MIN_DISTANCE_M = 0.3
 
 _NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
 
@@ -51,17 +50,14 @@ def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) ->
 def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
     """As `partner`, among the returns `points` (beams, 3) of one scan."""
     beams = bearings.beams
-    distance = math.sqrt(x * x + y * y)
     centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
-    reach = int(min(gate_m / max(distance, _MIN_DISTANCE_M), _MAX_REACH_RAD) / bearings.spacing) + 1
     # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
-    apart = (_SINE_OF_REACH * distance * bearings.spacing) ** 2
+    apart = (_SINE_OF_REACH * bearings.spacing) ** 2 * (x * x + y * y)
     nearest, found = gate_m * gate_m, -1
-    for n in range(reach + 1):
+    for n in range(int(_MAX_REACH_RAD / bearings.spacing) + 2):
         if n > 1 and apart * (n - 1) * (n - 1) >= nearest:
             break
-        for side in range(-1, 2 if n > 0 else 0, 2):
-            q = centre + side * n
+        for q in (centre - n, centre + n):
             if q < 0 or q >= beams:
                 if not bearings.closed:
                     continue

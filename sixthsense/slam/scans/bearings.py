@@ -57,7 +57,7 @@ def direction(x: float, y: float) -> float:
     return -angle if y < 0.0 else angle
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def cell_of(bearings: Bearings, angle: float) -> float:
     """The cell of a direction, rad, as a real number; outside 0 to beams - 1 in the blind sector."""
     offset = angle - bearings.first
