@@ -36,15 +36,18 @@ def fit_normals(returns: NDArray[np.float32], bearings: Bearings, out: NDArray[n
         if n < _MIN_POINTS - (before > 0 and after > 0):
             continue
         mx = my = sxx = sxy = syy = 0.0
-        for k in range(-before, after + 1):
-            q = (i + k) % bearings.beams
+        first = i - before if i >= before else i - before + bearings.beams
+        q = first
+        for _ in range(n):
             mx += returns[q, 0]
             my += returns[q, 1]
+            q = q + 1 if q + 1 < bearings.beams else 0
         mx, my = mx / n, my / n
-        for k in range(-before, after + 1):
-            q = (i + k) % bearings.beams
+        q = first
+        for _ in range(n):
             dx, dy = returns[q, 0] - mx, returns[q, 1] - my
             sxx, sxy, syy = sxx + dx * dx, sxy + dx * dy, syy + dy * dy
+            q = q + 1 if q + 1 < bearings.beams else 0
         # Half of the angle atan2(2 sxy, sxx - syy), by its cosine.
         double = (sxx - syy) / max(math.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy), 1e-300)
         c, s = math.sqrt(0.5 * (1.0 + double)), math.copysign(math.sqrt(0.5 * max(1.0 - double, 0.0)), sxy)
