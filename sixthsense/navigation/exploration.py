@@ -70,7 +70,7 @@ class Exploration:
         self._history.add(pose, estimate.pose_cov)
         if self._history.is_certain:
             self._react("pose certain", pose)
-        elif self._history.needs_revisit and self._has_seen_more:
+        elif self._history.needs_revisit and (self._has_seen_more or self._history.is_much_less_certain):
             self._react("pose uncertain", pose)
         if self._target_is_seen():
             self._has_seen_more |= self._target is not NO_TARGET

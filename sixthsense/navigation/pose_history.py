@@ -22,6 +22,7 @@ class PoseHistory:
         """largest standard deviation of the latest position"""
         self._explore = explore
         self._revisit_threshold_m = explore.revisit_sigma_m
+        self._much_less_m = math.inf
         self._rows: list[tuple[float, float, float]] = []
 
     def add(self, pose: Pose, pose_cov: Array) -> None:
@@ -46,9 +47,14 @@ class PoseHistory:
         """Whether the position is so uncertain that a revisit is due."""
         return self._explore.revisit and self.sigma_m > self._revisit_threshold_m
 
+    @property
+    def is_much_less_certain(self) -> bool:
+        """Whether the position is much less certain than when a revisit was last due."""
+        return self.sigma_m > self._much_less_m
+
     def postpone_revisit(self) -> None:
         """Require a larger uncertainty for the next revisit, whatever the present one achieves."""
-        self._revisit_threshold_m = _NEXT_REVISIT * self.sigma_m
+        self._revisit_threshold_m = self._much_less_m = _NEXT_REVISIT * self.sigma_m
 
     def well_known_places(self) -> Array:
         """(K, 2) positions that were much more certain than the present one."""
