@@ -195,6 +195,8 @@ def _allowed(hint: Any) -> str:
         return ", ".join(f"`{choice}`" for choice in arguments)
     if origin is Union or type(None) in arguments:
         return f"{_allowed(arguments[0])}, or none"
+    if origin is tuple and arguments[-1] is Ellipsis:
+        return f"a list, each {_allowed(arguments[0])}"
     if origin is tuple:
         kinds = {_allowed(argument) for argument in arguments}
         return f"{len(arguments)} numbers" + (f", each {kinds.pop()}" if kinds != {"a number"} else "")
