@@ -212,7 +212,7 @@ class WorldOffsets(EKF):
     def joint_covariance(self, ids):
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        return self._symmetric(ekf._state_index(slots))
+        return self._symmetric(self._pose_and_landmarks(slots))
 
 
 class UnwrappedInnovation(EKF):

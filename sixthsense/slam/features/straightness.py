@@ -16,6 +16,8 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.features.line_fit import LaserSigmas, across_line, fit_line
 from sixthsense.slam.features.partition import Indices
 
+_LEAST_VAR_M2 = 1e-8  # no wall is straight to less than 0.1 mm, however well a laser is assumed to measure
+
 
 @numba.njit(cache=True, error_model="numpy")
 def cut_threshold(returns: int, false_alarm: float) -> float:
@@ -52,7 +54,7 @@ def cut_gains(points: Array, index: Indices, line: Array, sigmas: LaserSigmas) -
     sums = np.zeros((n + 1, 5))
     for k in range(n):
         off, arm, var = across_line(points[index[k], 0], points[index[k], 1], line, sigmas)
-        weight = 1.0 / var
+        weight = 1.0 / max(var, _LEAST_VAR_M2)
         sums[k + 1, 0] = sums[k, 0] + weight
         sums[k + 1, 1] = sums[k, 1] + weight * arm
         sums[k + 1, 2] = sums[k, 2] + weight * arm * arm
