@@ -153,18 +153,15 @@ class Associator:
         """Take sightings that name their landmark, except where the name was misread; the NIS leaves out new ones."""
         self._scan += 1
         estimate = estimator.estimate()
-        order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        old = [i for i in sightings if i in order]
+        known = set(estimate.ids.tolist())
+        old = [i for i in sightings if i in known]
         misread: set[LandmarkId] = set()
         nis = 0.0
         if old:
-            near = np.array([order[i] for i in old])
-            seen = [sightings[i] for i in old]
-            joint = estimator.joint_covariance(old)
-            innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=bool))
+            innovation, joint = _of_known(sightings, old, estimate, estimator)
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = matches_nis(innovation, [seen[k] for k in kept], kept, joint)
+            nis = matches_nis(innovation, [sightings[old[k]] for k in kept], kept, joint)
         accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
         for i, sighting in accepted.items():
             self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
@@ -174,14 +171,12 @@ class Associator:
     def nis(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> tuple[float, int]:
         """Normalised innovation squared of sightings together, and its degrees of freedom; new landmarks left out."""
         estimate = estimator.estimate()
-        order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-        old = [i for i in sightings if i in order]
+        known = set(estimate.ids.tolist())
+        old = [i for i in sightings if i in known]
         if not old:
             return 0.0, 0
-        near, seen = np.array([order[i] for i in old]), [sightings[i] for i in old]
-        joint = estimator.joint_covariance(old)
-        innovation = compare(seen, estimate, near, joint, np.eye(len(old), dtype=np.bool_))
-        return matches_nis(innovation, seen, np.arange(len(old)), joint), 2 * len(old)
+        innovation, joint = _of_known(sightings, old, estimate, estimator)
+        return matches_nis(innovation, [sightings[i] for i in old], np.arange(len(old)), joint), 2 * len(old)
 
     def cull(self) -> list[LandmarkId]:
         """Landmarks to forget now: seen too rarely a period after their first sighting (report: bad landmarks)."""
@@ -291,3 +286,13 @@ class Associator:
         extent = ends(Pose(), other)[None]
         here = Alignment(Pose(), 1.0)
         return not pre_gate([one], other_known, here, np.zeros(1), extent, self._gate_sigmas, self._config).apart[0, 0]
+
+
+def _of_known(
+    sightings: Mapping[LandmarkId, Sighting], known: list[LandmarkId], estimate: Estimate, estimator: Estimator
+) -> tuple[Innovations, Array]:
+    """Innovations of the sightings of landmarks that are known, each of its own one, and the joint covariance."""
+    order = {i: k for k, i in enumerate(estimate.ids.tolist())}
+    near, seen = np.array([order[i] for i in known]), [sightings[i] for i in known]
+    joint = estimator.joint_covariance(known)
+    return compare(seen, estimate, near, joint, np.eye(len(known), dtype=np.bool_)), joint
