@@ -24,6 +24,7 @@ _SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
 NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 
+_LINE_GATE_M, _LINE_SCALE_M = 0.12, 0.05  # of the distance of a point that lies on a line
 _NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
 
 HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = 0, 6, 9, 10, 11, 12, 18
@@ -122,6 +123,25 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
     found = (xx, xy, xt, yy, yt, tt, gx, gy, gt, weights, hits, squares, fxx, fxy, fxt, fyy, fyt, ftt)
     for i in range(SUMS):
         sums[i] += found[i]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
+    """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
+    points, normals = returns.points, returns.normals
+    q = partner(returns, target, x, y, _LINE_GATE_M)
+    if q < 0:
+        return 0.0
+    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
+    nx, ny, mx, my = normals[target, q, 0], normals[target, q, 1], normals[source, k, 0], normals[source, k, 1]
+    if nx == 0.0 and ny == 0.0:
+        r = math.hypot(dx, dy)
+    else:
+        c, s = math.cos(turn), math.sin(turn)
+        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
+            return 0.0
+        r = abs(nx * dx + ny * dy)
+    return 1.0 / (1.0 + (r / _LINE_SCALE_M) ** 2) if r < _LINE_GATE_M else 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import HITS, NORMALS_AGREE, inverse, partner
+from sixthsense.slam.scans.alignment import HITS, inverse, on_line
 from sixthsense.slam.scans.bearings import cell_of
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import WIDE_GATES_M, align_pairs
@@ -31,7 +31,6 @@ _LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or t
 _LEAST_HITS = 20.0
 _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
 _SHIFT_RAD = 0.1
-_GATE_M, _SCALE_M = 0.12, 0.05  # of a point's distance from a line
 _HIDDEN_M = 0.3  # a point this far behind a return is hidden
 _LEAST_SCANS, _MEAN_SHARE = 3, 0.65  # that tell about a place, and what they must explain of what both could see
 _CLEARLY = 0.25  # scans' worth of points that a place must explain beyond another one
@@ -136,7 +135,7 @@ def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
         total[2] += 1.0
         x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
         y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
-        weight = _on_line(returns, target, source, k, pose[2], x, y)
+        weight = on_line(returns, target, source, k, pose[2], x, y)
         centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
         farthest = 0.0
         for beam in range(centre - 1, centre + 2):
@@ -146,22 +145,3 @@ def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
             total[0] += weight
             total[1] += 1.0
     return total
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
-    """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
-    points, normals = returns.points, returns.normals
-    q = partner(returns, target, x, y, _GATE_M)
-    if q < 0:
-        return 0.0
-    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
-    nx, ny, mx, my = normals[target, q, 0], normals[target, q, 1], normals[source, k, 0], normals[source, k, 1]
-    if nx == 0.0 and ny == 0.0:
-        r = math.hypot(dx, dy)
-    else:
-        c, s = math.cos(turn), math.sin(turn)
-        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
-            return 0.0
-        r = abs(nx * dx + ny * dy)
-    return 1.0 / (1.0 + (r / _SCALE_M) ** 2) if r < _GATE_M else 0.0

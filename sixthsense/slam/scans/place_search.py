@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class Hypothesis(NamedTuple):
     pose: Array
     """(3,) of the key scan, world frame"""
     old: NDArray[np.int64]
-    """key scans of the submap"""
+    """key scans of its pass around it"""
     score: float
     is_ambiguous: bool
     """whether another place is nearly as good"""
@@ -66,11 +67,18 @@ class PlaceSearch:
         self._submaps.clear()
 
     def best(
-        self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array, travelled_m: Array
+        self,
+        key: int,
+        old: NDArray[np.int64],
+        sigma_m: Array,
+        sigma_rad: Array,
+        travelled_m: Array,
+        expected: Sequence[Array],
     ) -> Hypothesis | None:
         """The best pose of key scan `key` among the uncertain key scans `old`; None if none is good enough.
 
-        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all key scans.
+        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all key scans, and `expected` are poses (3,) that the graph
+        and earlier hypotheses say.
         """
         anchors = self._anchors(key, old, sigma_m, travelled_m)
         points = self._recent_points(key, travelled_m) if len(anchors) else np.zeros((0, 2))
@@ -91,7 +99,7 @@ class PlaceSearch:
             candidates += [
                 _Candidate(submap, pose, score) for pose, score in zip(placed, found[:, 0].tolist(), strict=True)
             ]
-        return self._judged(key, old, _distinct(candidates, _WORTH * top), travelled_m)
+        return self._judged(key, old, _distinct(candidates, _WORTH * top), travelled_m, expected)
 
     def _look(
         self, key: int, anchor: int, past: int, sigmas: tuple[Array, Array], travelled_m: Array
@@ -142,7 +150,12 @@ class PlaceSearch:
         return submap
 
     def _judged(
-        self, key: int, old: NDArray[np.int64], candidates: list[_Candidate], travelled_m: Array
+        self,
+        key: int,
+        old: NDArray[np.int64],
+        candidates: list[_Candidate],
+        travelled_m: Array,
+        expected: Sequence[Array],
     ) -> Hypothesis | None:
         """The candidate that the last scans explain best, and whether another one is nearly as good."""
         if len(candidates) > _MOST_COMPARED:
@@ -153,15 +166,15 @@ class PlaceSearch:
         olds = [old[np.abs(travelled - anchor) < _HALF_M + _BACK_M] for anchor in anchors]
         places = np.array([c.pose for c in candidates])
         found = evidence_of(self._graph, followed_back(travelled_m, key), places, olds)
-        said = sorted(zip(found, candidates, strict=True), key=lambda pair: -pair[0].weight)
-        most, best = said[0]
-        others = [e for e, _ in said[1:] if not _is_same(most.pose, e.pose)]
-        # That the robot is where the graph says, and nowhere else, needs less: pairs of scans and the votes decide.
-        is_expected = not others and _is_same(most.pose, self._graph.poses[key])
+        said = sorted(zip(found, candidates, olds, strict=True), key=lambda each: -each[0].weight)
+        most, best, around = said[0]
+        others = [e for e, *_ in said[1:] if not _is_same(most.pose, e.pose)]
+        # That the robot is where it should be, and nowhere else, needs less: pairs of scans and the votes decide.
+        is_expected = not others and any(_is_same(most.pose, pose) for pose in expected)
         if best.score < self._config.min_score or not (is_expected or most.is_enough()):
             return None
         ambiguous = not all(most.is_clearly_better(other) for other in others)
-        return Hypothesis(most.pose, best.submap.keys, best.score, ambiguous)
+        return Hypothesis(most.pose, around, best.score, ambiguous)
 
 
 def _distinct(candidates: list[_Candidate], least: float) -> list[_Candidate]:

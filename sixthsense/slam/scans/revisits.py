@@ -116,7 +116,8 @@ class Revisits:
             self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
 
     def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
-        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
+        expected = [self._graph.poses[key], *(self._said(vote, key) for vote in self._lasting(key))]
+        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count], expected)
         if found is None:
             return
         if found.is_ambiguous:
@@ -138,7 +139,7 @@ class Revisits:
 
     def _count(self, vote: _Vote) -> bool:
         """Count a vote, and close the loop if enough agree; whether that was done."""
-        self._votes = [v for v in self._votes if vote.travelled_m - v.travelled_m < _VOTE_LASTS_M] + [vote]
+        self._votes = [*self._lasting(vote.key), vote]
         agreeing = [v for v in self._votes if self._agree(v, vote)]
         span = vote.travelled_m - agreeing[0].travelled_m
         if span < _VOTE_APART_M or 2 * len(agreeing) <= len(self._votes):
@@ -149,10 +150,16 @@ class Revisits:
             self.closings.link_back(vote.key)
         return True
 
+    def _lasting(self, key: int) -> list[_Vote]:
+        """Votes that still count at a key scan."""
+        return [vote for vote in self._votes if self._travelled[key] - vote.travelled_m < _VOTE_LASTS_M]
+
+    def _said(self, vote: _Vote, key: int) -> Array:
+        """What a vote says of the pose (3,) of a later key scan."""
+        return compose(vote.pose, between(self._graph.poses[vote.key], self._graph.poses[key]))
+
     def _agree(self, one: _Vote, newest: _Vote) -> bool:
         """Whether two votes say the same of the newest key scan's pose."""
-        poses = self._graph.poses
-        said = compose(one.pose, between(poses[one.key], poses[newest.key]))
-        off, apart = between(said, newest.pose), newest.travelled_m - one.travelled_m
+        off, apart = between(self._said(one, newest.key), newest.pose), newest.travelled_m - one.travelled_m
         near = math.hypot(off[0], off[1]) < _VOTE_M + _VOTE_M_PER_M * apart
         return near and abs(off[2]) < _VOTE_RAD + _VOTE_RAD_PER_M * apart

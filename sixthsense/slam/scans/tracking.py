@@ -20,6 +20,7 @@ from sixthsense.slam.scans.alignment import (
     Loss,
     add_one_way,
     next_step,
+    on_line,
     solved,
     turned,
 )
@@ -34,6 +35,7 @@ _STEP_M, _STEP_RAD = 5e-4, 2e-4  # smaller steps end the iteration
 SLIP_SIGMAS = 6.0  # scale of the loss on the odometry: wheels slip
 _POOR_SUPPORT, _DROP = 0.35, 0.1  # share of returns on known lines, and below the usual, at which slip is suspected
 _GAIN, _GAIN_OF_TURN = 0.03, 0.15  # by how much another start, and another heading, must raise it
+_GAIN_OF_SLIP = 0.1  # by how much a pose that contradicts the odometry must raise the share of returns on any line
 _WEAK = 0.05  # weight of odometry that is under suspicion
 _OTHER_HEADINGS_RAD = (0.15, -0.15, 0.3, -0.3, 0.5, -0.5)
 
@@ -45,10 +47,16 @@ class Prior(NamedTuple):
     """(3,) world frame"""
     information: Array
     """(3, 3) of the error of (x, y, theta), world axes"""
+    slip_sigmas: float = SLIP_SIGMAS
+    """scale of the loss on the distance from it"""
 
     def doubted(self) -> Prior:
         """The prior with the weight of odometry that is under suspicion."""
-        return Prior(self.pose, _WEAK * self.information)
+        return self._replace(information=_WEAK * self.information)
+
+    def firm(self) -> Prior:
+        """The prior without a loss: wheels do not slip."""
+        return self._replace(slip_sigmas=math.inf)
 
 
 class Tracked(NamedTuple):
@@ -83,8 +91,30 @@ def track(
 
     `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. `usual` is the support that
     scans have lately had. Where fewer returns find a line, wheels may have slipped: the other starts are tried, with
-    partners farther away; where few do, at other headings, too. What explains clearly more is taken.
+    partners farther away; where few do, at other headings, too. What explains clearly more is taken. A pose that
+    contradicts the odometry must explain clearly more than one that does not: along a corridor, what has come into
+    view lately, or moves, would slide the scan.
     """
+    best = _best_of(returns, source, references, poses, prior, starts, usual)
+    if best.slip <= SLIP_SIGMAS**2:
+        return best
+    firm = _solved(returns, source, references, poses, prior.firm(), prior.pose, _GATES_M)
+    if firm.slip > SLIP_SIGMAS**2:
+        return best
+    with_slip, without = (share_on_lines(returns, source, references, poses, found.pose) for found in (best, firm))
+    return best if with_slip > without + _GAIN_OF_SLIP else firm
+
+
+def _best_of(
+    returns: Returns,
+    source: int,
+    references: NDArray[np.int64],
+    poses: Array,
+    prior: Prior,
+    starts: Array,
+    usual: float,
+) -> Tracked:
+    """The pose that explains most, from one of the starts."""
     best = _solved(returns, source, references, poses, prior, starts[0], _GATES_M)
     if best.support >= max(usual - _DROP, _POOR_SUPPORT):
         return best
@@ -127,6 +157,31 @@ def _solved(
 
 
 @numba.njit(cache=True, error_model="numpy")
+def share_on_lines(returns: Returns, source: int, references: NDArray[np.int64], poses: Array, pose: Array) -> float:
+    """Share of the returns of `source`, at `pose` (3,), that lie on a line of any of the key scans `references` (R,).
+
+    The support counts one key scan at a time, and so less where each of them has seen another part.
+    """
+    points, bearings = returns.points, returns.bearings
+    total, count = 0.0, 0
+    for k in range(0, bearings.beams, bearings.stride):
+        if points[source, k, 2] == 0.0:
+            continue
+        count += 1
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        wx = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
+        wy = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
+        most = 0.0
+        for target in references:
+            c, s = math.cos(poses[target, 2]), math.sin(poses[target, 2])
+            dx, dy = wx - poses[target, 0], wy - poses[target, 1]
+            turn = pose[2] - poses[target, 2]
+            most = max(most, on_line(returns, target, source, k, turn, c * dx + s * dy, c * dy - s * dx))
+        total += most
+    return total / max(count, 1)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _iterate(
     returns: Returns,
     source: int,
@@ -162,7 +217,7 @@ def _iterate(
         off = pose - prior.pose
         off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
         pull = prior.information @ off
-        weight = 1.0 / (1.0 + off @ pull / (SLIP_SIGMAS * SLIP_SIGMAS))
+        weight = 1.0 / (1.0 + off @ pull / (prior.slip_sigmas * prior.slip_sigmas))
         move = solved(scale * hessian + weight * prior.information, -(scale * gradient + weight * pull))
         pose += move
         support = most / max(count, 1)

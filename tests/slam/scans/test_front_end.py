@@ -4,15 +4,18 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rooms import CORNERS, RING, ROOM, drive, ticks
+from rooms import CORNERS, RING, ROOM, drive, scan_at, stored, ticks
 
-from sixthsense.config import ConfigError, merge, preset
+from sixthsense.config import ConfigError, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.closing import Closings
+from sixthsense.slam.scans.evidence import explained
 from sixthsense.slam.scans.mount import Mount, seen_from
+from sixthsense.slam.scans.poses import between
+from sixthsense.slam.scans.tracking import share_on_lines
 from sixthsense.slam.slam import Slam
 
 
@@ -78,6 +81,43 @@ def test_a_robot_that_slips_is_tracked_by_its_scans():
             slip = Pose(x=0.4) if k >= len(poses) else Pose()
             step = slam.take(dataclasses.replace(tick, odometry=tick.odometry @ slip))
     assert np.hypot(*(step.pose.position - poses[-1].position)) < 0.03
+
+
+def corridor_with_doors() -> Array:
+    walls = [[[-30, -1], [30, -1]], [[30, 1], [-30, 1]]]
+    for x in np.arange(-28.0, 30.0, 4.0):
+        walls += [[[x, -1], [x, -0.85]], [[x, -0.85], [x + 0.9, -0.85]], [[x + 0.9, -0.85], [x + 0.9, -1]]]
+    return np.array(walls, dtype=float)
+
+
+@pytest.mark.parametrize("width", [0.4, 0.8])
+def test_in_a_corridor_someone_who_walks_ahead_does_not_hold_the_robot_back(width):
+    laser, walls, rng = (
+        LaserConfig(beams=181, fov=np.pi, max_range=12.0),
+        corridor_with_doors(),
+        np.random.default_rng(1),
+    )
+    poses, errors = drive(Pose(-3.0, 0.0, 0.0), [(5.0, 0.0)], step=0.06), []
+    with Slam(preset("log"), poses[0]) as slam:
+        for k, (pose, tick) in enumerate(zip(poses, ticks(poses, walls, laser=laser), strict=True)):
+            ahead = pose.position + np.array([[3.0, -0.5 * width], [3.0, 0.5 * width]])
+            seen = np.concatenate([walls, ahead[None]]) if k > 40 else walls
+            step = slam.take(dataclasses.replace(tick, scan=scan_at(pose, seen, laser, rng=rng)))
+            errors.append(np.hypot(*(step.pose.position - pose.position)))
+    assert max(errors) < 0.25 and errors[-1] < 0.05
+
+
+def test_the_share_on_lines_is_what_one_key_scan_explains_and_grows_with_another():
+    poses = [Pose(-0.4, 0.3, 0.2), Pose(-3.0, -2.0, 0.4), Pose(-1.5, -0.4, 0.45)]
+    returns = stored(*(scan_at(pose, rng=np.random.default_rng(2)) for pose in poses)).returns
+    rows = np.array([pose.array() for pose in poses])
+    shares = []
+    for target in (0, 1):
+        weight, _, count = explained(returns, target, 2, between(rows[target], rows[2]))
+        shares.append(share_on_lines(returns, 2, np.array([target]), rows, rows[2]))
+        assert shares[-1] == pytest.approx(weight / count, rel=1e-6)
+    both = share_on_lines(returns, 2, np.array([0, 1]), rows, rows[2])
+    assert max(shares) < both <= sum(shares)
 
 
 def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():
