@@ -7,10 +7,10 @@ from the inverse of that matrix, and so does the innovation of an unmatched sigh
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.association.matching import Indices, Innovations
+from sixthsense.slam.association.matching import Indices, Innovations, block_diagonal
 
 
 def agreed(
@@ -35,7 +35,7 @@ def agreed(
 def predicted_cov(innovation: Innovations, joint: Array) -> Array:
     """(2k, 2k) covariance of the predicted sightings of k landmarks, from the joint one of pose and landmarks."""
     by_pose = innovation.by_pose.reshape(-1, 3)
-    turned = block_diag(*innovation.by_landmark) if len(innovation.by_landmark) else np.zeros((0, 0))
+    turned = block_diagonal(innovation.by_landmark)
     cross = by_pose @ joint[:3, 3:] @ turned.T
     return np.asarray(by_pose @ joint[:3, :3] @ by_pose.T + cross + cross.T + turned @ joint[3:, 3:] @ turned.T)
 
@@ -50,8 +50,8 @@ def agreeing(
     the inverse of the innovations' covariance S and its part y of S^-1 times the innovations.
     """
     while len(rows):
-        index = _blocks(cols)
-        inverse = np.linalg.inv(predicted[np.ix_(index, index)] + block_diag(*noise[rows, cols]))
+        index = blocks(cols)
+        inverse = np.linalg.inv(predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols]))
         whitened = (inverse @ innovation.values[rows, cols].ravel()).reshape(-1, 2)
         own = inverse.reshape(len(rows), 2, len(rows), 2)[np.arange(len(rows)), :, np.arange(len(rows)), :]
         squared = np.einsum("mi,mi->m", whitened, np.linalg.solve(own, whitened[:, :, None])[:, :, 0])
@@ -70,8 +70,8 @@ def squared_given(innovation: Innovations, predicted: Array, noise: Array, rows:
     k = len(innovation.by_pose)
     shift, cov = np.zeros(2 * k), predicted
     if len(rows):
-        index = _blocks(cols)
-        root = cho_factor(predicted[np.ix_(index, index)] + block_diag(*noise[rows, cols]))
+        index = blocks(cols)
+        root = cho_factor(predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols]))
         shift = predicted[:, index] @ cho_solve(root, innovation.values[rows, cols].ravel())
         cov = predicted - predicted[:, index] @ cho_solve(root, predicted[index])
     own = cov.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
@@ -81,6 +81,6 @@ def squared_given(innovation: Innovations, predicted: Array, noise: Array, rows:
     return np.where(np.isfinite(innovation.squared), squared, np.inf)
 
 
-def _blocks(cols: Indices) -> Indices:
+def blocks(cols: Indices) -> Indices:
     """(2n,) places of the landmarks `cols` (n,) in the vector of predicted sightings."""
     return np.asarray((2 * cols[:, None] + np.arange(2)).ravel())

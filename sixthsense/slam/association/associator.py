@@ -15,11 +15,12 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
-from sixthsense.slam.association.agreement import agreed, predicted_cov
+from sixthsense.slam.association.agreement import predicted_cov
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, matches_nis
 from sixthsense.slam.association.pre_gate import pre_gate
+from sixthsense.slam.association.rivals import best_agreed
 from sixthsense.slam.association.wall_alignment import Alignment, align
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -228,10 +229,9 @@ class Associator:
         if self._config.assignment == "joint":
             probability = self._config.joint_probability
             return *jointly_compatible(innovation, joint, noise, self._match_gate, probability), innovation.squared
-        rows, cols = assign(innovation, self._match_gate)
         if self._config.assignment == "optimal":
-            return rows, cols, innovation.squared
-        return agreed(innovation, predicted_cov(innovation, joint), noise, rows, cols, self._match_gate)
+            return *assign(innovation, self._match_gate), innovation.squared
+        return best_agreed(innovation, predicted_cov(innovation, joint), noise, self._match_gate)
 
     def _fuse(self, piece: Sighting, squared: Array, matched: list[Sighting]) -> bool:
         """Fuse another piece of a wall with the matched sighting of it; whether the two agree, so that it was done.
