@@ -37,10 +37,10 @@ def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
     """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left.
 
     Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a
-    scanned wall; with `unknown` free, cells whose occupancy is above `occupied_thresh` alone. The pixel's value is the
-    mean over the image's channels, alpha included in mode trinary, as in map_server. Raises SceneError, without the map
-    file's name, for a field that is missing, unknown or not allowed, and for an image that is missing, damaged, huge,
-    entirely free or entirely solid.
+    scanned wall, nor where the image ends in a corridor; with `unknown` free, cells whose occupancy is above
+    `occupied_thresh` alone. The pixel's value is the mean over the image's channels, alpha included in mode trinary, as
+    in map_server. Raises SceneError, without the map file's name, for a field that is missing, unknown or not allowed,
+    and for an image that is missing, damaged, huge, entirely free or entirely solid.
     """
     table = _read_yaml(file)
     check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
@@ -75,10 +75,18 @@ def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
         raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
     if occupied.all():
         raise SceneError(f"{image}: found no free pixel, allowed: at least one below free_thresh")
-    loops = [simplify(loop) for loop in outlines(occupied[::-1])]  # the image's first row is the map's top
-    corners_map = np.concatenate(loops) * resolution
-    ends_map = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops]) * resolution
+    solid = occupied[::-1]  # the image's first row is the map's top
+    beyond = int(unknown == "wall" and _is_cut_off(solid))
+    loops = [simplify(loop) for loop in outlines(np.pad(solid, beyond, constant_values=True))]
+    corners_map = (np.concatenate(loops) - beyond) * resolution
+    ends_map = (np.concatenate([np.roll(loop, -1, axis=0) for loop in loops]) - beyond) * resolution
     return np.stack([T_world_map @ corners_map, T_world_map @ ends_map], axis=1)
+
+
+def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
+    """Whether what lies beyond the image (H, W) is solid: most of its border is, and a free place is cut off there."""
+    border = np.concatenate([solid[0], solid[-1], solid[1:-1, 0], solid[1:-1, -1]])
+    return bool(0.5 < border.mean() < 1.0)
 
 
 def outlines(occupied: NDArray[np.bool_]) -> list[Array]:

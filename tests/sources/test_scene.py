@@ -475,6 +475,23 @@ def test_unknown_cells_are_walls_unless_they_are_said_to_be_free(tmp_path: Path)
     assert load_scene(file, "free").region == pytest.approx((0.5, 2.4, 2.5, 2.5))
 
 
+def test_a_corridor_that_the_image_cuts_off_ends_in_a_wall(tmp_path: Path) -> None:
+    pixels = np.full((30, 30), 0)
+    pixels[10:20, 10:] = 254
+    file = write_map(tmp_path, pixels, resolution="0.1")
+    inside = cast_rays(Pose(2.5, 1.5), np.linspace(-3.1, 3.1, 50), load_scene(file).walls, 10.0)
+    assert inside.max() < 2.0
+    assert cast_rays(Pose(2.5, 1.5), np.array([0.0]), load_scene(file).walls, 10.0) == pytest.approx([0.5])
+    assert cast_rays(Pose(2.5, 1.5), np.array([0.0]), load_scene(file, "free").walls, 10.0) == [np.inf]
+
+
+def test_a_building_drawn_on_free_ground_stays_open(tmp_path: Path) -> None:
+    pixels = np.full((30, 30), 254)
+    pixels[0, 5:20] = pixels[10:20, 10:20] = 0
+    scene = load_scene(write_map(tmp_path, pixels, resolution="0.1"))
+    assert scene.region == pytest.approx((0.5, 1.0, 2.0, 3.0))
+
+
 def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     grey = rng.choice(np.array([0, 60, 120, 205, 254], np.uint8), (20, 30))
