@@ -112,7 +112,17 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
     return out
 
 
-def centre_cell(cells: Array | Cells) -> tuple[int, int]:
+@numba.njit(cache=True, error_model="numpy")
+def centre_cell(cells: Cells) -> tuple[int, int]:
     """The one of (N, 2) cells that is nearest to their mean."""
-    k = int(np.argmin(((cells - cells.mean(axis=0)) ** 2).sum(axis=1)))
-    return int(cells[k, 0]), int(cells[k, 1])
+    n = len(cells)
+    row, col = 0, 0
+    for i in range(n):
+        row, col = row + cells[i, 0], col + cells[i, 1]
+    mean_row, mean_col = row / n, col / n
+    best, nearest = 0, np.inf
+    for i in range(n):
+        away = (cells[i, 0] - mean_row) ** 2 + (cells[i, 1] - mean_col) ** 2
+        if away < nearest:
+            best, nearest = i, away
+    return int(cells[best, 0]), int(cells[best, 1])

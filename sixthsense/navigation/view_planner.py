@@ -192,17 +192,20 @@ class ViewPlanner:
         reachable cell nearest to the cluster. There must be a cluster.
         """
         without_clearance = self.cost_without_clearance()
-        targets = [self._occluded_target(candidates.wanted, cells, without_clearance) for cells in candidates.clusters]
+        reachable = np.argwhere(np.isfinite(self.cost))
+        targets = [
+            self._occluded_target(candidates.wanted, cells, without_clearance, reachable)
+            for cells in candidates.clusters
+        ]
         return min(targets, key=lambda target: float(self.cost[target.viewpoint_in(self.window)]))
 
-    def _occluded_target(self, wanted: Bools, cells: Cells, cost_without_clearance: Costs) -> Target:
+    def _occluded_target(self, wanted: Bools, cells: Cells, cost_without_clearance: Costs, reachable: Cells) -> Target:
         window = self.window
         centre = centre_cell(cells)
         beyond = nearest_viewpoint(cost_without_clearance, window.obstacles, *centre, self.sensor.reach)
         gap = divmod(beyond, wanted.shape[1])
         cell = cell_before_gap(self.cost, cost_without_clearance, *gap) if beyond >= 0 else None
         if cell is None:
-            reachable = np.argwhere(np.isfinite(self.cost))
             nearest = int(np.argmin(((reachable - centre) ** 2).sum(axis=1)))
             cell = int(reachable[nearest, 0]), int(reachable[nearest, 1])
         viewpoint = cell[0] + window.first[0], cell[1] + window.first[1]

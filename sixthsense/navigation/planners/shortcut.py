@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
+import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.mapping.freespace import FreeSpace, as_point
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace, as_point, line_touches
 
 
 def furthest_visible(space: FreeSpace, point: ArrayLike, path_world: Array, index: int) -> int:
@@ -20,10 +19,7 @@ def furthest_visible(space: FreeSpace, point: ArrayLike, path_world: Array, inde
     path, here = _as_path(path_world), as_point("point", point)
     if not 0 <= index < len(path):
         raise ValueError(f"index: found {index}, allowed: 0 to {len(path) - 1}")
-    for i in range(len(path) - 1, index, -1):
-        if space.line_is_free(here, path[i]):
-            return i
-    return index
+    return int(_furthest(space.blocked, space.in_cells(here), space.in_cells(path), index))
 
 
 def shortcut(space: FreeSpace, path_world: Array) -> Array:
@@ -33,9 +29,10 @@ def shortcut(space: FreeSpace, path_world: Array) -> Array:
     longer.
     """
     path = _as_path(path_world)
+    cells = space.in_cells(path)
     kept = [0] if len(path) else []
     while kept and kept[-1] < len(path) - 1:
-        kept.append(furthest_visible(space, path[kept[-1]], path, kept[-1] + 1))
+        kept.append(int(_furthest(space.blocked, cells[kept[-1]], cells, kept[-1] + 1)))
     return path[kept]
 
 
@@ -44,7 +41,25 @@ def path_is_free(space: FreeSpace, path_world: Array) -> bool:
     path = _as_path(path_world)
     if len(path) == 1:
         return not space.is_blocked(path[0])
-    return all(space.line_is_free(a, b) for a, b in pairwise(path))
+    return bool(_is_free(space.blocked, space.in_cells(path)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _furthest(blocked: Bools, here: Array, path: Array, index: int) -> int:
+    """As `furthest_visible`, with points in cells from the corner of `blocked` (H, W)."""
+    for i in range(len(path) - 1, index, -1):
+        if not line_touches(blocked, here[0], here[1], path[i, 0], path[i, 1]):
+            return i
+    return index
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_free(blocked: Bools, path: Array) -> bool:
+    """As `path_is_free`, with points in cells from the corner of `blocked` (H, W)."""
+    for i in range(len(path) - 1):
+        if line_touches(blocked, path[i, 0], path[i, 1], path[i + 1, 0], path[i + 1, 1]):
+            return False
+    return True
 
 
 def _as_path(path_world: Array) -> Array:

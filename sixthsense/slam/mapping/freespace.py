@@ -81,6 +81,10 @@ class FreeSpace:
         x1, y1 = self._in_cells("b", b_world)
         return not bool(line_touches(self.blocked, x0, y0, x1, y1))
 
+    def in_cells(self, points_world: Array) -> Array:
+        """The points (..., 2) in cells from the grid's corner, x and y."""
+        return np.asarray((points_world - np.array(self.origin)) / self.cell_m)
+
     def window(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Bools:
         """(R, C) whether the cells of these rows and columns are blocked; those outside the grid are not."""
         height, width = self.blocked.shape
