@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, merge, preset
+from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 from sixthsense.running.runs import Watch, replay_log, reserved, simulate
 
@@ -191,7 +192,7 @@ def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Con
             raise ConfigError(f"{prefix}{task}: found with {prefix}task {_text(given['task'])}, {allowed}")
         config = merge(config, {"task": task})
     if Path(config.scene).suffix:
-        config = dataclasses.replace(config, scene=str(Path(config.scene).resolve()))
+        config = dataclasses.replace(config, scene=str(absolute(config.scene)))
     return config
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from sixthsense.campaign.errors import CampaignError
 from sixthsense.config import Config, as_table, merge, preset
+from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 
 AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
@@ -179,4 +180,4 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
 
 def resolve_scenes(scenes: Sequence[str]) -> tuple[str, ...]:
     """The scenes without duplicates, files by absolute path, so that the names do not depend on the working folder."""
-    return tuple(dict.fromkeys(str(Path(scene).resolve()) if Path(scene).suffix else scene for scene in scenes))
+    return tuple(dict.fromkeys(str(absolute(scene)) if Path(scene).suffix else scene for scene in scenes))

@@ -51,6 +51,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FAILED
     except InputError as error:
         return _report_error(str(error))
+    except MemoryError as error:
+        return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]))
     except OSError as error:
         return _report_error(f"{error.filename or 'output'}: {error.strerror or error}")
     except KeyboardInterrupt:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sixthsense.cli.common import announce, wants_help
 from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import Table, UsageError, parse
 from sixthsense.config import is_of_replay, load_config, preset
 from sixthsense.config.section import shown
+
+if TYPE_CHECKING:
+    from sixthsense.campaign import Campaign
 
 USAGE = """\
 usage: sixthsense campaign [SCENE ...] --seeds FIRST:LAST ... --out DIR [options]
@@ -49,10 +52,9 @@ def command(args: list[str]) -> int:
     lists, rest = split_lists(args)
     given, table = parse(rest, OWN, "scene")
     _check(given, table, lists)
-    from sixthsense.campaign import Campaign, Rows
-    from sixthsense.campaign.folder import check_folder, check_rows, save_folder
-    from sixthsense.campaign.plan import AXES, plan, resolve_scenes, seed_range, shared_fields
-    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+    from sixthsense.campaign import Campaign
+    from sixthsense.campaign.plan import AXES, resolve_scenes, seed_range, shared_fields
+    from sixthsense.record.folder_lock import FolderLock
 
     file = _read_config_table(given.get("config"), lists.get("preset", []))
     default = preset()
@@ -66,6 +68,17 @@ def command(args: list[str]) -> int:
         seeds=tuple(dict.fromkeys(seed for text in lists["seeds"] for seed in seed_range(text))),
         fields=shared_fields(file, task, table),
     )
+    with FolderLock(given["out"]):
+        return _complete(campaign, given)
+
+
+def _complete(campaign: Campaign, given: dict[str, Any]) -> int:
+    """Make the runs that are missing in the campaign's folder, and print its table; returns the exit code."""
+    from sixthsense.campaign import Rows
+    from sixthsense.campaign.folder import check_folder, check_rows, save_folder
+    from sixthsense.campaign.plan import plan
+    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+
     out: Path = given["out"]
     runs = plan(campaign)
     saved = check_folder(out, campaign)

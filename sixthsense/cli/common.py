@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
 import sys
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
@@ -79,18 +81,25 @@ def wants_help(args: list[str]) -> bool:
 def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str, str] | None = None) -> RunFolder:
     """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
     from sixthsense.record.folder import RunFolder
+    from sixthsense.record.folder_lock import FolderInUseError
 
     if options.out is not None:
-        return RunFolder(options.out, config, options.overwrite, replayed)
-    return RunFolder(numbered(stem), config, replayed=replayed)
+        folder = RunFolder(options.out, config, options.overwrite, replayed)
+        for note in folder.notes:
+            announce(f"note: {note}")
+        return folder
+    for out in numbered(stem):
+        with contextlib.suppress(FolderInUseError):  # a run that started at the same moment has taken it
+            return RunFolder(out, config, replayed=replayed)
+    raise AssertionError("numbers do not end")
 
 
-def numbered(stem: str) -> Path:
-    """The first unused path runs/STEM-NUMBER."""
-    number = 1
-    while (out := Path("runs") / f"{stem}-{number}").exists() or out.with_name(out.name + ".partial").exists():
-        number += 1
-    return out
+def numbered(stem: str) -> Iterator[Path]:
+    """The unused paths runs/STEM-NUMBER, the lowest number first."""
+    for number in itertools.count(1):
+        out = Path("runs") / f"{stem}-{number}"
+        if not os.path.lexists(out) and not os.path.lexists(out.with_name(out.name + ".partial")):
+            yield out
 
 
 def announce(line: str) -> None:

@@ -59,7 +59,7 @@ def command(args: list[str]) -> int:
     check_folders(folders)
     runs = [load(folder) for folder in folders]
     if out is None:
-        out = Path(folders[0]) / "figures" if len(runs) == 1 else numbered("report")
+        out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
     files = report(runs, out, form)
     print(compact(table(runs)))
     for run in runs:

@@ -69,6 +69,14 @@ def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | 
     Path(file).write_text(tomli_w.dumps({**as_table(config), **notes}), encoding="utf-8")
 
 
+def absolute(path: str | Path) -> Path:
+    """The absolute path, links followed; only absolute if the links form a loop, which whoever opens it reports."""
+    try:
+        return Path(path).resolve()
+    except (OSError, RuntimeError):
+        return Path(path).absolute()
+
+
 def is_of_replay(file: str | Path) -> bool:
     """Whether a valid configuration file was saved by a replay."""
     return "replayed" in parse_toml(Path(file).read_text(encoding="utf-8-sig"))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
+import os
 import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,12 @@ from numpy.typing import NDArray
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.record.contents import foreign_entries, has_record, reason_not_a_run, reason_not_started
 from sixthsense.record.ending import write_arrays, write_grid
 from sixthsense.record.factors import factor_graph, write_graph
+from sixthsense.record.folder_lock import FolderError, FolderLock
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
-
-
-class FolderError(InputError):
-    """A run folder that cannot be written, in one line."""
 
 
 class RunFolder:
@@ -34,23 +33,28 @@ class RunFolder:
     ) -> None:
         """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay.
 
-        Raises FolderError if `out` exists and `overwrite` is false, and if the folder cannot be written.
+        The `OUT.partial` of a killed run is renamed, and `notes` say so. Raises FolderError if `out` exists and
+        `overwrite` is false, if it is not a run's folder or another process writes it, and if it cannot be written.
         """
         if out.name in ("", ".."):
             raise FolderError(f"--out: found {str(out)!r}, allowed: a path that ends in a name")
         self.out = out
         self.partial = out.with_name(out.name + ".partial")
+        self.notes: list[str] = []
+        """one line for the user about each earlier run that was moved"""
+        self._replaced = out.with_name(f".{out.name}.replaced")
+        self._overwrite = overwrite
         try:
-            if out.exists() and not overwrite:
-                raise FolderError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
-            for folder in (out, self.partial):
-                if folder.exists() and not (folder / "config.toml").is_file():
-                    raise FolderError(f"--out: {folder} is not a run folder, allowed: a new folder, or a run folder")
-            if self.partial.exists():
-                shutil.rmtree(self.partial)
-            self._made = [parent for parent in self.partial.parents if not parent.exists()]
-            self.partial.mkdir(parents=True)
-            save_config(config, self.partial / "config.toml", replayed)
+            self._lock = FolderLock(out)
+            try:
+                self._restore_replaced()
+                self._check_out()
+                self._keep_killed()
+                self.partial.mkdir()
+                save_config(config, self.partial / "config.toml", replayed)
+            except BaseException:
+                self._lock.release()
+                raise
         except OSError as error:
             raise FolderError(
                 f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
@@ -59,12 +63,54 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Leave nothing behind of a run that bad input has stopped; any other end keeps what there is."""
-        if kind is not None and issubclass(kind, InputError):
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        """Leave nothing behind of a run that bad input has stopped before its first record; keep all else."""
+        if kind is not None and issubclass(kind, InputError) and not has_record(self.partial):
             shutil.rmtree(self.partial, ignore_errors=True)
-            for parent in self._made:
-                parent.rmdir()
+        if isinstance(error, MemoryError):
+            error.add_note(f"the record so far is in {self.partial}")
+        self._lock.release()
+
+    def _restore_replaced(self) -> None:
+        """Complete a replacement that was killed half-way: the old run is restored, or removed if the new one is there.
+
+        Raises FolderError if someone has written into the old run's folder.
+        """
+        if not os.path.lexists(self._replaced):
+            return
+        if not os.path.lexists(self.out):
+            self._replaced.rename(self.out)
+            self.notes.append(f"{self.out} was being replaced when a run was killed, and is restored")
+            return
+        foreign = next(foreign_entries(self._replaced), None)
+        if foreign is not None:
+            raise FolderError(f"--out: {self._replaced} holds {foreign}, which no run writes, allowed: move it away")
+        shutil.rmtree(self._replaced)
+
+    def _check_out(self) -> None:
+        """Raise FolderError unless `out` is new, or is a run that may be replaced."""
+        if not os.path.lexists(self.out):
+            return
+        if self.out.is_symlink():
+            raise FolderError(f"--out: {self.out} is a symbolic link, allowed: a folder")
+        if not self._overwrite:
+            raise FolderError(f"--out: {self.out} exists, allowed: a new folder, or --overwrite")
+        if reason := reason_not_a_run(self.out):
+            raise _not_a_run(self.out, reason)
+
+    def _keep_killed(self) -> None:
+        """Rename the `.partial` of a killed run, unless it has recorded nothing; FolderError if it is not of a run."""
+        if not os.path.lexists(self.partial):
+            return
+        if reason := reason_not_started(self.partial):
+            raise _not_a_run(self.partial, reason)
+        if [file.name for file in self.partial.iterdir()] == ["config.toml"]:
+            shutil.rmtree(self.partial)
+            return
+        numbered = (self.out.with_name(f"{self.out.name}.{number}.partial") for number in itertools.count(1))
+        kept = next(place for place in numbered if not os.path.lexists(place))
+        self.partial.rename(kept)
+        self.notes.append(f"{self.partial} of a killed run is kept as {kept}")
 
     def write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
         """Write all files of a finished run but the figures.
@@ -96,15 +142,30 @@ class RunFolder:
         write_end(self.partial, trace)
 
     def finish(self) -> None:
-        """Rename the folder to `OUT`, replacing an existing one."""
-        if self.out.exists():
-            # Rename first and delete last, so that an abort loses neither the old run nor the new one.
-            aside = Path(tempfile.mkdtemp(prefix=f".{self.out.name}.", dir=self.out.parent))
-            self.out.rename(aside / self.out.name)
-            self.partial.rename(self.out)
-            shutil.rmtree(aside)
+        """Rename the folder to `OUT`, replacing an existing run, and release it.
+
+        The old run is moved aside until the new one has its name, and back if it cannot have it. Raises FolderError if
+        `OUT` has meanwhile become something that may not be replaced; the new run then stays in `OUT.partial`.
+        """
+        try:
+            self._check_out()
+        except FolderError as error:
+            raise FolderError(f"{error}; the run is in {self.partial}") from None
+        if os.path.lexists(self.out):
+            self.out.rename(self._replaced)
+            try:
+                self.partial.rename(self.out)
+            except BaseException:
+                self._replaced.rename(self.out)
+                raise
+            shutil.rmtree(self._replaced, ignore_errors=True)
         else:
             self.partial.rename(self.out)
+        self._lock.release()
+
+
+def _not_a_run(folder: Path, reason: str) -> FolderError:
+    return FolderError(f"--out: {folder} is not a run folder, it {reason}, allowed: a new folder, or a run folder")
 
 
 def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config import Config, load_config
+from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.ending import (
@@ -71,7 +72,7 @@ def load_record(folder: Path | str) -> LoadedRecord:
         trace, has_ended = streamed
         missing = set() if has_ended else {RecordPart.END}
         trace.outcome = trace.outcome or "interrupted"
-    trace.name = folder.resolve().name.removesuffix(".partial")
+    trace.name = absolute(folder).name.removesuffix(".partial")
     missing |= _read_end(folder, trace) | _read_grid(folder, config, trace)
     return LoadedRecord(trace, tuple(part for part in RecordPart if part in missing))
 

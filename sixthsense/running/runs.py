@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
@@ -49,7 +50,10 @@ def reserved(
         return contextlib.nullcontext()
     from sixthsense.record.folder import RunFolder
 
-    return RunFolder(Path(out), config, overwrite, replayed)
+    folder = RunFolder(Path(out), config, overwrite, replayed)
+    for note in folder.notes:
+        warnings.warn(note, stacklevel=3)
+    return folder
 
 
 def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
@@ -108,14 +112,22 @@ def _watched(
     run = Run(name, trace, folder=None if folder is None else folder.out)
     if folder is not None:
         with deferred_interrupt():  # a Ctrl-C after the run's end does not lose what it has found
-            _keep(folder, run)
+            _keep(folder, run, watch.say or warnings.warn)
     return run
 
 
-def _keep(folder: RunFolder, run: Run) -> None:
-    """Write a run that is over into its folder, its map included, and give the folder its name."""
+def _keep(folder: RunFolder, run: Run, say: Callable[[str], object]) -> None:
+    """Write a run that is over into its folder, its map included, and give the folder its name.
+
+    `say` is told if the memory does not suffice for the picture; the run is kept without it.
+    """
     from sixthsense.figures.plot import save_map
 
     folder.write(run.trace, run.metrics)
-    save_map(run, folder.partial / "figures" / "map.png", run.title)
+    picture = folder.partial / "figures" / "map.png"
+    try:
+        save_map(run, picture, run.title)
+    except MemoryError:
+        picture.unlink(missing_ok=True)
+        say(f"note: out of memory, {folder.out} has no figures/map.png; sixthsense report {folder.out} draws it")
     folder.finish()

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, load_config
+from sixthsense.config.files import absolute
 from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
@@ -105,8 +106,8 @@ def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bo
 def check_out(log: str | Path, out: Path | None) -> None:
     """Raise ConfigError for an output folder that would overwrite the log."""
     if out is not None:
-        partial = out.with_name((out.name or "run") + ".partial").resolve()
-        path = Path(log).resolve()
+        partial = absolute(out.with_name((out.name or "run") + ".partial"))
+        path = absolute(log)
         if partial in (path, *path.parents):
             raise ConfigError(f"--out: found {out}, whose .partial is the log itself, allowed: another folder")
 
@@ -129,14 +130,14 @@ def open_recorded(
     from sixthsense.sources.logs.relations import read_relations
     from sixthsense.sources.logs.rosbag import BagLog
 
-    files = {"log": str(Path(log).resolve())}
+    files = {"log": str(absolute(log))}
     if topics:
         files["topic"] = ",".join(topics)
     if robot is not None:
         files["robot"] = str(robot)
     from_file = isinstance(relations, (str, Path))
     if isinstance(relations, (str, Path)):
-        files["relations"] = str(Path(relations).resolve())
+        files["relations"] = str(absolute(relations))
         given: Relations | None = read_relations(relations)
     else:
         given = relations
@@ -149,7 +150,7 @@ def open_recorded(
     if isinstance(opened, MrclamLog) and opened.misread:
         notes.append(f"{opened.misread} measurements with an unknown barcode are skipped")
     notes += opened.remarks()
-    return Recorded(Path(log).resolve().name, opened, of_log(config, opened), given, files, tuple(notes))
+    return Recorded(absolute(log).name, opened, of_log(config, opened), given, files, tuple(notes))
 
 
 def of_log(config: Config, log: Log) -> Config:

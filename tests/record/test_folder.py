@@ -173,34 +173,51 @@ def test_an_unknown_map_writes_no_image(tmp_path: Path) -> None:
 
 def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configuration(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path / "deep" / "run", Config())
-    assert entries(tmp_path) == ["deep", "deep/run.partial", "deep/run.partial/config.toml"]
+    assert entries(tmp_path) == ["deep", "deep/.run.lock", "deep/run.partial", "deep/run.partial/config.toml"]
     folder.finish()
     assert entries(tmp_path) == ["deep", "deep/run", "deep/run/config.toml"]
 
 
 def test_the_rest_of_a_killed_run_makes_room_for_its_next_attempt(tmp_path: Path) -> None:
-    (RunFolder(tmp_path / "run", Config()).partial / "estimate.tum").write_text("half")
-    folder = RunFolder(tmp_path / "run", Config(seed=1))
+    for seed in (0, 1):
+        (RunFolder(tmp_path / "run", Config(seed=seed)).partial / "estimate.tum").write_text(f"half of {seed}")
+    folder = RunFolder(tmp_path / "run", Config(seed=2))
+    assert folder.notes == [f"{folder.partial} of a killed run is kept as {tmp_path / 'run.2.partial'}"]
     assert entries(folder.partial) == ["config.toml"]
-    assert load_config(folder.partial / "config.toml").seed == 1
+    assert load_config(folder.partial / "config.toml").seed == 2
+    for seed in (0, 1):
+        assert (tmp_path / f"run.{seed + 1}.partial" / "estimate.tum").read_text() == f"half of {seed}"
+        assert load_config(tmp_path / f"run.{seed + 1}.partial" / "config.toml").seed == seed
+
+
+def test_a_run_that_was_killed_before_its_first_scan_leaves_nothing_to_keep(tmp_path: Path) -> None:
+    RunFolder(tmp_path / "run", Config())
+    folder = RunFolder(tmp_path / "run", Config())
+    assert folder.notes == [] and entries(tmp_path) == [".run.lock", "run.partial", "run.partial/config.toml"]
+
+
+def finished(out: Path, seed: int) -> Path:
+    """The folder of a run that has ended at once."""
+    folder = RunFolder(out, Config(seed=seed))
+    (folder.partial / "record.jsonl").write_text('{"format":1,"radius_m":0.2,"scene":null}\n')
+    folder.finish()
+    return out
 
 
 def test_a_failure_leaves_the_old_folder_whole(tmp_path: Path, trace: Trace) -> None:
-    RunFolder(tmp_path / "run", Config(seed=1)).finish()
+    finished(tmp_path / "run", 1)
     folder = RunFolder(tmp_path / "run", Config(seed=2), overwrite=True)
     broken = dataclasses.replace(trace, stamps_ns=trace.stamps_ns[:-1])
     with pytest.raises(ValueError):
         folder.write(broken, {})
-    assert entries(tmp_path / "run") == ["config.toml"]
+    assert entries(tmp_path / "run") == ["config.toml", "record.jsonl"]
     assert load_config(tmp_path / "run" / "config.toml").seed == 1
 
 
 def test_overwriting_puts_the_new_run_in_the_old_ones_place_and_touches_nothing_beside_it(tmp_path: Path) -> None:
     (tmp_path / "run.old").mkdir()
     (tmp_path / "run.old" / "mine").write_text("a copy that someone made")
-    old = RunFolder(tmp_path / "run", Config(seed=1))
-    (old.partial / "metrics.json").write_text("{}")
-    old.finish()
+    finished(tmp_path / "run", 1)
     RunFolder(tmp_path / "run", Config(seed=2), overwrite=True).finish()
     assert entries(tmp_path) == ["run", "run.old", "run.old/mine", "run/config.toml"]
     assert load_config(tmp_path / "run" / "config.toml").seed == 2
@@ -209,7 +226,7 @@ def test_overwriting_puts_the_new_run_in_the_old_ones_place_and_touches_nothing_
 def test_what_is_no_run_is_neither_overwritten_nor_deleted(tmp_path: Path) -> None:
     for name in ("run", "run.partial"):
         (tmp_path / name).mkdir()
-        with pytest.raises(FolderError, match="is not a run folder, allowed: "):
+        with pytest.raises(FolderError, match=r"is not a run folder, it holds no config.toml of a run, allowed: "):
             RunFolder(tmp_path / "run", Config(), overwrite=True)
         assert (tmp_path / name).is_dir()
         (tmp_path / name).rmdir()
