@@ -91,8 +91,7 @@ def recorded_drive(
             if config.max_time is not None:
                 watchers.append(_Deadline(config.max_time, navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
-            outcome = drive(source, slam, pilot, watchers, clock)
-        recorder.finish(outcome)
+            recorder.finish(drive(source, slam, pilot, watchers, clock))
     return trace
 
 

@@ -44,7 +44,7 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
         warnings.simplefilter("ignore")
         stack.enter_context(dask.config.set(_SETTINGS))
         if scheduler is None:
-            with _sigint_blocked():
+            with _terminal_blocked():
                 cluster = distributed.LocalCluster(
                     n_workers=workers or dask.system.CPU_COUNT,
                     threads_per_worker=1,
@@ -198,13 +198,13 @@ def _row(future: Any, run: PlannedRun) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def _sigint_blocked() -> Iterator[None]:
-    """Block SIGINT within the block; processes and threads that are started in it inherit the mask.
+def _terminal_blocked() -> Iterator[None]:
+    """Block SIGINT and SIGHUP within the block; processes and threads that are started in it inherit the mask.
 
-    A terminal sends SIGINT to all processes of the group, and only the driver may end the workers.
+    A terminal sends them to all processes of the group, and only the driver may end the workers.
     """
     resource_tracker.ensure_running()  # starting it with the first process would unblock the signal
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:
@@ -212,6 +212,6 @@ def _sigint_blocked() -> Iterator[None]:
 
 
 def _close_quietly(close: Callable[[], Any]) -> None:
-    """Close a cluster or client, ignoring errors; SIGINT is blocked so that no processes are left behind."""
-    with _sigint_blocked(), contextlib.suppress(Exception):
+    """Close a cluster or client, ignoring errors; SIGINT and SIGHUP are blocked so that no process is left behind."""
+    with _terminal_blocked(), contextlib.suppress(Exception):
         close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -10,6 +12,7 @@ from importlib import import_module
 from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
+from sixthsense.core.interrupt import command_signals
 
 COMMANDS = ("run", "replay", "calibrate", "campaign", "report", "scenes")
 
@@ -36,13 +39,31 @@ commands:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 the robot failed, 2 bad input, 130 interrupted."""
+    """Run one command; returns the exit code.
+
+    0: done; 1: the robot failed; 2: bad input; 130, 143, 129: ended by Ctrl-C, SIGTERM, SIGHUP.
+    """
     args = list(sys.argv[1:] if argv is None else argv)
-    if not args or args[0] in ("-h", "--help"):
-        print(USAGE, end="")
-        return DONE if args else BAD_INPUT
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS)
+    with command_signals() as signals:
+        try:
+            code = _run(args)
+        except KeyboardInterrupt:
+            signals.is_over = True
+            _say("sixthsense: interrupted")
+            code = INTERRUPTED
+        signals.is_over = True
+        code = signals.exit_code(_flushed(code))
+        signals.is_last = argv is None
+    return code
+
+
+def _run(args: list[str]) -> int:
+    """Run one command and report its errors in one line."""
     try:
+        if not args or args[0] in ("-h", "--help"):
+            print(USAGE, end="")
+            return DONE if args else BAD_INPUT
         if args[0] not in COMMANDS:
             raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}")
         code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])
@@ -55,11 +76,25 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _report_error("; ".join(["out of memory", *getattr(error, "__notes__", ())]))
     except OSError as error:
         return _report_error(f"{error.filename or 'output'}: {error.strerror or error}")
-    except KeyboardInterrupt:
-        print("sixthsense: interrupted", file=sys.stderr)
-        return INTERRUPTED
 
 
 def _report_error(message: str) -> int:
-    print(f"sixthsense: {' '.join(message.split())}", file=sys.stderr)
+    _say(f"sixthsense: {' '.join(message.split())}")
     return BAD_INPUT
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError):  # of a terminal that has been closed
+        print(line, file=sys.stderr)
+
+
+def _flushed(code: int) -> int:
+    """The exit code after all output is written; a reader that is gone must not make the interpreter fail at exit."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            code = code or FAILED
+            with contextlib.suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return code

@@ -1,8 +1,12 @@
-"""Ctrl-C that takes effect at the end of a tick, so that a run ends in order with all files written."""
+"""Signals that end a run: they take effect at the end of a tick, so that a run ends in order with all files written.
+
+Ctrl-C is SIGINT. A command also ends by SIGTERM (kill, batch systems) and SIGHUP (a closed terminal).
+"""
 
 from __future__ import annotations
 
 import math
+import os
 import signal
 import threading
 import time
@@ -13,7 +17,69 @@ from typing import Any
 AGAIN_S = 2.0
 """A second Ctrl-C within this time of the first raises, in a later block too."""
 
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
 _last_s = -math.inf  # time of the last deferred interrupt of any block
+_command: CommandSignals | None = None  # of the command that is running
+
+
+class CommandSignals:
+    """The signals that a command has received: which was the first, and whether one is to interrupt it."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        """the first signal, 0 before it"""
+        self.taken: tuple[int, ...] = ()
+        """signals that the command handles; one that is ignored, as SIGHUP is under nohup, stays so"""
+        self.is_over = False
+        """whether nothing is left to interrupt"""
+        self.is_last = False
+        """whether the process ends with the command: later signals are ignored"""
+        self._presses_s: list[float] = []
+
+    def note(self, number: int) -> bool:
+        """Note a signal and return whether it interrupts: SIGTERM and SIGHUP, which may be sent twice, do so once.
+
+        The third Ctrl-C within two seconds ends the process at once.
+        """
+        is_first, self.number = self.number == 0, self.number or number
+        if number == signal.SIGINT:
+            self._presses_s = [*self._presses_s[-2:], time.monotonic()]
+            if len(self._presses_s) == 3 and self._presses_s[-1] - self._presses_s[0] < AGAIN_S:
+                os._exit(128 + number)
+        return not self.is_over and (is_first or number == signal.SIGINT)
+
+    def exit_code(self, code: int) -> int:
+        """The exit code of a command that ends with `code`: 128 plus the signal that ended it, if one has."""
+        ended_by_other = self.number not in (0, signal.SIGINT)
+        return 128 + self.number if ended_by_other else code
+
+
+@contextmanager
+def command_signals() -> Iterator[CommandSignals]:
+    """Within the block SIGTERM and SIGHUP interrupt as Ctrl-C does: they raise KeyboardInterrupt, or are deferred.
+
+    For commands, which own their process. Outside the main thread, and within another such block, nothing changes.
+    """
+    global _command
+    command = CommandSignals()
+    if _command is not None or threading.current_thread() is not threading.main_thread():
+        yield command
+        return
+
+    def interrupt(number: int, frame: Any) -> None:
+        if command.note(number):
+            raise KeyboardInterrupt
+
+    command.taken = tuple(n for n in ENDING if signal.getsignal(n) not in (signal.SIG_IGN, None))
+    before = {number: signal.signal(number, interrupt) for number in command.taken}
+    _command = command
+    try:
+        yield command
+    finally:
+        _command = None
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_IGN if command.is_last else handler)
 
 
 @contextmanager
@@ -21,7 +87,8 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first Ctrl-C in the block; the yielded function tells whether there was one. A second one raises.
 
     One in a later block also raises if it follows the first within two seconds: pressing twice ends a loop over many
-    runs. Outside the main thread signals cannot be caught, and the function always returns False.
+    runs. SIGTERM and SIGHUP to a command are deferred however often they come. Outside the main thread signals cannot
+    be caught, and the function always returns False.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
@@ -31,14 +98,21 @@ def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     def note(number: int, frame: Any) -> None:
         nonlocal asked
         global _last_s
+        if _command is not None:
+            _command.note(number)
+        if number != signal.SIGINT:
+            asked = True
+            return
         now_s = time.monotonic()
         if asked or now_s - _last_s < AGAIN_S:
             _last_s = -math.inf
             raise KeyboardInterrupt
         asked, _last_s = True, now_s
 
-    before = signal.signal(signal.SIGINT, note)
+    numbers = {signal.SIGINT, *(() if _command is None else _command.taken)}
+    before = {number: signal.signal(number, note) for number in numbers}
     try:
         yield lambda: asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -64,8 +64,8 @@ class RunFolder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        """Leave nothing behind of a run that bad input has stopped before its first record; keep all else."""
-        if kind is not None and issubclass(kind, InputError) and not has_record(self.partial):
+        """Leave nothing behind of a run that bad input or Ctrl-C has stopped before its first record; keep all else."""
+        if kind is not None and issubclass(kind, (InputError, KeyboardInterrupt)) and not has_record(self.partial):
             shutil.rmtree(self.partial, ignore_errors=True)
         if isinstance(error, MemoryError):
             error.add_note(f"the record so far is in {self.partial}")

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -71,11 +72,18 @@ class Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.close()
+        self._draw(self._bar.close)
 
     def say(self, text: str) -> None:
         """Show a text beside the bar."""
-        self._bar.set_description_str(f"{self._label}: {text}" if text else self._label)
+        self._draw(lambda: self._bar.set_description_str(f"{self._label}: {text}" if text else self._label))
+
+    def _draw(self, draw: Callable[[], object]) -> None:
+        """Draw on the terminal; one that has been closed ends the bar and not the run."""
+        try:
+            draw()
+        except OSError:
+            self._bar.disable = True
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Advance the bar to a tick's stamp."""
@@ -88,7 +96,7 @@ class Progress:
                 self._area_updated = now
                 area = float(trace.grid.seen.sum()) * trace.config.grid.cell_m**2
                 self._bar.set_postfix_str(f"{area:.0f} m² seen" if area else "", refresh=False)
-            self._bar.update(now_s - self._shown_s)
+            self._draw(lambda: self._bar.update(now_s - self._shown_s))
             self._shown_s = now_s
         if self._realtime:
             time.sleep(max(0.0, self._start + now_s - time.monotonic()))

@@ -98,5 +98,9 @@ class View:
         self._is_open = False
         self.finish()
         self._drawing.close()
-        if self.page and self._viewer is not None:
+        if self._viewer is None:
+            return
+        if self.page:
             self._viewer.end()
+        else:
+            self._viewer.leave()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import os
 import socket
@@ -15,13 +16,13 @@ from urllib.parse import quote
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.view import keeper
 from sixthsense.view.relay import Relay
 
 LOOPBACK = "127.0.0.1"
 VIEW_TARGETS = "window, browser or FILE.rrd"
 
 _START_TIMEOUT_S = 60.0  # until the viewer listens
-_SHUTDOWN_TIMEOUT_S = 5.0  # until the viewer's process has ended
 
 
 class ViewError(InputError):
@@ -73,10 +74,12 @@ class Viewer:
         else:
             command += ["--hide-welcome-screen", "--expect-data-soon"]
         null = subprocess.DEVNULL
-        # A process group of its own: Ctrl-C stops the run, and the viewer keeps showing its end.
+        # A session of its own: Ctrl-C stops the run, and the viewer keeps showing its end. The keeper ends the viewer
+        # when this process is gone.
         self._process = subprocess.Popen(
-            command, env=_environment(), stdin=null, stdout=null, stderr=null, start_new_session=True
-        )
+            [sys.executable, "-I", "-S", keeper.__file__, *command],
+            env=_environment(), stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True,
+        )  # fmt: skip
         deadline = time.monotonic() + _START_TIMEOUT_S
         while not all(_listens(address, port) for port in ports):
             if self._process.poll() is not None or time.monotonic() > deadline:
@@ -88,17 +91,27 @@ class Viewer:
         """Wait until the viewer ends, or Ctrl-C."""
         self._process.wait()
 
+    def leave(self) -> None:
+        """Leave the viewer running when this process ends."""
+        self._say(keeper.STAY)
+
     def end(self) -> None:
         """Stop the viewer if it is still running."""
         if self._relay is not None:
             self._relay.end()
-        if self._process.poll() is None:
-            self._process.terminate()
-            try:
-                self._process.wait(_SHUTDOWN_TIMEOUT_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+        self._say(b"")
+        try:
+            self._process.wait(2.0 * keeper.TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _say(self, word: bytes) -> None:
+        """Write the last word to the keeper."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError, ValueError):  # it has ended, or has been told before
+            self._process.stdin.write(word)
+            self._process.stdin.close()
 
 
 def _program() -> str:

@@ -1,3 +1,5 @@
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -182,10 +184,17 @@ def test_the_viewer_sends_no_usage_statistics(viewer):
     assert not any(entry.startswith(b"FORCE_RERUN_ANALYTICS") for entry in environment)
 
 
+def children(pid: int) -> list[int]:
+    """The processes that a process has started."""
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
     monkeypatch.setattr("sixthsense.view.recording._FLUSH_S", 1.0)
     with ss.View("browser") as view:
-        view._viewer._process.kill()
+        for program in children(view._viewer._process.pid):
+            os.kill(program, signal.SIGKILL)
         view._viewer._process.wait()
         began = time.monotonic()
         trace = run(preset(scene="rectangle", max_time=1.0), view)

@@ -1,0 +1,188 @@
+"""Signals to a command: a run ends in order, nothing is left behind."""
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import sixthsense as ss
+from sixthsense.record.contents import has_record, reason_not_a_run
+from sixthsense.running.warmup import warm_up
+
+ENDLESS = ("run", "rectangle", "--task", "tour", "--max-time", "1e6", "--out", "x")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    warm_up()
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def listen() -> None:
+    """In the child: Ctrl-C is not ignored, as it is in what a shell runs in the background."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def start(*args: str, **options: object) -> subprocess.Popen[str]:
+    # As the installed script does it; with -m Python may end by the signal itself, which a shell shows as 130, too.
+    command = [sys.executable, "-c", "import sys; from sixthsense.cli import main; sys.exit(main())", *args]
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
+    return subprocess.Popen(command, **(piped | options))
+
+
+def wait_until(is_so: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not is_so():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.02)
+
+
+def outcome(folder: Path) -> str:
+    assert reason_not_a_run(folder) == ""
+    return str(json.loads((folder / "metrics.json").read_text())["outcome"])
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
+def test_a_signal_ends_a_run_with_its_record_and_128_plus_its_number(name, code, here):
+    process = start(*ENDLESS)
+    wait_until(lambda: has_record(here / "x.partial"))
+    process.send_signal(getattr(signal, name))
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == code and err == ""
+    assert out.endswith("written to x/\n")
+    assert outcome(here / "x") == "interrupted" and [path.name for path in here.iterdir()] == ["x"]
+
+
+def test_sigterm_and_sighup_may_come_twice(here):
+    process = start(*ENDLESS)
+    wait_until(lambda: has_record(here / "x.partial"))
+    for name in ("SIGHUP", "SIGHUP", "SIGTERM"):
+        process.send_signal(getattr(signal, name))
+        time.sleep(0.01)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (129, "")
+    assert outcome(here / "x") == "interrupted"
+
+
+def test_a_signal_before_the_first_tick_leaves_nothing(here):
+    process = start(*ENDLESS)
+    wait_until((here / "x.partial" / "config.toml").exists)
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 143 and "Traceback" not in err
+    assert list(here.iterdir()) == [] or outcome(here / "x") == "interrupted"
+
+
+def test_a_hangup_that_is_ignored_stays_so(here):
+    def nohup() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    process = start("run", "rectangle", "--task", "tour", "--max-time", "30", "--out", "x", preexec_fn=nohup)
+    wait_until(lambda: has_record(here / "x.partial"))
+    process.send_signal(signal.SIGHUP)
+    process.communicate(timeout=60)
+    assert process.returncode == 0 and outcome(here / "x") == "tour ended"
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 0.03, 0.2])
+def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(pause_s, here):
+    process = start(*ENDLESS)
+    wait_until(lambda: has_record(here / "x.partial"))
+    for _ in range(3):
+        process.send_signal(signal.SIGINT)
+        time.sleep(pause_s)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in err and "Exception ignored" not in err
+    folder = here / "x" if (here / "x").exists() else here / "x.partial"
+    assert len(ss.load(folder).trace.estimates) > 0
+
+
+def test_a_ctrl_c_while_a_command_exits_has_no_traceback(here):
+    process = start("scenes", env=os.environ | {"PYTHONUNBUFFERED": "1"})
+    assert process.stdout is not None
+    for _ in range(5):
+        process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode in (0, 130)
+    assert "Traceback" not in err and "Exception ignored" not in err
+
+
+def test_a_terminal_that_is_closed_ends_a_run_in_order(here):
+    leader, follower = pty.openpty()
+    code = (
+        "import fcntl, os, sys, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
+        f"os.execv(sys.executable, [sys.executable, '-m', 'sixthsense.cli', *{ENDLESS!r}])"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=follower, stdout=follower, stderr=follower)
+    os.close(follower)
+    wait_until(lambda: has_record(here / "x.partial"))
+    os.close(leader)
+    assert process.wait(60) == 129
+    assert outcome(here / "x") == "interrupted"
+
+
+def processes(word: str) -> list[int]:
+    """The processes that have a word in their command line."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if word.encode() in (folder / "cmdline").read_bytes():
+                found.append(int(folder.name))
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "three Ctrl-C"])
+def test_a_viewer_ends_with_its_run_whatever_ends_that(name, here):
+    pytest.importorskip("rerun")
+    process = start(*ENDLESS, "--view", "browser", stderr=subprocess.PIPE)
+    assert process.stderr is not None
+    page = process.stderr.readline()
+    port = page.rpartition("%3A")[2].partition("%2F")[0]
+    wait_until(lambda: has_record(here / "x.partial"))
+    assert len(processes(f"\0--port\0{port}")) == 2  # the viewer and its keeper
+    for _ in range(3 if name == "three Ctrl-C" else 1):
+        process.send_signal(getattr(signal, name, signal.SIGINT))
+    process.communicate(timeout=60)
+    assert process.returncode == {"SIGKILL": -9, "SIGTERM": 143}.get(name, 130)
+    wait_until(lambda: processes(f"\0--port\0{port}") == [])
+
+
+@pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
+def test_a_terminated_campaign_keeps_its_rows_and_leaves_no_process(here):
+    pytest.importorskip("distributed")
+    pytest.importorskip("pyarrow")
+    words = ("campaign", "rectangle", "--seeds", "0:50", "--task", "tour", "--max-time", "20", "--workers", "1")
+    marker = {"env": os.environ | {"CAMPAIGN_OF_THIS_TEST": str(here)}}
+    process = start(*words, "--out", "c", **marker)
+    wait_until(lambda: len(list(here.glob("c/rows/run-*"))) > 1)
+    process.send_signal(signal.SIGTERM)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 143 and "Traceback" not in err
+    assert "of 50 runs are in c/, the same command makes the missing ones" in err
+    assert 2 <= len(ss.load_campaign(here / "c")) < 50
+    assert [path.name for path in here.iterdir()] == ["c"]
+
+    def is_left(folder: Path) -> bool:
+        try:
+            return str(here).encode() in (folder / "environ").read_bytes()
+        except OSError:
+            return False
+
+    wait_until(lambda: not any(is_left(folder) for folder in Path("/proc").glob("[0-9]*")))
