@@ -1,0 +1,188 @@
+"""Stop commands at random times, by random signals, and check that nothing is lost: `--times 200`.
+
+Each time a run, a replay or a campaign is started, half of them onto an earlier run or campaign, and gets SIGKILL,
+SIGTERM, SIGHUP, SIGINT or three SIGINT. Afterwards the earlier run is intact or the new one is whole, what was
+recorded can be read, no process is left, and the folder's lock is free.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.config import load_config
+from sixthsense.figures.run import load
+from sixthsense.record.contents import has_record, reason_not_a_run
+from sixthsense.record.folder_lock import FolderLock
+
+PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
+SHORT = ("--task", "tour", "--max-time", "5")
+STOPS = {"SIGKILL": 1, "SIGTERM": 1, "SIGHUP": 1, "SIGINT": 1, "3 x SIGINT": 3}
+CODES = {"SIGKILL": -9, "SIGTERM": 143, "SIGHUP": 129, "SIGINT": 130, "3 x SIGINT": 130}
+KINDS = ("run", "replay", "campaign", "run with viewer")
+NEW_SEED = 7
+
+
+@dataclass(frozen=True)
+class Case:
+    """One command and how it is stopped."""
+
+    kind: str
+    stop: str
+    onto_earlier: bool
+    after_s: float
+
+
+def command(case: Case, log: Path, out: Path) -> list[str]:
+    """The command line of a case."""
+    if case.kind == "campaign":
+        return ["campaign", "rectangle", "--seeds", "0:6", "--task", "tour", "--max-time", "2", "--workers", "1",
+                "--out", str(out)]  # fmt: skip
+    words = ["--seed", str(NEW_SEED), "--out", str(out), *(["--overwrite"] if case.onto_earlier else [])]
+    if case.kind == "replay":
+        return ["replay", str(log), *words]
+    return ["run", "rectangle", *SHORT, *words, *(["--view", "browser"] if case.kind == "run with viewer" else [])]
+
+
+def start(words: list[str], marker: str) -> subprocess.Popen[bytes]:
+    """Start a command, whose processes can be found by the marker in their environment."""
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *words], env=os.environ | {"INTERRUPTION": marker},
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+
+
+def stop(process: subprocess.Popen[bytes], case: Case) -> int | None:
+    """Stop the command after its time; its exit code, None if it had ended before."""
+    try:
+        process.communicate(timeout=case.after_s)
+        return None
+    except subprocess.TimeoutExpired:
+        for _ in range(STOPS[case.stop]):
+            process.send_signal(getattr(signal, case.stop.split()[-1]))
+            time.sleep(0.05)
+    error = process.communicate(timeout=120)[1]
+    assert b"Traceback" not in error and b"Exception ignored" not in error, error.decode()
+    return process.returncode
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """The files of a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
+    """Check what is in the folder after a command; returns which run it is."""
+    with FolderLock(out):
+        pass
+    if case.kind == "campaign":
+        from sixthsense.campaign import load_campaign
+
+        rows = load_campaign(out) if (out / "campaign.toml").exists() else []
+        assert len(rows) <= 6 and (not len(rows) or set(rows["outcome"]) == {"tour ended"})
+        assert len(rows) >= (2 if case.onto_earlier else 0), "rows are lost"
+        return f"{len(rows)} rows"
+    partial = out.with_name(out.name + ".partial")
+    if has_record(partial):
+        load(partial)
+    if not case.onto_earlier and not out.exists():
+        return "partial" if partial.exists() else "nothing"
+    assert reason_not_a_run(out) == "", reason_not_a_run(out)
+    if case.onto_earlier and content(out) == earlier:
+        return "earlier"
+    assert load_config(out / "config.toml").seed == NEW_SEED
+    assert "outcome" in load(out).metrics
+    return "new"
+
+
+def left(marker: str) -> list[int]:
+    """The processes that a command has left behind."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            if f"INTERRUPTION={marker}".encode() in (folder / "environ").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
+        except OSError:
+            continue
+    return found
+
+
+def wait_until_gone(marker: str) -> None:
+    """Fail if processes of a command are left after ten seconds."""
+    deadline = time.monotonic() + 10.0
+    while processes := left(marker):
+        assert time.monotonic() < deadline, f"processes are left: {processes}"
+        time.sleep(0.1)
+
+
+def durations(earlier: Path, campaign: Path, log: Path) -> dict[str, float]:
+    """Make an earlier run and campaign and a log; the time that each kind of command takes, seconds."""
+    times = {}
+    for kind in KINDS[:3]:
+        out = {"run": earlier, "campaign": campaign}.get(kind, log.with_name("replayed"))
+        words = command(Case(kind, "", False, 0.0), log, out)
+        if kind == "campaign":
+            words[words.index("0:6")] = "0:2"
+        if kind == "run":
+            words[words.index(str(NEW_SEED))] = "3"
+        began = time.monotonic()
+        subprocess.run([sys.executable, "-c", PROGRAM, *words], check=True, capture_output=True)
+        times[kind] = time.monotonic() - began
+        if kind == "run":
+            shutil.copytree(earlier, log)
+    return times | {"run with viewer": times["run"] + 1.0}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--times", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
+    options = parser.parse_args()
+    rng = np.random.default_rng(options.seed)
+    found: collections.Counter[str] = collections.Counter()
+    failures = 0
+    with tempfile.TemporaryDirectory() as folder:
+        earlier, campaign, log = (Path(folder) / name for name in ("earlier", "earlier-campaign", "log"))
+        times = durations(earlier, campaign, log)
+        before = content(earlier)
+        for number in range(options.times):
+            kind, how = str(rng.choice(options.kinds)), str(rng.choice(list(STOPS)))
+            case = Case(kind, how, bool(rng.integers(2)), float(rng.uniform(0.0, 1.1 * times[kind])))
+            place = Path(folder) / f"case-{number}"
+            place.mkdir()
+            if case.onto_earlier:
+                shutil.copytree(campaign if kind == "campaign" else earlier, place / "x")
+            marker = f"{os.getpid()}-{number}"
+            try:
+                code = stop(start(command(case, log, place / "x"), marker), case)
+                wait_until_gone(marker)
+                result = check(case, place / "x", before)
+                # A signal before the program has installed its handlers, or after its end, has its default effect.
+                defaults = {None, 0, CODES[how], -getattr(signal, how.split()[-1])}
+                assert code in defaults, f"exit code {code}"
+            except Exception as error:
+                failures, result, code = failures + 1, f"FAILED {type(error).__name__}: {error}", None
+            found[f"{kind}: {result}"] += 1
+            print(f"{number + 1:4d}  {kind:15}  {how:10}  {'onto' if case.onto_earlier else 'new':4}  "
+                  f"{case.after_s:5.2f} s  exit {code}  {result}", flush=True)  # fmt: skip
+            shutil.rmtree(place, ignore_errors=True)
+    print("\n".join(f"{count:4d}  {result}" for result, count in sorted(found.items())))
+    print(f"{options.times - failures} of {options.times}: the earlier run intact or the new one whole")
+    sys.exit(1 if failures else 0)
+
+
+if __name__ == "__main__":
+    main()
