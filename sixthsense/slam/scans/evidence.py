@@ -33,6 +33,7 @@ _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift t
 _SHIFT_RAD = 0.1
 _HIDDEN_M = 0.3  # a point this far behind a return is hidden
 _LEAST_SCANS, _MEAN_SHARE = 3, 0.65  # that tell about a place, and what they must explain of what both could see
+_MEAN_SHARE_ALONE = 0.55  # where no other place looks alike: people and moved things leave less
 _CLEARLY = 0.25  # scans' worth of points that a place must explain beyond another one
 _SCANS_BEYOND = 6  # or this many scans more that tell about it
 
@@ -50,10 +51,11 @@ class Evidence(NamedTuple):
         """Scans that the place explains, beyond a half each."""
         return float(np.nansum(self.shares - 0.5))
 
-    def is_enough(self) -> bool:
-        """Whether scans enough tell about the place, and explain it."""
+    def is_enough(self, is_alone: bool) -> bool:
+        """Whether scans enough tell about the place, and explain it; `is_alone` if no other place looks alike."""
         tells = np.isfinite(self.shares)
-        return int(tells.sum()) >= _LEAST_SCANS and float(self.shares[tells].mean()) >= _MEAN_SHARE
+        least = _MEAN_SHARE_ALONE if is_alone else _MEAN_SHARE
+        return int(tells.sum()) >= _LEAST_SCANS and float(self.shares[tells].mean()) >= least
 
     def is_clearly_better(self, other: Evidence) -> bool:
         """Whether this place explains clearly more than another one, on the same scans."""

@@ -27,6 +27,7 @@ from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Tracked, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
+_SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
 _RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
 
 
@@ -90,7 +91,7 @@ class ScanFrontEnd:
         if scan.T_robot_laser is not self._mount.T_robot_laser:
             self._mount = Mount(scan.T_robot_laser)
         tracked = self._track(scan)
-        if not self._is_due():
+        if not self._is_due(tracked):
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
             return None
         motion = self._since if tracked is None else weakened(with_wheel_errors(self._since), tracked.slip)
@@ -158,13 +159,18 @@ class ScanFrontEnd:
         recent = np.arange(max(0, newest - _RECENT), newest)
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
 
-    def _is_due(self) -> bool:
-        """Whether the newest scan is far enough from the last key scan."""
-        if not self._store.count:
+    def _is_due(self, tracked: Tracked | None) -> bool:
+        """Whether the newest scan is far enough from the last key scan; half as far where it sees little of the known.
+
+        Through a door the view changes within less than a key scan's distance.
+        """
+        if tracked is None:
             return True
         motion, limits = self.since_key_scan, self._config.keyscans
         distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-        return (distance >= limits.distance_m or turn >= limits.turn_rad) and not self._since.is_standstill()
+        share = _SHARE_WHERE_NEW if tracked.support < self._support - _NEW else 1.0
+        is_far = distance >= share * limits.distance_m or turn >= share * limits.turn_rad
+        return is_far and not self._since.is_standstill()
 
     def _updated(self, tracked: Tracked | None) -> int:
         """Keep the newest scan as key scan, and add its pose; its index."""

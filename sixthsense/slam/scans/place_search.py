@@ -171,7 +171,7 @@ class PlaceSearch:
         others = [e for e, *_ in said[1:] if not _is_same(most.pose, e.pose)]
         # That the robot is where it should be, and nowhere else, needs less: pairs of scans and the votes decide.
         is_expected = not others and any(_is_same(most.pose, pose) for pose in expected)
-        if best.score < self._config.min_score or not (is_expected or most.is_enough()):
+        if best.score < self._config.min_score or not (is_expected or most.is_enough(not others)):
             return None
         ambiguous = not all(most.is_clearly_better(other) for other in others)
         return Hypothesis(most.pose, around, best.score, ambiguous)
