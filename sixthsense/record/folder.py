@@ -30,9 +30,14 @@ class RunFolder:
     """Reserves a folder before the run and fills it afterwards; an existing run is replaced at the end."""
 
     def __init__(
-        self, out: Path, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+        self,
+        out: Path,
+        config: Config,
+        overwrite: bool = False,
+        replayed: Mapping[str, str] | None = None,
+        prior_map: Mapping[str, Any] | None = None,
     ) -> None:
-        """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay.
+        """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay, `prior_map` the map.
 
         Raises FolderError if `out` exists and `overwrite` is false, and if the folder cannot be written.
         """
@@ -50,7 +55,7 @@ class RunFolder:
                 shutil.rmtree(self.partial)
             self._made = [parent for parent in self.partial.parents if not parent.exists()]
             self.partial.mkdir(parents=True)
-            save_config(config, self.partial / "config.toml", replayed)
+            save_config(config, self.partial / "config.toml", replayed, prior_map)
         except OSError as error:
             raise FolderError(
                 f"--out: {self.partial} cannot be written ({error.strerror}), allowed: a new folder"
