@@ -214,9 +214,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument(
-        "--changed", action="store_true", help="move three walls and close a door after the first run"
-    )
+    parser.add_argument("--changed", action="store_true", help="move three walls and close a door after the first run")
     parser.add_argument("--pose-sigma", type=float, nargs=3, metavar=("SX", "SY", "STHETA"))
     parser.add_argument("--rows", type=Path, metavar="FILE", help="append a JSON line for each run")
     options = parser.parse_args()
