@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
 
 import numpy as np
@@ -23,6 +24,8 @@ _BEYOND_M = 0.2
 _AT_M = 0.05
 """a beam that ends this near a wall, and the uncertainty of the pose, ends at it"""
 _SIGMAS = 3.0
+_LEAST_TURN_RAD = 0.35
+"""between two directions from which beams pass a point: an end of a wall is not seen along the wall"""
 _LEAST_COSINE = 0.2
 """of a beam's incidence on a wall"""
 _LEAST_BEAMS, _LEAST_LENGTH_M, _MOST_STOPPED = 5, 0.3, 0.1
@@ -35,6 +38,10 @@ class Vanished:
     def __init__(self, ids: Collection[LandmarkId], no_return_passes: bool) -> None:
         """Watch the landmarks `ids`; a beam without a return tells only if `no_return_passes`."""
         self._through = dict.fromkeys(ids, 0)
+        self._directions: dict[LandmarkId, float] = {}
+        """of the first beams that passed a point, rad"""
+        self._from_two: set[LandmarkId] = set()
+        """points that beams have passed from two directions, and walls"""
         self._no_return_passes = no_return_passes
 
     def gone(
@@ -56,12 +63,17 @@ class Vanished:
         gone: list[LandmarkId] = []
         for k in watched:
             i = int(estimate.ids[k])
+            landmark = estimate.landmarks[k]
             if estimate.walls[k]:
-                is_through = beams.pass_wall(estimate.landmarks[k], records[i].extent)
-            else:
-                is_through = beams.pass_point(estimate.landmarks[k], records[i].sigma_m)
+                is_through = beams.pass_wall(landmark, records[i].extent)
+                self._from_two.add(i)
+            elif is_through := beams.pass_point(landmark, records[i].sigma_m):
+                direction = beams.direction(landmark)
+                turn = direction - self._directions.setdefault(i, direction)
+                if abs(math.sin(turn)) >= math.sin(_LEAST_TURN_RAD):
+                    self._from_two.add(i)
             self._through[i] += int(is_through)
-            if self._through[i] >= _GONE:
+            if self._through[i] >= _GONE and i in self._from_two:
                 gone.append(i)
         for i in gone:
             del self._through[i]
@@ -81,6 +93,11 @@ class _Beams:
         self._along = np.column_stack([np.cos(angles), np.sin(angles)])
         self._origin, cov = laser.position, estimate.pose_cov
         self._sigma_m, self._sigma_rad = float(np.sqrt(cov[0, 0] + cov[1, 1])), float(np.sqrt(cov[2, 2]))
+
+    def direction(self, point: Array) -> float:
+        """Of a point (2,) from the laser, rad, world frame."""
+        off = point - self._origin
+        return math.atan2(off[1], off[0])
 
     def pass_point(self, point: Array, sigma_m: float) -> bool:
         """Whether the beams to both sides of a point (2,) all go beyond it."""
