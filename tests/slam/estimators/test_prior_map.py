@@ -9,8 +9,9 @@ from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS, takes_prior_map
 from sixthsense.testing.batch import to_robot
 from sixthsense.testing.check import PRIOR_MAP_LAWS
-from sixthsense.testing.estimation import POINTS, make, noisy, step
+from sixthsense.testing.estimation import POINTS, make, noisy, sight, step
 from sixthsense.testing.prior_map import begun, prior_from
+from sixthsense.testing.wheels import PRIOR, TRUE, calibrated, increment
 
 WALLS = np.array([[0.0, 5.0], [0.5 * np.pi, 4.0]])
 LANDMARKS = np.vstack([POINTS, WALLS])
@@ -87,3 +88,27 @@ def test_each_run_makes_the_map_better_and_says_so(name):
 def test_without_noise_a_second_run_ends_at_the_truth(name):
     (first, _), (second, _) = runs_in_a_row(name, 0, 1e-5, 1e-12 * np.eye(3), runs=2)
     assert np.abs(first).max() < 3e-4 and np.abs(second).max() < 3e-4
+
+
+@pytest.mark.parametrize("name", ["ekf-invariant", "isam2"])
+def test_wheels_are_estimated_beside_a_prior_map(name):
+    """Landmarks of an earlier run say as much of the wheels as the same landmarks say in one run."""
+    rng, sigma = np.random.default_rng(3), 0.01
+    first, _ = calibrated(name, 40, sigma, rng)
+    start, cov = Pose(), 1e-6 * np.eye(3)
+    estimator = make(name, start, cov)
+    estimator.estimate_wheels(PRIOR)
+    prior = prior_from(first)
+    estimator.start_from(prior)
+    with pytest.raises(RuntimeError, match="estimate_wheels"):
+        estimator.estimate_wheels(PRIOR)
+    at = start
+    for k in range(40):
+        motion = np.diag([sigma, sigma, 0.5 * sigma]) ** 2
+        at = at @ noisy(increment(k, TRUE, motion), rng)
+        estimator.predict(increment(k, estimator.wheels().values, motion))
+        estimator.update(sight(at, rng.choice(len(POINTS), 3, replace=False).tolist(), rng, 5.0 * sigma))
+    found = estimator.wheels()
+    off = found.values.array() - TRUE.array()
+    assert off @ np.linalg.solve(found.cov, off) < 18.5  # 0.999 of chi-square with 4 degrees of freedom
+    assert np.trace(found.cov) < 0.5 * np.trace(PRIOR.cov)
