@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
@@ -24,9 +24,10 @@ _NEAR_M, _FAR_M = 0.15, 0.3  # a return this near an obstacle is explained by it
 _LEAST_SHARE, _LEAST_JUDGED = 0.5, 20  # of the returns that the map can judge
 _LEAST_SCORE = 0.3
 _SIGMAS, _MOST_SQUARE = 3.0, 21.1  # of the window; of a pose in it, 0.9999 of chi-square with 3 degrees of freedom
-_APART = Apart(0.5, 0.2)
+_APART, _STRETCH = Apart(0.5, 0.2), Apart(1.0, 0.2)
 _AS_GOOD_SHARE, _AS_GOOD_SCORE = 0.1, 0.85  # another place with a share less this, and a part of the score, is as good
 _SCALE_M, _STEPS = 0.05, 12
+_SMOOTH_CELLS, _WEIGHT = 2.0, 0.3  # of the distances: single cells must not tell a place along a wall
 
 
 class PriorMapError(InputError):
@@ -51,6 +52,20 @@ class _Obstacles(NamedTuple):
         return cells[:, 1], cells[:, 0], np.asarray(inside)
 
 
+class _Place(NamedTuple):
+    """A pose at which the first scan fits the map."""
+
+    score: float
+    found: Pose
+    """by the scan alone"""
+    pose: Pose
+    """by the scan and the given pose"""
+
+    def is_same(self, other: _Place) -> bool:
+        """Whether both are one place, or a stretch along a wall that is short enough to be matched."""
+        return _are_near(self.pose, other.pose, _APART) and _are_near(self.found, other.found, _STRETCH)
+
+
 def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridConfig) -> Pose:
     """The pose at which the first scan fits the map, near `pose` (`T_world_robot`) of covariance `cov` (3, 3).
 
@@ -70,15 +85,15 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
         _check_share(share, prior)
         return pose
     found = _places(points, pose, cov, obstacles)
-    shares = [_explained(points, laser, place, obstacles) for _, place in found]
+    shares = [_explained(points, laser, place.pose, obstacles) for place in found]
     _check_share(max(shares, default=0.0), prior)
-    best = max(range(len(found)), key=lambda k: found[k][0] * (shares[k] >= _LEAST_SHARE))
-    for k, (score, place) in enumerate(found):
-        as_good = score >= _AS_GOOD_SCORE * found[best][0] and shares[k] >= shares[best] - _AS_GOOD_SHARE
-        if as_good and not _is_same(place, found[best][1]):
+    best = max(range(len(found)), key=lambda k: found[k].score * (shares[k] >= _LEAST_SHARE))
+    for place, share in zip(found, shares, strict=True):
+        as_good = place.score >= _AS_GOOD_SCORE * found[best].score and share >= shares[best] - _AS_GOOD_SHARE
+        if as_good and not place.is_same(found[best]):
             allowed = "allowed: a smaller sigma, or a start from where one scan tells places apart"
             raise PriorMapError(f"pose_sigma: found two places of {prior.name} that the first scan fits, {allowed}")
-    return found[best][1]
+    return found[best].pose
 
 
 def _obstacles(prior: PriorMap, config: GridConfig) -> _Obstacles:
@@ -121,8 +136,8 @@ def _check_share(share: float, prior: PriorMap) -> None:
         raise PriorMapError(f"{found}, allowed: a map of this building, and a start at its place there")
 
 
-def _places(points: Array, pose: Pose, cov: Array, obstacles: _Obstacles) -> list[tuple[float, Pose]]:
-    """Score and pose of the places near `pose` where the points may have been seen, the best first."""
+def _places(points: Array, pose: Pose, cov: Array, obstacles: _Obstacles) -> list[_Place]:
+    """The places near `pose` where the points may have been seen, the best first."""
     rows, cols = np.nonzero(obstacles.distance_m == 0.0)
     cells = (np.column_stack([cols, rows]) + 0.5) * obstacles.cell_m + obstacles.corner
     sigmas = np.sqrt(np.diag(cov))
@@ -136,13 +151,14 @@ def _places(points: Array, pose: Pose, cov: Array, obstacles: _Obstacles) -> lis
         off = refined.array() - pose.array()
         off[2] = wrap_angle(float(off[2]))
         if off @ information @ off <= _MOST_SQUARE:
-            found.append((score, refined))
+            found.append(_Place(score, Pose(*place), refined))
     return found
 
 
 def _refined(points: Array, at: Pose, pose: Pose, information: Array, obstacles: _Obstacles) -> Pose:
     """Gauss-Newton from `at` on the points' distances from obstacles, under a Cauchy loss, with `pose` as prior."""
-    by_y, by_x = np.gradient(np.minimum(obstacles.distance_m, 1.0), obstacles.cell_m)
+    smooth = gaussian_filter(np.minimum(obstacles.distance_m, 1.0), _SMOOTH_CELLS)
+    by_y, by_x = np.gradient(smooth, obstacles.cell_m)
     now = at.array()
     for _ in range(_STEPS):
         here = Pose.from_array(now)
@@ -152,13 +168,13 @@ def _refined(points: Array, at: Pose, pose: Pose, information: Array, obstacles:
         gx, gy = (np.where(inside, slope[row, col], 0.0) for slope in (by_x, by_y))
         lever = ends - here.position
         J = np.column_stack([gx, gy, gy * lever[:, 0] - gx * lever[:, 1]])
-        weighted = J / (_SCALE_M**2 + r**2)[:, None]
+        weighted = _WEIGHT * J / (_SCALE_M**2 + r**2)[:, None]
         off = now - pose.array()
         off[2] = wrap_angle(float(off[2]))
         now = now - np.linalg.solve(information + weighted.T @ J, information @ off + weighted.T @ r)
     return Pose.from_array(now)
 
 
-def _is_same(one: Pose, other: Pose) -> bool:
+def _are_near(one: Pose, other: Pose, apart: Apart) -> bool:
     off = one.inverse() @ other
-    return math.hypot(off.x, off.y) < _APART.distance_m and abs(off.theta) < _APART.turn_rad
+    return math.hypot(off.x, off.y) < apart.distance_m and abs(off.theta) < apart.turn_rad
