@@ -19,6 +19,8 @@ from .slam.features import Features as Features
 from .slam.features import extract as extract
 from .slam.slam import Slam as Slam
 from .slam.slam import Step as Step
+from .record.prior_map import read_prior_map as read_prior_map
+from .slam.prior_map import PriorMap as PriorMap
 from .core.geometry import Pose as Pose
 from .slam.mapping.grid import Grid as Grid
 from .core.landmarks import Kind as Kind

@@ -15,6 +15,7 @@ from sixthsense.running.runs import Watch, replay_log, reserved, simulate
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.loop import OnTick
+    from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
     from sixthsense.sources.replay_input import Recorded
@@ -28,6 +29,7 @@ def run(
     progress: bool | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
+    prior_map: str | Path | None = None,
     **fields: Any,
 ) -> Run:
     """Simulate a robot in a scene unknown to it; the robot explores the scene or drives to goals.
@@ -45,6 +47,9 @@ def run(
         Whether to show a progress bar; by default in a notebook and at a terminal.
     out, overwrite
         Folder to write, none by default, which `ss.load` reads; whether to replace an existing one.
+    prior_map
+        Folder of an earlier run in this building, whose map the run begins with, at `pose` (x, y, theta; by default the
+        start) with the standard deviations `pose_sigma` (by default 0).
     **fields
         Fields of the configuration by name: `estimator`, `planner`, `preset`, `seed`, `max_time` (simulated seconds),
         `task` ("explore", "goal", "tour"), `goal` (x, y) and `start` (x, y, theta) in metres and radians, world frame;
@@ -59,26 +64,21 @@ def run(
 
     Raises
     ------
-    ConfigError, SceneError, FolderError
-        One line each: a field or value that is not allowed; a scene that cannot be read, a start or goal outside it or
-        in a wall; a folder that exists, or cannot be written.
+    ConfigError, SceneError, FolderError, RecordError, PriorMapError
+        One line each: a field or value that is not allowed; an invalid scene, start or goal; a folder that exists, or
+        cannot be written; a prior map that is damaged, or of another building.
 
     """
     from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
     given = _register_custom(fields)
-    if isinstance(scene, Config):
-        config = _apply_fields(scene, given)
-    else:
-        if "scene" in given:
-            raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
-        config = _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
-    config = with_task(config, given)
+    prior = _prior_start(prior_map, given)
+    config = with_task(_of_scene(scene, given), given)
     loaded = load_scene(config.scene, config.map_unknown)
     mission(loaded, config)
-    with reserved(out, config, overwrite) as folder:
-        return simulate(config, loaded, folder, _watch(on_tick, progress))
+    with reserved(out, config, overwrite, prior=prior) as folder:
+        return simulate(config, loaded, folder, _watch(on_tick, progress), prior)
 
 
 def replay(
@@ -92,6 +92,7 @@ def replay(
     progress: bool | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
+    prior_map: str | Path | None = None,
     **fields: Any,
 ) -> Run:
     """Process a recorded log with the same loop as `ss.run`.
@@ -108,8 +109,8 @@ def replay(
         "victoria", "mrclam"). An opened log needs one.
     relations
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
-    on_tick, progress, out, overwrite
-        As of `ss.run`.
+    on_tick, progress, out, overwrite, prior_map
+        As of `ss.run`. The robot begins at the log's start, or at `pose`.
     topics, robot
         Topics to use from a bag with several of scans or odometry; robot to use from an MRCLAM folder.
     **fields
@@ -122,18 +123,36 @@ def replay(
 
     Raises
     ------
-    ConfigError, LogError
+    ConfigError, LogError, RecordError, PriorMapError
         One line each: a field or value that is not allowed, for this kind of log; a log or relations that cannot be
-        read, with file and line.
+        read, with file and line; a prior map as of `ss.run`.
 
     """
     given = _register_custom(fields)
+    prior = _prior_start(prior_map, given)
     if isinstance(log, (str, Path)):
         found = _open_with_config(Path(log), config, relations, topics, robot, given, out)
     else:
         found = _opened(log, config, relations, given)
-    with reserved(out, found.config, overwrite, found.files or None) as folder:
-        return replay_log(found, folder, _watch(on_tick, progress))
+    with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
+        return replay_log(found, folder, _watch(on_tick, progress), prior)
+
+
+def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
+    """The configuration of a run from the scene, or the complete configuration, and the given fields."""
+    if isinstance(scene, Config):
+        return _apply_fields(scene, given)
+    if "scene" in given:
+        raise ConfigError(f"scene: found {shown(given['scene'])} beside {shown(str(scene))}, allowed: one scene")
+    return _apply_fields(given.pop("preset", "default"), {**given, "scene": str(scene)})
+
+
+def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorStart | None:
+    """The prior map and the start in it, whose fields are taken out of `given`."""
+    from sixthsense.record.prior_map import prior_start
+
+    pose, sigma = given.pop("pose", None), given.pop("pose_sigma", None)
+    return prior_start(prior_map, pose, sigma)
 
 
 def _opened(

@@ -17,6 +17,7 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
+from sixthsense.slam.prior_map import PriorStart
 from sixthsense.slam.slam import Slam, Step
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
@@ -48,41 +49,57 @@ def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher],
     return "log ended"
 
 
-def run(config: Config, on_tick: OnTick | None = None, scene: Scene | None = None) -> Trace:
+def run(
+    config: Config, on_tick: OnTick | None = None, scene: Scene | None = None, prior: PriorStart | None = None
+) -> Trace:
     """Simulate `config.scene` and drive its task.
 
     `scene` is that scene where it is loaded already; `on_tick` is called after every tick with it and the trace so far.
-    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal.
+    With `prior` the robot begins with the map of an earlier run; the true start is that of scene and configuration.
+    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal, ConfigError
+    and PriorMapError for a prior map that cannot be used.
     """
     scene = scene or load_scene(config.scene, config.map_unknown)
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
     source = World(scene.walls, start, radius_m, config, streams.world, scene.glass)
     region = config.region or scene.region
-    navigator = make_navigator(config, start, goals, region, radius_m, streams.planner, streams.exploration)
-    return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick)
+    believed = start if prior is None or prior.pose is None else prior.pose
+    navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
+    return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
 
 
-def replay(log: Log, config: Config, relations: Relations | None = None, on_tick: OnTick | None = None) -> Trace:
+def replay(
+    log: Log,
+    config: Config,
+    relations: Relations | None = None,
+    on_tick: OnTick | None = None,
+    prior: PriorStart | None = None,
+) -> Trace:
     """Process a recorded log with the same loop; no command is used.
 
     With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
-    scene, if that still loads, in `config`.
+    scene, if that still loads, in `config`. `prior` is as of `run`.
     """
     log.rewind()
     scene = recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
-    return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick)
+    return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick, prior)
 
 
 def recorded_drive(
-    source: Source, start: Pose, navigator: Navigator, trace: Trace, on_tick: OnTick | None = None
+    source: Source,
+    start: Pose,
+    navigator: Navigator,
+    trace: Trace,
+    on_tick: OnTick | None = None,
+    prior: PriorStart | None = None,
 ) -> Trace:
     """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
     config, clock = trace.config, trace.stopwatch
     pilot = Pilot(navigator, Guard(config, trace.radius_m))
-    with Slam(config, start, radius_m=trace.radius_m, timed=clock.timed) as slam:
+    with _slam(start, trace, clock, prior) as slam:
         recorder = Recorder(trace, slam, pilot)
         with deferred_interrupt() as interrupted:
             watchers: list[Watcher] = [recorder]
@@ -93,6 +110,21 @@ def recorded_drive(
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
             recorder.finish(drive(source, slam, pilot, watchers, clock))
     return trace
+
+
+def _slam(start: Pose, trace: Trace, clock: Stopwatch, prior: PriorStart | None) -> Slam:
+    """SLAM from `start`, or from a prior map and the start in it."""
+    if prior is None:
+        return Slam(trace.config, start, radius_m=trace.radius_m, timed=clock.timed)
+    trace.prior_map = prior.note()
+    return Slam(
+        trace.config,
+        prior.pose or start,
+        start_cov=prior.cov,
+        radius_m=trace.radius_m,
+        timed=clock.timed,
+        prior_map=prior.map,
+    )
 
 
 class _Deadline:

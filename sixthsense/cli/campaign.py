@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from sixthsense.cli.common import announce, wants_help
 from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import Table, UsageError, parse
-from sixthsense.config import is_of_replay, load_config, preset
+from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
 from sixthsense.config.section import shown
 
 if TYPE_CHECKING:
@@ -209,6 +209,8 @@ def _read_config_table(path: Path | None, presets: list[str]) -> dict[str, Any]:
     load_config(path)
     if is_of_replay(path):
         raise UsageError(f"--config: {path} is of a replay, allowed: the configuration of a simulated run")
+    if prior_map_of(path) is not None:
+        raise UsageError(f"--config: {path} is of a run with a prior map, allowed: the configuration of a run without")
     from sixthsense.config.files import NOTES
 
     table = tomllib.loads(path.read_text(encoding="utf-8-sig"))

@@ -16,13 +16,14 @@ import tyro
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import OptionalValue, Table, parse
-from sixthsense.config import Config, load_config, merge, preset
+from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
 from sixthsense.view.viewer import VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.navigation.unseen_places import UnseenPlace
     from sixthsense.record.folder import RunFolder
+    from sixthsense.slam.prior_map import PriorStart
 
 C = TypeVar("C", bound="Common")
 
@@ -42,6 +43,27 @@ class Common:
     bind: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
     """With --view browser: address of the server, 127.0.0.1 by default; any host that reaches it can watch."""
     settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+
+
+@dataclass(frozen=True)
+class WithPriorMap(Common):
+    """Options of the commands that can begin with the map of an earlier run."""
+
+    prior_map: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    """Folder of an earlier run in the same building, whose map the run begins with."""
+    pose: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y THETA")] = None
+    """With --prior-map: where the robot begins in its frame, m and rad; by default the start of the scene or log."""
+    pose_sigma: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="SX SY STHETA")] = None
+    """With --prior-map: standard deviations of that pose, m and rad; 0 by default: known exactly."""
+
+    def prior_start(self) -> PriorStart | None:
+        """The prior map and the start in it, if there is one; InputError for what is not allowed."""
+        from sixthsense.record.prior_map import prior_start
+
+        if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
+            found = f"--config: {self.config} is of a run with the prior map {note.get('name')}"
+            raise ConfigError(f"{found}, allowed: with --prior-map")
+        return prior_start(self.prior_map, self.pose, self.pose_sigma, "--")
 
 
 def show_help(command: type[Common], name: str, base: str) -> int:
@@ -78,19 +100,26 @@ def wants_help(args: list[str]) -> bool:
     return "-h" in args or "--help" in args
 
 
-def run_folder(options: Common, config: Config, stem: str, replayed: Mapping[str, str] | None = None) -> RunFolder:
+def run_folder(
+    options: Common,
+    config: Config,
+    stem: str,
+    replayed: Mapping[str, str] | None = None,
+    prior: PriorStart | None = None,
+) -> RunFolder:
     """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.folder_lock import FolderInUseError
 
+    note = None if prior is None else prior.note()
     if options.out is not None:
-        folder = RunFolder(options.out, config, options.overwrite, replayed)
-        for note in folder.notes:
-            announce(f"note: {note}")
+        folder = RunFolder(options.out, config, options.overwrite, replayed, note)
+        for line in folder.notes:
+            announce(f"note: {line}")
         return folder
     for out in numbered(stem):
         with contextlib.suppress(FolderInUseError):  # a run that started at the same moment has taken it
-            return RunFolder(out, config, replayed=replayed)
+            return RunFolder(out, config, replayed=replayed, prior_map=note)
     raise AssertionError("numbers do not end")
 
 

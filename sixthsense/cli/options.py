@@ -47,7 +47,7 @@ def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple
     `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError
     with the allowed values for an unknown option, a flag without a value and a second positional argument.
     """
-    hints = {f"--{name}": hint for name, hint in own.items()} | dict(_flags(Config))
+    hints = {f"--{name.replace('_', '-')}": hint for name, hint in own.items()} | dict(_flags(Config))
     given: Table = {}
     table: Table = {}
     without_value: tuple[str, OptionalValue] | None = (
@@ -67,7 +67,10 @@ def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple
         hint = hints[flag]
         without_value = (flag, hint) if isinstance(hint, OptionalValue) and word == flag else None
         *sections, name = flag.removeprefix("--").split(".")
-        target = given if not sections and name in own else table
+        if not sections and name.replace("-", "_") in own:
+            given[name.replace("-", "_")] = value
+            continue
+        target = table
         for section in sections:
             target = target.setdefault(section, {})
         target[name] = value

@@ -9,13 +9,13 @@ from typing import Annotated
 
 import tyro
 
-from sixthsense.cli.common import Common, announce, parse_command, run_folder, show_end, show_help, wants_help
+from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
 
 
 @dataclass(frozen=True)
-class Replay(Common):
+class Replay(WithPriorMap):
     """Process a recorded log.
 
     CARMEN (.log, .clf) or a graph of landmarks (.graph, .g2o, .toro, .txt), plain, .gz or .bz2; a ROS 1 or ROS 2 bag;
@@ -47,11 +47,12 @@ def command(args: list[str]) -> int:
     check_out(options.log, options.out)
     from sixthsense.running.runs import Watch, replay_log
 
+    prior = options.prior_start()
     topics = options.topic.split(",") if options.topic else ()
     stated = [name.replace("-", "_") for name in flags.get("laser", {})]
     found = open_recorded(options.log, options.settings, options.relations, topics, options.robot, stated)
     for note in found.notes:
         print(f"note: {found.name}: {note}", file=sys.stderr)
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
-    with run_folder(options, found.config, stem, found.files) as folder, live_view(options) as hooks:
-        return show_end(replay_log(found, folder, Watch(hooks, say=announce)))
+    with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
+        return show_end(replay_log(found, folder, Watch(hooks, say=announce), prior))

@@ -8,14 +8,14 @@ from typing import Annotated
 
 import tyro
 
-from sixthsense.cli.common import Common, announce, parse_command, run_folder, show_end, show_help, wants_help
+from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
 
 
 @dataclass(frozen=True)
-class Run(Common):
+class Run(WithPriorMap):
     """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
 
     scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
@@ -41,12 +41,13 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.mission import mission
     from sixthsense.sources.scene import load_scene
 
+    prior = options.prior_start()
     config = with_task(config, flags, "--")
     scene = load_scene(config.scene, config.map_unknown)
     mission(scene, config)
     with (
-        run_folder(options, config, f"{scene.name}-{config.estimator}") as folder,
+        run_folder(options, config, f"{scene.name}-{config.estimator}", prior=prior) as folder,
         live_view(options) as hooks,
     ):
         watch = Watch(hooks, realtime=options.realtime, say=announce)
-        return show_end(simulate(config, scene, folder, watch))
+        return show_end(simulate(config, scene, folder, watch, prior))

@@ -1,7 +1,7 @@
 """The configuration: a tree of frozen, validated sections, its presets, and its files."""
 
 from sixthsense.config.explore import ExploreConfig
-from sixthsense.config.files import is_of_replay, load_config, save_config
+from sixthsense.config.files import is_of_replay, load_config, prior_map_of, save_config
 from sixthsense.config.pipeline import (
     AlignConfig,
     AssociationConfig,
@@ -66,5 +66,6 @@ __all__ = [
     "load_config",
     "merge",
     "preset",
+    "prior_map_of",
     "save_config",
 ]

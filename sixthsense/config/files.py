@@ -15,7 +15,7 @@ from sixthsense.config.version import __version__
 
 _MAX_LENGTH = 1 << 23  # characters; stops reading of an endless file
 
-NOTES = ("versions", "replayed")
+NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
 
 
@@ -53,10 +53,15 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         raise ConfigError(f"{path}: {error}") from None
 
 
-def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | None = None) -> None:
+def save_config(
+    config: Config,
+    file: str | Path,
+    replayed: Mapping[str, str] | None = None,
+    prior_map: Mapping[str, Any] | None = None,
+) -> None:
     """Write the whole tree as TOML, with the versions that ran it and, for a replay, the files that were `replayed`.
 
-    `load_config` reads the same Config.
+    `prior_map` says which one the run began with. `load_config` reads the same Config.
     """
     import platform
     from importlib.metadata import version
@@ -66,6 +71,7 @@ def save_config(config: Config, file: str | Path, replayed: Mapping[str, str] | 
     versions = {"sixthsense": __version__, "python": platform.python_version()}
     versions |= {name: version(name) for name in ("numpy", "scipy", "numba")}
     notes: dict[str, Any] = {"versions": versions} | ({} if replayed is None else {"replayed": dict(replayed)})
+    notes |= {} if prior_map is None else {"prior_map": dict(prior_map)}
     Path(file).write_text(tomli_w.dumps({**as_table(config), **notes}), encoding="utf-8")
 
 
@@ -80,3 +86,9 @@ def absolute(path: str | Path) -> Path:
 def is_of_replay(file: str | Path) -> bool:
     """Whether a valid configuration file was saved by a replay."""
     return "replayed" in parse_toml(Path(file).read_text(encoding="utf-8-sig"))
+
+
+def prior_map_of(file: str | Path) -> dict[str, Any] | None:
+    """What a valid configuration file says of the prior map of its run: name, digest and start; None without one."""
+    note = parse_toml(Path(file).read_text(encoding="utf-8-sig")).get("prior_map")
+    return dict(note) if isinstance(note, Mapping) else None

@@ -207,10 +207,24 @@ def _reproduction(run: _DescribedRun) -> str:
         if "log" in replayed:
             more = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in replayed.items() if name != "log")
             command = f"sixthsense replay {shlex.quote(str(replayed['log']))} --config {config}{more}"
-        again = f"sixthsense replay {shlex.quote(str(run.folder))}"
+        with_map = _prior_map_options(run.notes.get("prior_map", {}))
+        command += with_map
+        again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
         parts.append(f"<pre>{_text(command)}</pre>")
         parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{_text(again)}</pre>")
     versions = run.notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     words = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts.append(f'<p class="quiet">Run by {_text(words)}.</p>')
     return "\n".join(part for part in parts if part)
+
+
+def _prior_map_options(note: Any) -> str:
+    """The options of a run that began with a prior map, whose folder is known by its name only."""
+    if not isinstance(note, Mapping) or "name" not in note:
+        return ""
+    options = f" --prior-map {shlex.quote(str(note['name']))}"
+    for name in ("pose", "pose_sigma"):
+        value = note.get(name)
+        if isinstance(value, list) and any(value):
+            options += f" --{name.replace('_', '-')} {' '.join(shlex.quote(str(number)) for number in value)}"
+    return options

@@ -20,6 +20,7 @@ from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.crookedness import MeanShape
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
@@ -41,6 +42,7 @@ def write_arrays(folder: Path, trace: Trace) -> None:
         "last_scans": np.array([record.last_scan for record in records], dtype=np.int64),
         "sigmas_m": np.array([record.sigma_m for record in records], dtype=np.float64),
         "extents": np.array([record.extent for record in records], dtype=np.float64).reshape(-1, 2, 2),
+        "shapes": np.array([_shape_row(record.shape) for record in records], dtype=np.float64).reshape(-1, 5),
     }
     if trace.relations is not None:
         arrays |= {"relation_stamps": trace.relations.stamps, "relation_poses": trace.relations.poses}
@@ -58,21 +60,43 @@ def read_arrays(file: Path, trace: Trace) -> None:
     """Add to the trace what `record.npz` holds; raises RecordError for a file that is damaged."""
     with _loaded(file) as arrays:
         trajectory = _floats(arrays, "trajectory", (len(trace.key_stamps_ns), 3))
-        ids = _integers(arrays, "ids")
-        n = len(ids)
-        kinds, sightings = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "sightings", n).tolist()
-        first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
-        sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
-        if sigmas_m.shape != (n,):
-            raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
-        columns = zip(map(Kind, kinds), sightings, first, last, sigmas_m.tolist(), extents, strict=True)
-        trace.records = {i: Record(*row) for i, row in zip(ids.tolist(), columns, strict=True)}
+        trace.records = _records(arrays)
         trace.trajectory = trajectory
         if "since_key" in arrays:  # not in older records
             trace.since_key = list(_floats(arrays, "since_key", (len(trace.stamps_ns), 3)))
         if "relation_stamps" in arrays:
             stamps = _floats(arrays, "relation_stamps", (-1, 2))
             trace.relations = Relations(stamps, _floats(arrays, "relation_poses", (len(stamps), 3)))
+
+
+def read_records(file: Path) -> dict[LandmarkId, Record]:
+    """What `record.npz` holds of each landmark; raises RecordError for a file that is damaged."""
+    with _loaded(file) as arrays:
+        return _records(arrays)
+
+
+def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
+    ids = _integers(arrays, "ids")
+    n = len(ids)
+    kinds, sightings = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "sightings", n).tolist()
+    first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
+    sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
+    if sigmas_m.shape != (n,):
+        raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
+    shapes = _floats(arrays, "shapes", (n, 5)) if "shapes" in arrays else np.zeros((n, 5))  # not in older records
+    columns = zip(
+        map(Kind, kinds), sightings, first, last, sigmas_m.tolist(), extents, map(_shape_of, shapes), strict=True
+    )
+    return {i: Record(*row) for i, row in zip(ids.tolist(), columns, strict=True)}
+
+
+def _shape_row(shape: MeanShape) -> tuple[float, ...]:
+    return (shape.sightings, *shape.information, *shape.weighted)
+
+
+def _shape_of(row: Array) -> MeanShape:
+    count, *values = row.tolist()
+    return MeanShape(int(count), (values[0], values[1]), (values[2], values[3]))
 
 
 def read_landmarks(file: Path, trace: Trace) -> None:

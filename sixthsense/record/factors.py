@@ -53,16 +53,20 @@ class FactorGraph:
 
 
 def factor_graph(trace: Trace) -> FactorGraph:
-    """Build the factor graph of a finished run with any estimator."""
-    walls = trace.final.walls
-    point_rows = _sightings_of(trace, trace.final.ids[~walls].tolist())
-    wall_rows = _sightings_of(trace, trace.final.ids[walls].tolist())
+    """Build the factor graph of a finished run with any estimator, of the landmarks that this run has seen.
+
+    Those of a prior map that it has not seen again are left out, as is what is known of the others by the prior map.
+    """
+    seen = np.isin(trace.final.ids, [i for association in trace.associations for i in association.sightings])
+    ids, landmarks, walls = trace.final.ids[seen], trace.final.landmarks[seen], trace.final.walls[seen]
+    point_rows = _sightings_of(trace, ids[~walls].tolist())
+    wall_rows = _sightings_of(trace, ids[walls].tolist())
     polar = [sighting.bearing_range() for _, _, sighting in point_rows]
     motions = trace.key_odometry[1:]
     return FactorGraph(
         trace.trajectory.copy(),
-        trace.final.ids[~walls],
-        trace.final.landmarks[~walls],
+        ids[~walls],
+        landmarks[~walls],
         np.array([m.motion.array() for m in motions]).reshape(-1, 3),
         np.array([_regularized_cov(m) for m in motions]).reshape(-1, 3, 3),
         np.array([(k, j) for k, j, _ in point_rows], dtype=np.int64).reshape(-1, 2),
@@ -70,8 +74,8 @@ def factor_graph(trace: Trace) -> FactorGraph:
         np.array([s.cov for _, _, s in point_rows]).reshape(-1, 2, 2),
         np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
         np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
-        trace.final.ids[walls],
-        trace.final.landmarks[walls],
+        ids[walls],
+        landmarks[walls],
         np.array([(k, j) for k, j, _ in wall_rows], dtype=np.int64).reshape(-1, 2),
         np.array([s.z for _, _, s in wall_rows]).reshape(-1, 2),
         np.array([s.cov for _, _, s in wall_rows]).reshape(-1, 2, 2),

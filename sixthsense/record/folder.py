@@ -29,9 +29,14 @@ class RunFolder:
     """Reserves a folder before the run and fills it afterwards; an existing run is replaced at the end."""
 
     def __init__(
-        self, out: Path, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+        self,
+        out: Path,
+        config: Config,
+        overwrite: bool = False,
+        replayed: Mapping[str, str] | None = None,
+        prior_map: Mapping[str, Any] | None = None,
     ) -> None:
-        """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay.
+        """Create `OUT.partial` with the configuration; `replayed` names the inputs of a replay, `prior_map` the map.
 
         The `OUT.partial` of a killed run is renamed, and `notes` say so. Raises FolderError if `out` exists and
         `overwrite` is false, if it is not a run's folder or another process writes it, and if it cannot be written.
@@ -51,7 +56,7 @@ class RunFolder:
                 self._check_out()
                 self._keep_killed()
                 self.partial.mkdir()
-                save_config(config, self.partial / "config.toml", replayed)
+                save_config(config, self.partial / "config.toml", replayed, prior_map)
             except BaseException:
                 self._lock.release()
                 raise

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sixthsense.config import Config, load_config
+from sixthsense.config import Config, load_config, prior_map_of
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
@@ -72,6 +72,7 @@ def load_record(folder: Path | str) -> LoadedRecord:
         trace, has_ended = streamed
         missing = set() if has_ended else {RecordPart.END}
         trace.outcome = trace.outcome or "interrupted"
+    trace.prior_map = prior_map_of(folder / "config.toml")
     trace.name = absolute(folder).name.removesuffix(".partial")
     missing |= _read_end(folder, trace) | _read_grid(folder, config, trace)
     return LoadedRecord(trace, tuple(part for part in RecordPart if part in missing))

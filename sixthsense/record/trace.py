@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -105,6 +107,8 @@ class Trace:
     """the map"""
     rebuilds: int = 0
     """number of times that the map was redrawn after key poses moved"""
+    prior_map: Mapping[str, Any] | None = None
+    """the prior map that the run began with: `name` and `digest`, `pose` if given, `pose_sigma`; None without one"""
     name: str = ""
     """name of the scene, log or folder"""
     live: Live | None = None

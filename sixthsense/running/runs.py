@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sixthsense.loop import OnTick
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
+    from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.replay_input import Recorded
     from sixthsense.sources.scene import Scene
 
@@ -43,40 +44,53 @@ QUIET = Watch(progress=False)
 
 
 def reserved(
-    out: str | Path | None, config: Config, overwrite: bool = False, replayed: Mapping[str, str] | None = None
+    out: str | Path | None,
+    config: Config,
+    overwrite: bool = False,
+    replayed: Mapping[str, str] | None = None,
+    prior: PriorStart | None = None,
 ) -> AbstractContextManager[RunFolder | None]:
     """The folder for a run, as `RunFolder` reserves it, or None where there is to be none."""
     if out is None:
         return contextlib.nullcontext()
     from sixthsense.record.folder import RunFolder
 
-    folder = RunFolder(Path(out), config, overwrite, replayed)
+    folder = RunFolder(Path(out), config, overwrite, replayed, None if prior is None else prior.note())
     for note in folder.notes:
         warnings.warn(note, stacklevel=3)
     return folder
 
 
-def simulate(config: Config, scene: Scene | None = None, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
+def simulate(
+    config: Config,
+    scene: Scene | None = None,
+    folder: RunFolder | None = None,
+    watch: Watch = QUIET,
+    prior: PriorStart | None = None,
+) -> Run:
     """Simulate `config.scene`, which is `scene` if it is loaded already, and keep the run in `folder`, if there is one.
 
-    Raises SceneError for a scene, start or goal that will not do; OSError, naming the file, for one that cannot be
-    written.
+    With `prior` the robot begins with the map of an earlier run. Raises SceneError for a scene, start or goal that will
+    not do; ConfigError and PriorMapError for a prior map that will not; OSError, naming the file, for one that cannot
+    be written.
     """
     from sixthsense import loop
     from sixthsense.sources.scene import load_scene
 
     there = scene or load_scene(config.scene, config.map_unknown)
     bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, area=True)
-    return _watched(lambda hook: loop.run(config, hook, there), there.name, config, bar, folder, watch)
+    return _watched(lambda hook: loop.run(config, hook, there, prior), there.name, config, bar, folder, watch)
 
 
-def replay_log(recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
-    """Replay a log that has been opened, and keep the run in `folder`, if there is one; OSError as of `simulate`."""
+def replay_log(
+    recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET, prior: PriorStart | None = None
+) -> Run:
+    """Replay a log that has been opened, and keep the run in `folder`, if there is one; errors as of `simulate`."""
     from sixthsense import loop
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
-    go = functools.partial(loop.replay, log, config, relations)
+    go = functools.partial(loop.replay, log, config, relations, prior=prior)
     return _watched(go, recorded.name, config, bar, folder, watch, of_log=True)
 
 

@@ -11,6 +11,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Association, Associator
 from sixthsense.slam.association.blind_zone import BlindZone
+from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
@@ -34,6 +35,7 @@ class LandmarkFrontEnd:
         self._ransac_rng, self._pose = ransac_rng, start
         self._key_scans = KeyScans(config.keyscans)
         self._blind_zone = BlindZone()
+        self._vanished = Vanished(associator.records, config.grid.no_return_passes)
         self._predict = timed("predict", estimator.predict)
         self._extract = timed("extract", self._extracted)
         self._associate = timed("associate", self._associated)
@@ -61,6 +63,8 @@ class LandmarkFrontEnd:
         features = None if scan is None else self._extract(scan)
         association = self._associate(features, tick)
         estimate = self._update(association)
+        if scan is not None:
+            estimate = self._unlearn(scan, estimate, association)
         self._pose = estimate.pose
         lost = self._blind_zone.uncertainty(association)
         if lost is not None:
@@ -88,6 +92,17 @@ class LandmarkFrontEnd:
         if features is None:
             return self._associator.known(tick.sightings or {}, self._estimator)
         return self._associator.associate(features.sightings, self._estimator)
+
+    def _unlearn(self, scan: Scan, estimate: Estimate, association: Association) -> Estimate:
+        """The estimate without the landmarks of a prior map that are no longer there."""
+        gone = self._vanished.gone(scan, estimate, association.sightings, self._associator.records)
+        if not gone:
+            return estimate
+        self._estimator.forget(gone)
+        for i in gone:
+            del self._associator.records[i]
+        self._associator.culled += len(gone)
+        return self._estimator.estimate()
 
     def _updated(self, association: Association) -> Estimate:
         self._estimator.update(association.sightings)

@@ -30,6 +30,7 @@ from sixthsense.slam.front_end import FrontEnd, KeyScan, RevisitCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.prior_map import PriorMap, begin_with
 
 __all__ = ["KeyScan", "Slam", "SlamResult", "Step", "Timed", "untimed"]
 
@@ -107,20 +108,27 @@ class Slam:
         start_cov: Array | None = None,
         radius_m: float | None = None,
         timed: Timed = untimed,
+        prior_map: PriorMap | None = None,
     ) -> None:
         """Begin at `start`, `T_world_robot`, of covariance `start_cov` (3, 3), exactly known by default.
 
         `radius_m` is of the disc that the robot is, by default the configuration's. `timed(stage, function)` returns
-        the function that runs in its place, to measure stage times.
+        the function that runs in its place, to measure stage times. `prior_map` is of an earlier run in this building,
+        in whose frame the start is. Raises ConfigError for a configuration or start that it cannot be used with; the
+        first scan raises PriorMapError if it does not fit the map.
         """
         self.config = config or Config()
         self._start = start or Pose()
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
-        self.associator = Associator(self.config.association)
+        self.associator = Associator(self.config.association, None if prior_map is None else prior_map.fresh_records())
         self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
         self._deskew = Deskewer(self.config.features.deskew)
         self._wheels = self._make_wheels()
+        self._unplaced = None if prior_map is None else (prior_map, cov)
+        if prior_map is not None:
+            begin_with(prior_map, self.config, self.estimator, self._start, cov)
+            self._mapper.start_from(prior_map.evidence)
         self._front_end = self._make_front_end(timed)
         self._odometry: Pose | None = None
         self._stamp_ns = 0
@@ -143,7 +151,7 @@ class Slam:
     def take(self, tick: Tick) -> Step:
         """Process a tick: its odometry always, its sightings, and its scan if it is a key scan."""
         increment, scan = self._fold(tick)
-        key_scan = self._front_end.take(tick, scan, increment)
+        key_scan = self._front_end.take(tick, scan, self._placed(scan, increment))
         if key_scan is not None and self._wheels is not None:
             found = self.wheels()
             self._wheels.wheels = self._wheels.wheels if found is None else found.values
@@ -233,6 +241,18 @@ class Slam:
         self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
+
+    def _placed(self, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
+        """The increment; at the first scan also the motion from there to where the scan fits the prior map."""
+        if scan is None or self._unplaced is None:
+            return increment
+        from sixthsense.slam.start_search import located
+
+        (prior_map, cov), self._unplaced = self._unplaced, None
+        motion = increment or STANDSTILL
+        here = self.pose @ motion.motion
+        found = located(scan, prior_map, here, cov, self.config.grid)
+        return increment if found == here else motion.then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
 
     def _make_front_end(self, timed: Timed) -> FrontEnd:
         """The configured front end; ConfigError for one that the estimator cannot use."""

@@ -83,17 +83,25 @@ def sighting_jacobian(pose: Array, landmark: Array, is_wall: bool) -> Array:
     return jacobian(lambda x: _difference(to_robot(x[:3], x[3:], is_wall), z, is_wall), np.append(pose, landmark))
 
 
-def batch_posterior(log: Log, start: Pose, start_cov: Array, wheels: WheelEstimate | None = None) -> Posterior:
+def batch_posterior(
+    log: Log,
+    start: Pose,
+    start_cov: Array,
+    wheels: WheelEstimate | None = None,
+    restarts: Mapping[int, Odometry] | None = None,
+) -> Posterior:
     """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first sightings.
 
     `start_cov` (3, 3) and the covariances of odometry must be invertible. With a prior of `wheels` their parameters are
-    estimated, too.
+    estimated, too. At an entry of the log with one of the `restarts` the robot is put there, `T_world_robot` with its
+    covariance in world axes, before the motion of the entry: another run with the same landmarks.
     """
-    poses, landmarks, walls = _initial(log, start)
+    restarts = restarts or {}
+    poses, landmarks, walls = _initial(log, start, restarts)
     of_wheels = [] if wheels is None else [wheels.values.array()]
     x = np.concatenate([*poses, *landmarks.values(), *of_wheels])
     of_landmarks = {i: 3 * len(poses) + 2 * k + np.arange(2) for k, i in enumerate(landmarks)}
-    factors = _factors(log, start, start_cov, of_landmarks, wheels)
+    factors = _factors(log, Odometry(start, start_cov), of_landmarks, wheels, restarts)
     for _ in range(_ITERATIONS):
         information, gradient = np.zeros((len(x), len(x))), np.zeros(len(x))
         for factor in factors:
@@ -112,11 +120,14 @@ def batch_posterior(log: Log, start: Pose, start_cov: Array, wheels: WheelEstima
     return Posterior(list(landmarks), x[kept], 0.5 * (cov + cov.T), angles)
 
 
-def _initial(log: Log, start: Pose) -> tuple[list[Array], dict[LandmarkId, Array], dict[LandmarkId, bool]]:
+def _initial(
+    log: Log, start: Pose, restarts: Mapping[int, Odometry]
+) -> tuple[list[Array], dict[LandmarkId, Array], dict[LandmarkId, bool]]:
     """Poses by dead reckoning, the start first; landmarks at their first sighting; which of them are walls."""
     poses, landmarks, walls = [start.array()], {}, {}
-    for odometry, sightings in log:
-        poses.append((Pose.from_array(poses[-1]) @ odometry.motion).array())
+    for k, (odometry, sightings) in enumerate(log):
+        before = restarts[k].motion if k in restarts else Pose.from_array(poses[-1])
+        poses.append((before @ odometry.motion).array())
         for i, sighting in sightings.items():
             if i not in landmarks:
                 landmarks[i] = to_world(poses[-1], sighting.z, sighting.is_wall)
@@ -125,10 +136,14 @@ def _initial(log: Log, start: Pose) -> tuple[list[Array], dict[LandmarkId, Array
 
 
 def _factors(
-    log: Log, start: Pose, start_cov: Array, of_landmarks: Mapping[LandmarkId, Places], wheels: WheelEstimate | None
+    log: Log,
+    start: Odometry,
+    of_landmarks: Mapping[LandmarkId, Places],
+    wheels: WheelEstimate | None,
+    restarts: Mapping[int, Odometry],
 ) -> list[_Factor]:
     """Priors, odometry and sightings."""
-    factors = [_Factor(np.arange(3), lambda x: _pose_difference(x, start.array()), _inverse(start_cov))]
+    factors = [_start(np.arange(3), start)]
     of_wheels = 3 * len(log) + 3 + 2 * len(of_landmarks) + np.arange(PARAMETERS if wheels is not None else 0)
     if wheels is not None:
         mean = wheels.values.array()
@@ -136,11 +151,19 @@ def _factors(
     for k, (odometry, sightings) in enumerate(log):
         before, after = 3 * k + np.arange(3), 3 * k + 3 + np.arange(3)
         at = np.concatenate([before, after, of_wheels])
-        factors.append(_Factor(at, _motion_residual(odometry), _inverse(odometry.cov)))
+        if k in restarts:
+            factors.append(_start(after, restarts[k].then(odometry)))
+        else:
+            factors.append(_Factor(at, _motion_residual(odometry), _inverse(odometry.cov)))
         for i, sighting in sightings.items():
             at = np.append(after, of_landmarks[i])
             factors.append(_Factor(at, _sighting_residual(sighting), _inverse(sighting.cov)))
     return factors
+
+
+def _start(at: Places, start: Odometry) -> _Factor:
+    """The prior of a pose."""
+    return _Factor(at, lambda x: _pose_difference(x, start.motion.array()), _inverse(start.cov))
 
 
 def _motion_residual(odometry: Odometry) -> Residual:

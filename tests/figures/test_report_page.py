@@ -130,7 +130,16 @@ def test_the_command_of_a_replay_has_its_log_and_its_relations(tmp_path):
     assert f"sixthsense replay '/logs/my log.clf' --config {folder}/config.toml --relations r.txt" in said
 
 
-@pytest.mark.parametrize("notes", ["", "[[", "replayed = 3", "[replayed]", "versions = []"])
+def test_the_commands_of_a_run_with_a_prior_map_have_its_options(tmp_path):
+    notes = "[prior_map]\nname = 'the first'\ndigest = 'ab'\npose = [1.0, 2.0, 0.5]\npose_sigma = [0.1, 0.1, 0.0]\n"
+    folder = noted(tmp_path / "x", notes)
+    said = Page(page([shown(folder=folder)], [])).text
+    options = "--prior-map 'the first' --pose 1.0 2.0 0.5 --pose-sigma 0.1 0.1 0.0"
+    assert f"sixthsense run --config {folder}/config.toml {options}" in said
+    assert f"sixthsense replay {folder} {options}" in said
+
+
+@pytest.mark.parametrize("notes", ["", "[[", "replayed = 3", "[replayed]", "versions = []", "prior_map = 3"])
 def test_invalid_notes_are_ignored(tmp_path, notes):
     folder = noted(tmp_path / "x", notes)
     assert f"sixthsense run --config {folder}/config.toml" in Page(page([shown(folder=folder)], [])).text

@@ -83,8 +83,8 @@ def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
         assert list(one.sightings) == list(two.sightings)
         for a, b in zip(one.sightings.values(), two.sightings.values(), strict=True):
             assert (a.kind, a.z.tolist(), a.cov.tolist(), a.extent) == (b.kind, b.z.tolist(), b.cov.tolist(), b.extent)
-    assert {i: (r.kind, r.sightings, r.sigma_m) for i, r in before.records.items()} == {
-        i: (r.kind, r.sightings, r.sigma_m) for i, r in after.records.items()
+    assert {i: (r.kind, r.sightings, r.sigma_m, r.shape) for i, r in before.records.items()} == {
+        i: (r.kind, r.sightings, r.sigma_m, r.shape) for i, r in after.records.items()
     }
 
 

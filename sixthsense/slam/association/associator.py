@@ -76,11 +76,11 @@ class Record:
 class Associator:
     """Gates and assigns sightings, starts landmarks, culls those seen too rarely and merges duplicate walls."""
 
-    def __init__(self, config: AssociationConfig) -> None:
+    def __init__(self, config: AssociationConfig, records: Mapping[LandmarkId, Record] | None = None) -> None:
         self._config = config
-        self._next_id = 0
+        self._next_id = 1 + max(records or [-1])
         self._scan = 0
-        self.records: dict[LandmarkId, Record] = {}
+        self.records: dict[LandmarkId, Record] = dict(records or {})
         """of every landmark in the state"""
         self.culled = 0
         """landmarks removed so far"""

@@ -3,11 +3,14 @@
 from sixthsense.slam.estimators.base import (
     Estimate,
     Estimator,
+    LandmarkPrior,
     Link,
     PoseGraphEstimator,
+    PriorMapEstimator,
     WheelEstimator,
     estimates_wheels,
     keeps_poses,
+    takes_prior_map,
 )
 from sixthsense.slam.estimators.factory import ESTIMATORS, EstimatorFactory, make_estimator, register_estimator
 
@@ -16,11 +19,14 @@ __all__ = [
     "Estimate",
     "Estimator",
     "EstimatorFactory",
+    "LandmarkPrior",
     "Link",
     "PoseGraphEstimator",
+    "PriorMapEstimator",
     "WheelEstimator",
     "estimates_wheels",
     "keeps_poses",
     "make_estimator",
     "register_estimator",
+    "takes_prior_map",
 ]

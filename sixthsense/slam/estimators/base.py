@@ -144,6 +144,64 @@ def estimates_wheels(estimator: Estimator) -> TypeGuard[WheelEstimator]:
     return callable(getattr(estimator, "estimate_wheels", None)) and callable(getattr(estimator, "wheels", None))
 
 
+@dataclass(frozen=True, slots=True)
+class LandmarkPrior:
+    """Landmarks of an earlier run, one joint Gaussian, independent of where the robot begins now."""
+
+    ids: NDArray[np.int64]
+    """(n,)"""
+    landmarks: Array
+    """(n, 2) means, world frame, as of `Estimate`"""
+    walls: NDArray[np.bool_]
+    """(n,) which of them are walls"""
+    cov: Array
+    """(2n, 2n) joint covariance, world frame, in the order of `ids`"""
+    extents: Array
+    """(n, 2, 2) ends of what was seen of a wall, world frame, m; unused for a point"""
+
+    def without(self, ids: Collection[LandmarkId]) -> LandmarkPrior:
+        """The others, with their marginal covariance."""
+        kept = np.flatnonzero(~np.isin(self.ids, list(ids)))
+        index = (2 * kept[:, None] + np.arange(2)).ravel()
+        cov = self.cov[np.ix_(index, index)]
+        return LandmarkPrior(self.ids[kept], self.landmarks[kept], self.walls[kept], cov, self.extents[kept])
+
+
+class PriorMapEstimator(Estimator, Protocol):
+    """An estimator that can begin with the landmarks of an earlier run.
+
+    13. The landmarks keep their ids and count as known. Their joint covariance is used as evidence once.
+    14. A landmark that is forgotten leaves the marginal covariance of the others.
+    """
+
+    def start_from(self, prior: LandmarkPrior) -> None:
+        """Begin with these landmarks.
+
+        RuntimeError after the first motion or update. ValueError, with the state unchanged, for ids that repeat, means
+        that are not finite and an invalid covariance, which may be singular.
+        """
+        ...
+
+
+def takes_prior_map(estimator: Estimator) -> TypeGuard[PriorMapEstimator]:
+    """Whether an estimator can begin with the landmarks of an earlier run."""
+    return callable(getattr(estimator, "start_from", None))
+
+
+def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:
+    """Raise RuntimeError if the estimator has begun, ValueError for an invalid prior."""
+    if has_begun:
+        raise RuntimeError("start_from: found a call after the first motion or update, allowed: before both")
+    n = len(prior.ids)
+    if len(np.unique(prior.ids)) != n:
+        raise ValueError("prior: found ids that repeat, allowed: each landmark once")
+    if prior.landmarks.shape != (n, 2) or not np.isfinite(prior.landmarks).all():
+        raise ValueError(f"prior: found means {prior.landmarks.shape}, allowed: finite numbers, ({n}, 2)")
+    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK) if n else None
+    if prior.cov.shape != (2 * n, 2 * n) or fault:
+        raise ValueError(f"prior: found {fault or prior.cov.shape}, allowed: a covariance, ({2 * n}, {2 * n})")
+
+
 def check_wheels(prior: WheelEstimate, has_begun: bool) -> None:
     """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
     if has_begun:

@@ -22,7 +22,7 @@ from sixthsense.core.landmarks import (
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.wheels import Wheels
-from sixthsense.slam.estimators.base import Estimate, Trajectory, check_sightings
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_prior, check_sightings
 
 
 class EKF:
@@ -50,6 +50,16 @@ class EKF:
         self._wheels = Wheels()
         self._pending = STANDSTILL
         self._trajectory = Trajectory()
+
+    def start_from(self, prior: LandmarkPrior) -> None:
+        """Begin with the landmarks of an earlier run: the joint covariance has a block more."""
+        check_prior(prior, bool(self._slots) or self._pending is not STANDSTILL)
+        means, jacobian = translated(prior.landmarks, prior.walls, -self._origin)
+        to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
+        self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
+        self._means, self._walls = means, prior.walls.copy()
+        self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
+        self._on_started()
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance is propagated at the next call that needs it.
@@ -125,6 +135,9 @@ class EKF:
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
         self._means += shift[3:].reshape(-1, 2)
         self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
+
+    def _on_started(self) -> None:
+        """Called after the filter has begun with landmarks of an earlier run."""
 
     def _on_added(self, sightings: Collection[Sighting]) -> None:
         """Called after landmarks were added, one per sighting."""

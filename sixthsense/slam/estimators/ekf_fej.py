@@ -52,6 +52,9 @@ class AnchoredEKF(EKF):
     def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
         return self._point, self._anchors[slots]
 
+    def _on_started(self) -> None:
+        self._anchors = self._means.copy()
+
     def _on_added(self, sightings: Collection[Sighting]) -> None:
         at = Pose(self._point[0], self._point[1], self._pose.theta)
         self._anchors = np.vstack([self._anchors, *(initialize_landmark(at, sighting)[0] for sighting in sightings)])

@@ -6,20 +6,29 @@ from collections.abc import Collection, Mapping, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, W, X
+from gtsam.symbol_shorthand import X
 from scipy.linalg import block_diag
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import Estimate, Link, check_links, check_sightings, check_wheels
+from sixthsense.slam.estimators.base import (
+    Estimate,
+    LandmarkPrior,
+    Link,
+    check_links,
+    check_prior,
+    check_sightings,
+    check_wheels,
+)
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, noise_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_links import LinkFactors
+from sixthsense.slam.estimators.isam2_prior import PriorFactor
 from sixthsense.slam.estimators.isam2_sightings import SightingFactors
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
@@ -45,6 +54,7 @@ class ISAM2:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
         self._config, self._loss = config, loss_of(config)
         self._factors, self._links = SightingFactors(), LinkFactors()
+        self._prior = PriorFactor()
         self._solver = Solver(config, self._renumber)
         self._unsolved = Unsolved()
         self._poses = 0
@@ -71,6 +81,11 @@ class ISAM2:
         """The wheels' parameters at the last solution, if they are estimated."""
         return self._head.wheel_estimate()
 
+    def start_from(self, prior: LandmarkPrior) -> None:
+        """Begin with the landmarks of an earlier run: one factor of all of them."""
+        check_prior(prior, bool(self._landmarks.keys) or self._poses > 0 or self._pending is not STANDSTILL)
+        self._prior.start(prior, self._solver, self._landmarks)
+
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; it becomes part of the graph at the next update."""
         check_covariance("odometry", odometry.cov)
@@ -89,7 +104,7 @@ class ISAM2:
         is_first = [i not in self._landmarks.keys for i in sightings]
         for (i, sighting), is_new in zip(sightings.items(), is_first, strict=True):
             if is_new:
-                self._add_landmark(i, guess, sighting)
+                self._landmarks.add(i, guess, sighting, self._unsolved.values)
             add = self._wall_factor if sighting.is_wall else self._point_factor
             self._unsolved.graph.add(add(self._landmarks.keys[i], guess, sighting, is_new))
         places = self._solve_waiting()
@@ -132,9 +147,12 @@ class ISAM2:
         if not gone:
             return
         places = self._factors.places(gone)
-        for i in gone:
-            del self._landmarks.keys[i], self._landmarks.is_wall[i]
-        self._remove(places)
+        if places:
+            self._remove(places)
+        self._prior.forget(gone, self._solver, self._landmarks)
+        self._landmarks.drop(gone)
+        if self._head.is_solved:
+            self._solution.update(self._last_solved)
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -149,11 +167,13 @@ class ISAM2:
         if not keys:
             return self._head.propagated(self._head.cov(), self._pending)
         # GTSAM answers in the order of the query, each variable in its own tangent.
-        joint = self._solver.joint_covariance([*self._head.keys(), *keys])
-        by_tangent = self._solution.landmarks().by_tangent
-        to_world = block_diag(self._head.to_world(), *(by_tangent[i] for i in ids))
-        joint = to_world @ joint @ to_world.T
-        cov = self._head.cov()
+        by_tangent, cov = self._solution.landmarks().by_tangent, self._head.cov()
+        to_world, of_head = [by_tangent[i] for i in ids], self._head.is_solved
+        joint = self._solver.joint_covariance([*self._head.keys(), *keys] if of_head else keys)
+        to_axes = block_diag(*([self._head.to_world()] if of_head else []), *to_world)
+        joint = to_axes @ joint @ to_axes.T
+        if not of_head:  # landmarks of an earlier run, and the start
+            joint = block_diag(cov, joint)
         joint[: len(cov), : len(cov)] = cov
         return self._head.propagated(0.5 * (joint + joint.T), self._pending)
 
@@ -210,20 +230,9 @@ class ISAM2:
         return places
 
     def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
+        self._prior.renumber(before, after)
         self._factors.renumber(before, after)
         self._links.renumber(before, after)
-
-    def _add_landmark(self, i: LandmarkId, guess: Pose, sighting: Sighting) -> None:
-        landmarks, values = self._landmarks, self._unsolved.values
-        landmarks.is_wall[i] = sighting.is_wall
-        if sighting.is_wall:
-            landmarks.keys[i] = W(landmarks.made)
-            values.insert(landmarks.keys[i], to_pose2(wall_frame(guess, sighting)))
-        else:
-            landmarks.keys[i] = L(landmarks.made)
-            bearing, distance, _ = sighting.bearing_range()
-            values.insert(landmarks.keys[i], guess @ (distance * rotation(bearing)[:, 0]))
-        landmarks.made += 1
 
     def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         bearing, distance, cov = sighting.bearing_range()

@@ -52,6 +52,11 @@ class Head:
             self._cov, self._has_cov = 0.5 * (cov + cov.T), True
         return self._cov
 
+    @property
+    def is_solved(self) -> bool:
+        """Whether the pose is a variable of the solver; until then it is the start."""
+        return self._last != 0
+
     def keys(self) -> list[int]:
         """Keys of the variables."""
         return [self._last] if self.wheels is None else [self._last, KEY]

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import L, W
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.slam.estimators.isam2_factors import to_pose2
+from sixthsense.slam.estimators.isam2_walls import wall_frame
 
 
 @dataclass(slots=True)
@@ -36,6 +40,27 @@ class Landmarks:
     """(n, 2) at the last solution"""
     made: int = 0
     """number of landmarks so far, forgotten ones included"""
+
+    def add(self, i: LandmarkId, guess: Pose, sighting: Sighting, values: gtsam.Values) -> None:
+        """Add a landmark that is sighted from `guess`, and its initial value to `values`."""
+        if sighting.is_wall:
+            values.insert(self.next_key(i, True), to_pose2(wall_frame(guess, sighting)))
+        else:
+            bearing, distance, _ = sighting.bearing_range()
+            values.insert(self.next_key(i, False), guess @ (distance * rotation(bearing)[:, 0]))
+
+    def next_key(self, i: LandmarkId, is_wall: bool) -> int:
+        """The key of a landmark that is new."""
+        self.keys[i], self.is_wall[i] = int(W(self.made) if is_wall else L(self.made)), is_wall
+        self.made += 1
+        return self.keys[i]
+
+    def drop(self, ids: Collection[LandmarkId]) -> None:
+        """Remove landmarks."""
+        if len(self.means) == len(self.keys):
+            self.means = self.means[~np.isin(self.ids(), list(ids))]
+        for i in ids:
+            del self.keys[i], self.is_wall[i]
 
     def ids(self) -> NDArray[np.int64]:
         """(n,) of the landmarks."""

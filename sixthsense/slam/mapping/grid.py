@@ -104,6 +104,13 @@ class Grid:
             add_submap(self._cells, self._first, submap, self._rules)
         mark_obstacles(self._cells, self._flat_stencil, self._rules)
 
+    def mark_seen(self, cells: NDArray[np.int64]) -> None:
+        """Mark cells (N, 2), row, col from the world's origin, as seen."""
+        if len(cells):
+            self._grow(np.array([cells.min(axis=0), cells.max(axis=0)], dtype=np.float64))
+            rows, cols = (cells - self._first).T
+            self._cells.seen[rows, cols] = True
+
     def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0) -> FreeSpace:
         """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
 

@@ -9,10 +9,10 @@ import numpy as np
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.evidence import Cells
+from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.submap import Submap
+from sixthsense.slam.mapping.submap import Submap, weakened
 
 SCANS_PER_SUBMAP = 10
 """Key scans of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
@@ -62,6 +62,17 @@ class Mapper:
         """of `SCANS_PER_SUBMAP` scans each, from the first on; made when the grid is composed for the first time"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
+        self._earlier: Submap | None = None
+        """evidence of an earlier run"""
+
+    def start_from(self, evidence: Submap) -> None:
+        """Begin with the evidence of an earlier run, as that of a few scans.
+
+        Its cells count as seen when this run has seen them, or when the map is complete: exploring sees all of the
+        building again.
+        """
+        self._earlier = evidence
+        self._clear()
 
     def add(self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array) -> None:
         """Take the newest key scan, with the walls (W, 2, 2) fitted to it.
@@ -81,11 +92,23 @@ class Mapper:
         final = trajectory[: len(self._scans)]
         self._trajectory = lambda: final
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
-            self.grid.clear()
+            self._clear()
             self.rebuilds += 1
             self._drawn_at = np.zeros((0, 3))
         self.grid.complete()
+        if self._earlier is not None:
+            self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], []
+
+    def _clear(self) -> None:
+        """Remove the evidence of all scans of this run."""
+        self.grid.compose(self._base())
+
+    def _base(self) -> list[Submap]:
+        """Evidence before that of the first scan."""
+        config = self._config
+        rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
+        return [] if self._earlier is None else [weakened(self._earlier, rules)]
 
     def _read(self) -> None:
         self._is_read = True
@@ -121,7 +144,7 @@ class Mapper:
                 self._add(own, scans, poses)
                 self._submaps[k : k + 1] = [own.submap()]
                 self._drawn_at[scans] = poses[scans]
-        self.grid.compose(self._submaps)
+        self.grid.compose([*self._base(), *self._submaps])
         return count * SCANS_PER_SUBMAP
 
     def _add(self, grid: Grid, scans: slice, poses: Array) -> None:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
 from sixthsense.slam.mapping.freespace import Bools
 
+_OLD_HITS = 3
+
 
 class Submap(NamedTuple):
     """What a few scans say of the cells that they touch."""
@@ -42,6 +44,20 @@ def submap_of(cells: Cells, first: tuple[int, int]) -> Submap:
     rows, cols = np.divmod(touched, cells.hits.shape[1])
     places = np.stack([rows + first[0], cols + first[1]], axis=1)
     return Submap.of(places, hits[touched], passes[touched], seen[touched])
+
+
+def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
+    """The same obstacles and free cells by the evidence of `_OLD_HITS` scans at most, none of them seen.
+
+    What was there in an earlier run is soon erased where it is gone, and has to be seen again.
+    """
+    hits = np.minimum(submap.hits, max(_OLD_HITS, rules.min_hits))
+    is_free = submap.passes > rules.passes_per_hit * submap.hits
+    most = np.floor(rules.passes_per_hit * hits).astype(np.int32)
+    shrunk = (submap.passes * (hits / np.maximum(submap.hits, 1))).astype(np.int32)
+    passes = np.where(is_free, np.minimum(submap.passes, most + 1), np.minimum(shrunk, most))
+    seen = np.zeros_like(submap.seen)
+    return Submap(submap.cells, hits.astype(np.int32), passes.astype(np.int32), seen, submap.corners)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -104,3 +104,67 @@ def test_a_smoother_that_revisits_corners_rebuilds_its_map() -> None:
     assert np.hypot(*moved[:, :2].T).max() > 0.5 * trace.config.grid.cell_m
     filtered = run(preset(scene="block", estimator="ekf", task="tour", max_time=100.0, features=CORNERS))
     assert filtered.rebuilds == 0
+
+
+def earlier() -> Grid:
+    """The grid of an earlier run, in which there was a box in the middle of the room."""
+    box = np.array([[[0, -1], [0.5, -1]], [[0.5, -1], [0.5, -0.5]], [[0.5, -0.5], [0, -0.5]], [[0, -0.5], [0, -1]]])
+    grid = Grid(GridConfig(), 0.2)
+    for row in poses(40):
+        pose = Pose(-2.0, row[1] - 2.0 if row[1] < 3.0 else 0.0, row[2])
+        bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
+        ranges = cast_rays(pose, bearings, np.concatenate([ROOM, box]), LASER.max_range)
+        grid.add(pose, Scan.from_config(ranges, LASER), NO_WALLS)
+    return grid
+
+
+def begun() -> Mapper:
+    mapper = Mapper(GridConfig(), 0.2)
+    mapper.start_from(earlier().submap())
+    return mapper
+
+
+def same_cells(one: Grid, other: Grid, name: str) -> bool:
+    """Whether two grids have the same cells that are something, wherever their corners lie."""
+    places = [np.argwhere(getattr(grid, name)) + np.round(np.array(grid.origin)[::-1] / 0.05) for grid in (one, other)]
+    return set(map(tuple, places[0].tolist())) == set(map(tuple, places[1].tolist()))
+
+
+def test_a_map_begins_with_the_obstacles_of_an_earlier_one_of_which_nothing_is_seen_yet() -> None:
+    mapper = begun()
+    assert same_cells(mapper.grid, earlier(), "obstacles")
+    assert not mapper.grid.seen.any() and mapper.grid.hits.max() <= 3
+
+
+def test_what_an_earlier_run_has_seen_is_seen_when_the_map_is_complete() -> None:
+    mapper = begun()
+    mapper.complete(np.zeros((0, 3)))
+    assert same_cells(mapper.grid, earlier(), "seen") and same_cells(mapper.grid, earlier(), "obstacles")
+
+
+def is_obstacle(grid: Grid, x: float, y: float) -> bool:
+    row, col = np.floor((np.array([y, x]) - np.array(grid.origin)[::-1]) / 0.05).astype(int)
+    return bool(grid.obstacles[row, col])
+
+
+def test_an_earlier_obstacle_that_is_gone_becomes_free_after_a_few_scans() -> None:
+    mapper, rows = begun(), np.tile([-1.5, -0.73, 0.0], (20, 1))
+    assert is_obstacle(mapper.grid, 0.02, -0.73)
+    for k in range(20):
+        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+    assert not is_obstacle(mapper.grid, 0.02, -0.73)
+
+
+def test_earlier_evidence_out_of_sight_stays_when_key_poses_move() -> None:
+    far = Grid(GridConfig(), 0.2)
+    far.add(Pose(20.02, 0.02, 0.0), Scan.from_config(np.full(LASER.beams, 0.01), LASER), NO_WALLS)
+    mapper, rows = Mapper(GridConfig(), 0.2), poses(12)
+    mapper.start_from(far.submap())
+    for k in range(11):
+        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+        assert is_obstacle(mapper.grid, 20.02, 0.02)
+    moved = rows + np.array([0.1, 0.0, 0.0])
+    mapper.add(moved.copy, look(Pose.from_array(moved[11])), NO_WALLS)
+    assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 1
+    mapper.complete(rows)
+    assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 2

@@ -1,0 +1,89 @@
+"""The map of an earlier run, that another run begins with."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sixthsense.config import Config, ConfigError
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId
+from sixthsense.slam.association.associator import Record
+from sixthsense.slam.estimators import Estimator, LandmarkPrior, takes_prior_map
+from sixthsense.slam.mapping.submap import Submap
+
+_SIGMAS = 3.0  # the start may be this far from where it is said to be
+
+
+@dataclass(frozen=True, slots=True)
+class PriorMap:
+    """What a run has found of a building: landmarks with their joint covariance, and the evidence of cells."""
+
+    name: str
+    """of the run's folder"""
+    digest: str
+    """SHA-256 of its files, hexadecimal"""
+    landmarks: LandmarkPrior
+    records: Mapping[LandmarkId, Record]
+    """of each landmark, as at the end of that run"""
+    evidence: Submap
+    """of the obstacle map; empty for a run without scans"""
+    cell_m: float
+    """side of its cells"""
+
+    def fresh_records(self) -> dict[LandmarkId, Record]:
+        """Copies of the records; first and last key scan are those of the new run, 0."""
+        fresh = {i: copy.deepcopy(record) for i, record in self.records.items()}
+        for record in fresh.values():
+            record.first_scan = record.last_scan = 0
+        return fresh
+
+
+class PriorStart(NamedTuple):
+    """A prior map, and where in it the robot begins."""
+
+    map: PriorMap
+    pose: Pose | None = None
+    """`T_world_robot`; None: where the scene or the log says"""
+    sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """of x, y and theta, m and rad; 0: known"""
+
+    def note(self) -> dict[str, Any]:
+        """What a run's record says of it; a pose only where it was given."""
+        given = {} if self.pose is None else {"pose": self.pose.array().tolist()}
+        return {"name": self.map.name, "digest": self.map.digest, **given, "pose_sigma": list(self.sigma)}
+
+    @property
+    def cov(self) -> Array:
+        """(3, 3) of the pose, world frame."""
+        return np.diag(np.square(self.sigma))
+
+
+def begin_with(prior: PriorMap, config: Config, estimator: Estimator, start: Pose, start_cov: Array) -> None:
+    """Give the estimator the landmarks; ConfigError where this configuration or start cannot be used with the map."""
+    if config.front_end != "landmarks":
+        raise ConfigError(f"front_end: found {config.front_end} with a prior map, allowed: landmarks")
+    if config.association.proposed_by != "estimate":
+        found = f"association.proposed_by: found {config.association.proposed_by} with a prior map"
+        raise ConfigError(f"{found}, allowed: estimate")
+    if not takes_prior_map(estimator):
+        raise ConfigError(f"estimator: found {config.estimator} with a prior map, allowed: one that has start_from")
+    if len(prior.evidence.cells):
+        _check_start(prior, config, start, start_cov)
+    estimator.start_from(prior.landmarks)
+
+
+def _check_start(prior: PriorMap, config: Config, start: Pose, start_cov: Array) -> None:
+    if not math.isclose(prior.cell_m, config.grid.cell_m):
+        found = f"grid.cell_m: found {config.grid.cell_m:g} with a prior map of {prior.cell_m:g} m cells"
+        raise ConfigError(f"{found}, allowed: the same")
+    seen = (prior.evidence.cells[prior.evidence.seen][:, ::-1] + 0.5) * prior.cell_m  # (N, 2) centres
+    reach_m = _SIGMAS * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
+    if not len(seen) or np.hypot(*(seen - start.position).T).min() > reach_m:
+        found = f"pose: found ({start.x:.2f}, {start.y:.2f}), outside the prior map {prior.name}"
+        raise ConfigError(f"{found}, allowed: a place that it has seen")

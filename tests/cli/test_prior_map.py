@@ -1,0 +1,164 @@
+"""`--prior-map`, `--pose` and `--pose-sigma`: what works, and what ends in one line."""
+
+import json
+import shutil
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sixthsense as ss
+from sixthsense import cli
+from sixthsense.running.warmup import warm_up
+
+SHORT = ("--task", "tour", "--max-time", "6")
+OTHER = """\
+start = [-1.4, -0.4, 0.0]
+radius = 0.15
+region = [-9.0, -9.0, 9.0, 9.0]
+[[polygons]]
+points = [[-9.0, -7.0], [9.0, -7.0], [9.0, 8.0], [-9.0, 8.0]]
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _compiled() -> None:
+    """The line that announces a first compilation is not what these tests look for."""
+    warm_up()
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short tour of the rectangle."""
+    folder = tmp_path_factory.mktemp("earlier") / "first"
+    ss.run("rectangle", task="tour", max_time=12.0, seed=1, progress=False, out=folder)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def complaint(args: list[str], capsys: pytest.CaptureFixture[str], folder: Path) -> str:
+    before = sorted(folder.rglob("*"))
+    assert cli.main(args) == cli.BAD_INPUT
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ")
+    assert sorted(folder.rglob("*")) == before
+    return err.removeprefix("sixthsense: ").strip()
+
+
+def test_a_run_begins_with_the_map_and_the_next_with_its_map(first, here, capsys):
+    rough = ("--pose", "-1.38", "-0.41", "0.01", "--pose-sigma", "0.02", "0.02", "0.01")
+    assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), *rough, "--out", "second"]) == cli.DONE
+    assert cli.main(["run", "rectangle", *SHORT, "--prior-map", "second", "--out", "third"]) == cli.DONE
+    capsys.readouterr()
+    note = tomllib.loads((here / "second" / "config.toml").read_text())["prior_map"]
+    assert note["name"] == "first" and len(note["digest"]) == 64
+    assert note["pose"] == [-1.38, -0.41, 0.01] and note["pose_sigma"] == [0.02, 0.02, 0.01]
+    for name in ("config.toml", "record.jsonl", "metrics.json"):
+        assert str(first.parent) not in (here / "second" / name).read_text()
+    third = ss.load("third")
+    assert third.trace.prior_map["name"] == "second" and "pose" not in third.trace.prior_map
+    assert ss.load(first).trace.prior_map is None
+    ids = [np.load(folder / "landmarks.npz")["ids"].tolist() for folder in (first, here / "third")]
+    assert set(ids[0]) <= set(ids[1])
+
+
+def test_a_replay_begins_with_the_map(first, here, capsys):
+    args = ["replay", str(first), "--prior-map", str(first), "--out", "again"]
+    assert cli.main(args) == cli.DONE
+    capsys.readouterr()
+    assert json.loads((here / "again" / "metrics.json").read_text())["outcome"] == "log ended"
+    assert ss.load("again").trace.prior_map["name"] == "first"
+
+
+def test_python_takes_the_same_options(first):
+    run = ss.run("rectangle", task="tour", max_time=2.0, prior_map=first, pose=(-1.4, -0.4, 0.0), progress=False)
+    assert run.trace.prior_map["name"] == "first"
+    again = ss.replay(first, prior_map=first, pose_sigma=(0.1, 0.1, 0.05), progress=False)
+    assert again.trace.prior_map["pose_sigma"] == [0.1, 0.1, 0.05]
+    with pytest.raises(ss.ConfigError, match=r"^pose: found without prior_map, allowed: with it$"):
+        ss.run("rectangle", pose=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("args", "found"),
+    [
+        (["--pose", "0", "0", "0"], "--pose: found without --prior-map, allowed: with it"),
+        (["--pose-sigma", "1", "1", "1"], "--pose-sigma: found without --prior-map, allowed: with it"),
+        (["--prior-map", "{first}", "--pose", "0", "0"], "--pose: found 0.0 0.0, allowed: three finite numbers"),
+        (["--prior-map", "{first}", "--pose", "0", "x", "0"], "--pose: found 0.0 x 0.0, allowed: three"),
+        (
+            ["--prior-map", "{first}", "--pose", "0", "0", "nan"],
+            "--pose: found 0.0 0.0 nan, allowed: three finite numbe",
+        ),
+        (
+            ["--prior-map", "{first}", "--pose-sigma", "-1", "0", "0"],
+            "--pose-sigma: found -1.0 0.0 0.0, allowed: at le",
+        ),
+        (["--prior-map", "nowhere"], "nowhere: found no such folder, allowed: the folder of a run"),
+        (["--prior-map", "."], ".: found no config.toml in it, allowed: the folder of a run"),
+        (
+            ["--prior-map", "{first}", "--pose", "30", "0", "0"],
+            "pose: found (30.00, 0.00), outside the prior map first",
+        ),
+        (
+            ["--prior-map", "{first}", "--estimator", "isam2", "--front-end", "scans"],
+            "front_end: found scans with a pr",
+        ),
+    ],
+)
+def test_bad_options_end_in_one_line(args, found, first, here, capsys):
+    args = [arg.replace("{first}", str(first)) for arg in args]
+    assert complaint(["run", "rectangle", *SHORT, *args], capsys, here).startswith(found)
+
+
+def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, capsys):
+    (here / "other.toml").write_text(OTHER)
+    line = complaint(["run", "other.toml", "--prior-map", str(first)], capsys, here)
+    assert line.startswith("prior_map: found first, of which the first scan shows ")
+
+
+@pytest.mark.parametrize("name", ["landmarks.npz", "record.npz", "grid.npz", "config.toml"])
+def test_a_damaged_folder_ends_in_one_line_that_names_the_file(name, first, here, capsys, tmp_path):
+    damaged = tmp_path / "damaged"
+    shutil.copytree(first, damaged)
+    content = (damaged / name).read_bytes()
+    (damaged / name).write_bytes(content[: len(content) // 2] + b"\0")
+    assert str(damaged / name) in complaint(["run", "rectangle", *SHORT, "--prior-map", str(damaged)], capsys, here)
+    if name in ("landmarks.npz", "record.npz"):
+        (damaged / name).unlink()
+        line = complaint(["run", "rectangle", *SHORT, "--prior-map", str(damaged)], capsys, here)
+        assert line == f"{damaged}: found no {name}, allowed: the folder of a run that has ended"
+
+
+def test_an_indefinite_covariance_is_named(first, here, capsys, tmp_path):
+    damaged = tmp_path / "damaged"
+    shutil.copytree(first, damaged)
+    arrays = dict(np.load(damaged / "landmarks.npz"))
+    arrays["covariance"][3:, 3:] *= -1.0
+    np.savez(damaged / "landmarks.npz", **arrays)
+    line = complaint(["run", "rectangle", *SHORT, "--prior-map", str(damaged)], capsys, here)
+    assert line.startswith(f"{damaged / 'landmarks.npz'}: found ") and line.endswith("allowed: a covariance")
+
+
+def test_a_configuration_of_a_run_with_a_map_is_repeated_with_one(first, here, capsys):
+    assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), "--out", "second"]) == cli.DONE
+    capsys.readouterr()
+    line = complaint(["run", "--config", "second/config.toml"], capsys, here)
+    assert line.startswith(
+        "--config: second/config.toml is of a run with the prior map first, allowed: with --prior-map"
+    )
+    line = complaint(
+        ["campaign", "rectangle", "--seeds", "0:2", "--out", "c", "--config", "second/config.toml"], capsys, here
+    )
+    assert line.startswith("--config: second/config.toml is of a run with a prior map, allowed: ")
+    assert cli.main(["run", "--config", "second/config.toml", "--prior-map", str(first), "--out", "one"]) == cli.DONE
+    for file in ("estimate.tum", "landmarks.csv"):
+        assert (here / "one" / file).read_bytes() == (here / "second" / file).read_bytes()

@@ -1,0 +1,185 @@
+"""Runs that begin with the map of an earlier run: from a known pose and from a rough one, and what is refused."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense import loop
+from sixthsense.config import ConfigError, preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.evaluation.measure import measure
+from sixthsense.evaluation.metrics import nees_band
+from sixthsense.record.folder import RunFolder
+from sixthsense.record.prior_map import prior_start, read_prior_map
+from sixthsense.slam.prior_map import PriorStart
+from sixthsense.slam.start_search import PriorMapError, located
+from sixthsense.sources.scene import load_scene
+
+SECONDS = 20.0
+ROOM = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])
+"""a room that looks like itself from no other side"""
+DIVIDER = np.array([[1.8, 1.0], [1.8, 2.0]])
+
+
+def scene_of(*segments, corners=ROOM):
+    outline = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    walls = np.concatenate([outline, *(np.reshape(s, (1, 2, 2)) for s in segments)])
+    base = load_scene("rectangle")
+    tour = ((4.2, 0.8), (4.2, 3.2), (2.6, 2.4), (0.8, 2.2), (0.8, 0.8))
+    return dataclasses.replace(base, walls=walls, start=Pose(0.8, 0.8, 0.3), tour=tour, region=(0.0, 0.0, 5.0, 4.0))
+
+
+def config_of(seed, estimator="ekf-invariant", **fields):
+    own = {"scene": "rectangle", "task": "tour", "max_time": SECONDS}
+    return preset(**{**own, "seed": seed, "estimator": estimator, **fields})
+
+
+def driven(scene, seed, folder=None, prior=None, **fields):
+    config = config_of(seed, **fields)
+    trace = loop.run(config, scene=scene, prior=prior)
+    if folder is not None:
+        out = RunFolder(folder, config)
+        out.write(trace, measure(trace))
+        out.finish()
+    return trace
+
+
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """The folder of a run in the room with the divider."""
+    folder = tmp_path_factory.mktemp("runs") / "first"
+    driven(scene_of(DIVIDER), 1, folder)
+    return folder
+
+
+def walls_at(trace, alpha_is_x, at):
+    """Ids of walls that lie on x = `at` or y = `at`."""
+    final = trace.final
+    found = []
+    for i, (alpha, d), wall in zip(final.ids.tolist(), final.landmarks.tolist(), final.walls.tolist(), strict=True):
+        across = abs(math.cos(alpha)) if alpha_is_x else abs(math.sin(alpha))
+        if wall and across > 0.99 and abs(abs(d) - at) < 0.1:
+            found.append(i)
+    return found
+
+
+@pytest.mark.parametrize("estimator", ["ekf-invariant", "ekf-fej", "isam2"])
+def test_landmarks_keep_their_ids_and_become_more_certain(first, estimator):
+    prior = read_prior_map(first)
+    trace = driven(scene_of(DIVIDER), 2, prior=PriorStart(prior), estimator=estimator)
+    before = dict(zip(prior.landmarks.ids.tolist(), np.diag(prior.landmarks.cov).reshape(-1, 2), strict=True))
+    after = dict(zip(trace.final.ids.tolist(), np.diag(trace.joint_cov)[3:].reshape(-1, 2), strict=True))
+    both = sorted(set(before) & set(after))
+    assert len(both) >= 0.8 * len(before) and len(after) <= len(before) + 3
+    shrunk = [np.prod(after[i]) < np.prod(before[i]) for i in both]
+    assert np.mean(shrunk) > 0.9
+    assert measure(trace)["pose_nees_world_mean"] < 8.0
+
+
+def test_the_map_at_the_end_holds_what_the_run_before_has_seen(first):
+    trace = driven(scene_of(DIVIDER), 2, prior=PriorStart(read_prior_map(first)), max_time=2.0)
+    earlier = read_prior_map(first).evidence
+    assert trace.grid is not None
+    seen = trace.grid.submap()
+    places = set(map(tuple, seen.cells[seen.seen].tolist()))
+    assert set(map(tuple, earlier.cells[earlier.seen].tolist())) <= places
+
+
+def test_a_wall_that_was_removed_is_unlearnt_and_one_that_is_new_is_learnt(first, tmp_path):
+    moved = DIVIDER + np.array([1.6, 0.0])
+    prior = PriorStart(read_prior_map(first))
+    kept = driven(scene_of(DIVIDER), 3, prior=prior)
+    assert walls_at(kept, True, 1.8)
+    trace = driven(scene_of(moved), 3, prior=prior)
+    assert not walls_at(trace, True, 1.8) and walls_at(trace, True, 3.4)
+    obstacles, origin = trace.grid.obstacles, np.array(trace.grid.origin)
+    for x, is_there in ((1.8, False), (3.4, True)):
+        cells = np.floor((np.array([[x, y] for y in np.arange(1.2, 1.8, 0.05)]) - origin) / 0.05).astype(int)
+        near = [obstacles[r, c - 1 : c + 2].any() for c, r in cells]
+        assert np.mean(near) > 0.9 if is_there else not any(near)
+
+
+def test_a_run_that_begins_with_a_map_can_be_the_map_of_the_next(first, tmp_path):
+    second = driven(scene_of(DIVIDER), 2, tmp_path / "second", PriorStart(read_prior_map(first)))
+    prior = read_prior_map(tmp_path / "second")
+    assert prior.landmarks.ids.tolist() == second.final.ids.tolist()
+    third = driven(scene_of(DIVIDER), 3, prior=PriorStart(prior))
+    assert third.prior_map["name"] == "second" and third.prior_map["digest"] == prior.digest
+
+
+@pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
+def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_key_scan_are_consistent(first, estimator):
+    prior, sigma, nees = read_prior_map(first), (0.25, 0.25, 0.15), []
+    scene, runs = scene_of(DIVIDER), 12
+    for seed in range(runs):
+        error = np.array(sigma) * np.random.default_rng(seed).standard_normal(3)
+        pose = Pose.from_array(scene.start.array() + error)
+        trace = driven(scene, 50 + seed, prior=PriorStart(prior, pose, sigma), estimator=estimator, max_time=3.0)
+        off = trace.key_estimates[0].pose.array() - trace.key_truths[0]
+        off[2] = wrap_angle(off[2])
+        nees.append(off @ np.linalg.solve(trace.key_estimates[0].pose_cov, off))
+        assert np.hypot(*off[:2]) < 0.05
+    low, high = nees_band(runs, confidence=0.999)
+    assert low < np.mean(nees) < high
+
+
+def test_a_map_of_another_building_is_refused_at_the_first_scan(first):
+    other = scene_of(corners=np.array([[-3.0, -3.0], [9.0, -3.0], [9.0, 7.5], [-3.0, 7.5]]))
+    for sigma in ((0.0, 0.0, 0.0), (0.2, 0.2, 0.1)):
+        with pytest.raises(
+            PriorMapError, match=r"^prior_map: found first, of which the first scan shows \d+ %, allowed"
+        ):
+            driven(other, 1, prior=PriorStart(read_prior_map(first), None, sigma))
+
+
+def test_a_start_outside_the_map_is_refused(first):
+    with pytest.raises(ConfigError, match=r"^pose: found \(40\.00, 2\.00\), outside the prior map first, allowed: "):
+        driven(scene_of(DIVIDER), 1, prior=PriorStart(read_prior_map(first), Pose(40.0, 2.0, 0.0)))
+
+
+def test_a_place_that_looks_like_another_one_is_refused(explored, tmp_path):
+    """The empty rectangle is the same after half a turn."""
+    folder = RunFolder(tmp_path / "rectangle", explored.trace.config)
+    folder.write(explored.trace, explored.metrics)
+    folder.finish()
+    scan = explored.trace
+    prior = PriorStart(read_prior_map(tmp_path / "rectangle"), Pose(0.0, 0.0, 0.5 * math.pi), (1.0, 0.5, 2.0))
+    with pytest.raises(PriorMapError, match="two places of rectangle that the first scan fits"):
+        loop.run(scan.config, prior=prior)
+
+
+@pytest.mark.parametrize(
+    ("fields", "found"),
+    [
+        ({"estimator": "isam2", "front_end": "scans"}, "front_end: found scans with a prior map, allowed: landmarks"),
+        ({"grid": {"cell_m": 0.1}}, "grid.cell_m: found 0.1 with a prior map of 0.05 m cells, allowed: the same"),
+        ({"association": {"proposed_by": "scans"}}, "association.proposed_by: found scans with a prior map, allowed"),
+    ],
+)
+def test_a_configuration_that_cannot_use_the_map_is_refused(first, fields, found):
+    with pytest.raises(ConfigError) as error:
+        driven(scene_of(DIVIDER), 1, prior=PriorStart(read_prior_map(first)), **fields)
+    assert str(error.value).startswith(found)
+
+
+def test_without_sigmas_the_pose_stays_exactly_as_given(first):
+    trace = driven(scene_of(DIVIDER), 1, max_time=1.0)
+    scan = trace.associations  # the scene is the one of the map
+    assert scan
+    prior, pose = read_prior_map(first), Pose(0.8, 0.8, 0.3)
+    from sixthsense.sources.world import World
+
+    config = config_of(1)
+    world = World(scene_of(DIVIDER).walls, pose, 0.15, config, np.random.default_rng(0))
+    tick = world.step(None)
+    assert located(tick.scan, prior, pose, np.zeros((3, 3)), config.grid) is pose
+
+
+def test_the_record_names_the_map_without_a_path(first, tmp_path):
+    prior = prior_start(first, None, None)
+    config = config_of(2)
+    RunFolder(tmp_path / "named", config, prior_map=prior.note())
+    text = (tmp_path / "named.partial" / "config.toml").read_text()
+    assert 'name = "first"' in text and prior.map.digest in text and str(first.parent) not in text

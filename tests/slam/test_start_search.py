@@ -1,0 +1,91 @@
+"""Where in a prior map a run begins, by its first scan."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sixthsense.config import GridConfig, LaserConfig
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.slam.estimators import LandmarkPrior
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.submap import Submap
+from sixthsense.slam.prior_map import PriorMap
+from sixthsense.slam.start_search import PriorMapError, located
+
+LASER, GRID = LaserConfig(), GridConfig()
+CORNERS = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])
+ROOM = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
+CORRIDOR = np.array([[[-30.0, -1.0], [30.0, -1.0]], [[-30.0, 1.0], [30.0, 1.0]]])
+TRUE = Pose(1.2, 1.1, 0.4)
+
+
+def look(walls, pose, seed=0):
+    ranges = cast_rays(pose, beam_bearings(LASER), walls, LASER.max_range)
+    return Scan.from_config(ranges + 0.01 * np.random.default_rng(seed).standard_normal(len(ranges)), LASER)
+
+
+def map_of(walls, *poses):
+    grid = Grid(GRID, 0.2)
+    for pose in poses:
+        grid.add(pose, look(walls, pose, 7), np.zeros((0, 2, 2)))
+    none = np.zeros((0, 2))
+    landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
+    return PriorMap("earlier", "", landmarks, {}, grid.submap(), GRID.cell_m)
+
+
+ROOM_MAP = map_of(ROOM, Pose(1.0, 1.0, 0.0), Pose(4.0, 3.0, 1.0), Pose(3.5, 1.0, 2.0))
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3, 0.8])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rough_pose_is_found_to_a_few_centimetres(sigma, seed):
+    sigmas = np.array([sigma, sigma, 0.5 * sigma])
+    error = np.clip(np.random.default_rng(seed).standard_normal(3), -2.0, 2.0) * sigmas
+    rough = Pose.from_array(TRUE.array() + error)
+    found = located(look(ROOM, TRUE), ROOM_MAP, rough, np.diag(sigmas**2), GRID)
+    assert math.hypot(found.x - TRUE.x, found.y - TRUE.y) < 0.04
+    assert abs(wrap_angle(found.theta - TRUE.theta)) < 0.015
+
+
+def test_a_wall_that_has_moved_does_not_shift_the_pose():
+    changed = np.concatenate([ROOM, [[[2.2, 0.5], [2.2, 1.6]]]])
+    rough = Pose(1.35, 1.0, 0.5)
+    found = located(look(changed, TRUE), ROOM_MAP, rough, np.diag([0.2, 0.2, 0.1]) ** 2, GRID)
+    assert math.hypot(found.x - TRUE.x, found.y - TRUE.y) < 0.05
+
+
+def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
+    """Nothing tells the place along it, so that the given one is as good as any."""
+    corridor = map_of(CORRIDOR, *(Pose(float(x), 0.0, 0.0) for x in range(-12, 13)))
+    true, rough = Pose(0.15, 0.1, 0.05), Pose(0.0, 0.0, 0.0)
+    found = located(look(CORRIDOR, true), corridor, rough, np.diag([0.08, 0.08, 0.04]) ** 2, GRID)
+    assert abs(found.x - rough.x) < 0.06
+    assert abs(found.y - true.y) < 0.03 and abs(found.theta - true.theta) < 0.015
+
+
+def test_along_a_corridor_a_start_that_may_be_anywhere_is_refused():
+    corridor = map_of(CORRIDOR, *(Pose(float(x), 0.0, 0.0) for x in range(-12, 13)))
+    with pytest.raises(PriorMapError, match=r"^pose_sigma: found two places of earlier that the first scan fits"):
+        located(look(CORRIDOR, Pose()), corridor, Pose(), np.diag([2.0, 0.1, 0.1]) ** 2, GRID)
+
+
+@pytest.mark.parametrize("cov", [np.zeros((3, 3)), np.diag([0.3, 0.3, 0.2]) ** 2])
+def test_a_scan_of_another_room_is_refused(cov):
+    other = 2.2 * ROOM - np.array([3.0, 2.0])
+    with pytest.raises(PriorMapError, match=r"^prior_map: found earlier, of which the first scan shows"):
+        located(look(other, TRUE), ROOM_MAP, TRUE, cov, GRID)
+
+
+def test_a_known_pose_is_returned_as_it_is():
+    assert located(look(ROOM, TRUE), ROOM_MAP, TRUE, np.zeros((3, 3)), GRID) is TRUE
+
+
+def test_a_scan_into_what_the_map_has_not_seen_says_nothing_against_it():
+    """The map ends in the middle of the room; beyond it there is no evidence."""
+    seen = ROOM_MAP.evidence
+    half = seen.cells[:, 1] < 60
+    part = Submap.of(seen.cells[half], seen.hits[half], seen.passes[half], seen.seen[half])
+    assert located(look(ROOM, TRUE), replace(ROOM_MAP, evidence=part), TRUE, np.zeros((3, 3)), GRID) is TRUE
