@@ -36,6 +36,17 @@ def test_a_scan_without_sightings_is_not_blind() -> None:
     assert all(zone.uncertainty(association_of(0, 0)) is None for _ in range(10))
 
 
+def test_one_or_two_sightings_in_each_scan_do_not_make_the_pose_uncertain() -> None:
+    zone = BlindZone()
+    assert all(zone.uncertainty(association_of(2, 0)) is None for _ in range(20))
+
+
+def test_scans_with_few_sightings_do_not_end_the_blind_zone() -> None:
+    zone = BlindZone()
+    found = [zone.uncertainty(association_of(count, 0)) for count in (5, 1, 5, 1, 5)]
+    assert found[:4] == [None] * 4 and found[4] is not None
+
+
 def pushed_ticks(config: ss.Config, at: int, push: Pose, seconds: float) -> list[Tick]:
     """Ticks of a robot that drives a circle in the apartment, and whose odometry jumps by `push` at tick `at`."""
     scene = load_scene("apartment")

@@ -1,7 +1,8 @@
 """Noticing that the robot is not where it is believed to be, from sightings that neither match nor are new.
 
-A sighting between the gate of a match and that of a new landmark is discarded. One of them is noise or clutter. If
-most are, scan after scan, the prediction is off by more than its covariance says, and odometry alone would go on.
+A sighting between the gate of a match and that of a new landmark is discarded. One or two of them are noise or clutter,
+which a robot that turns on the spot sees in every scan. If most are, scan after scan, the prediction is off by more
+than its covariance says, and odometry alone would go on.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from sixthsense.slam.association.associator import Association
 
 _PATIENCE = 3
 """key scans in a row before anything is done"""
+_LEAST = 3
+"""discarded sightings of a key scan that say anything: with fewer, wide gates would match the next thing at hand"""
 _SIGMAS = (0.05, 0.03)
 """of position, m, and heading, rad, that are added first; doubled at each further key scan"""
 _LARGEST = (1.0, 0.5)
@@ -21,7 +24,10 @@ _LARGEST = (1.0, 0.5)
 
 
 class BlindZone:
-    """Counts key scans most of whose sightings are discarded, and says how uncertain the pose is then."""
+    """Counts key scans most of whose sightings are discarded, and says how uncertain the pose is then.
+
+    Key scans with too few sightings say nothing, neither that the pose is right nor that it is wrong.
+    """
 
     def __init__(self) -> None:
         self._scans = 0
@@ -34,6 +40,8 @@ class BlindZone:
         """
         if association.discarded <= association.dof // 2 + _new_landmarks(association):
             self._scans = 0
+            return None
+        if association.discarded < _LEAST:
             return None
         self._scans += 1
         if self._scans < _PATIENCE:
