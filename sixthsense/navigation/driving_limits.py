@@ -9,12 +9,13 @@ import numpy as np
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import far_from
+from sixthsense.navigation.gridsearch import FarCells
 from sixthsense.navigation.map_window import Region
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
+UNKNOWN_M = 0.2
+"""Unknown cells farther than this from all that was seen are no way."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +40,14 @@ class DrivingLimits:
             slices.append(slice(min(max(first, 0), count), min(max(past, 0), count)))
         return slices[0], slices[1]
 
-    def blocked(self, space: FreeSpace) -> Bools:
-        """(H, W) the blocked cells of a space, all cells outside the limits, and those far into the unknown."""
+    def blocked(self, space: FreeSpace, far_cells: FarCells) -> Bools:
+        """(H, W) the blocked cells of a space, all cells outside the limits, and those far into the unknown.
+
+        `far_cells` tells those farther than `UNKNOWN_M` from all that was seen.
+        """
         inside = self.rows_and_cols(space)
         blocked = np.ones(space.blocked.shape, dtype=np.bool_)
-        blocked[inside] = space.blocked[inside] | far_from(space.seen[inside], round(_UNKNOWN_M / space.cell_m))
+        np.logical_or(space.blocked[inside], far_cells.of(space.seen[inside]), out=blocked[inside])
         return blocked
 
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.driving_limits import DrivingLimits, traversed_cells
+from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.gridsearch import Costs, FarCells, cell_before_gap, geodesic_distances
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
@@ -51,6 +51,7 @@ class Exploration:
         self._task = task
         self._target = NO_TARGET
         self._failed_views = FailedViewCounts()
+        self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._widening = 0  # index into _OUTSIDE_M
         self._gap_approaches = 0
@@ -251,9 +252,10 @@ class Exploration:
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         def free_space(margin_m: float, places: Array) -> FreeSpace:
             space = grid.free_space(*places, margin_m=margin_m)
-            blocked = self._limits().blocked(space)
+            blocked = self._limits().blocked(space, self._far_cells)
             if self._retracing and margin_m == 0.0:
                 blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
+            blocked.flags.writeable = False
             return replace(space, blocked=blocked)
 
         return DrivingMap(grid, free_space, margin_m(estimate.pose_cov, self._task.config))

@@ -44,10 +44,11 @@ class MapWindow:
         """The rows and columns `limits` of a free space and of the grid it was made from."""
         cell_m = space.cell_m
         first = round(space.origin[1] / cell_m), round(space.origin[0] / cell_m)
-        obstacles = np.zeros(space.blocked.shape, dtype=np.bool_)
-        own = grid.obstacles
-        row, col = round(grid.origin[1] / cell_m) - first[0], round(grid.origin[0] / cell_m) - first[1]
-        obstacles[row : row + own.shape[0], col : col + own.shape[1]] = own
+        obstacles = grid.obstacles
+        if obstacles.shape != space.blocked.shape:  # else they cover the same cells: a space holds those of its grid
+            own, obstacles = obstacles, np.zeros(space.blocked.shape, dtype=np.bool_)
+            row, col = round(grid.origin[1] / cell_m) - first[0], round(grid.origin[0] / cell_m) - first[1]
+            obstacles[row : row + own.shape[0], col : col + own.shape[1]] = own
         x0, y0, x1, y1 = region
         corner = first[0] + limits[0].start, first[1] + limits[1].start
         y = (np.arange(limits[0].start, limits[0].stop) + first[0] + 0.5) * cell_m

@@ -9,6 +9,7 @@ from scipy.ndimage import label
 from test_planners import WORLDS
 
 from sixthsense.navigation.gridsearch import (
+    FarCells,
     cell_before_gap,
     far_from,
     geodesic_distances,
@@ -103,3 +104,17 @@ def test_far_cells_are_beyond_a_square_around_every_marked_one(seed: int, reach:
     marked = rng.random((int(rng.integers(1, 30)), int(rng.integers(1, 40)))) < rng.choice([0.0, 0.01, 0.2])
     near = ndimage.maximum_filter(marked, size=2 * reach + 1, mode="constant", cval=False)
     assert np.array_equal(far_from(marked, reach), ~near)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_cells_far_from_changing_marks_are_those_of_a_computation_from_scratch(seed: int) -> None:
+    rng, cells = np.random.default_rng(seed), FarCells(3)
+    marked = {shape: scattered(seed, 0.01, shape) for shape in ((40, 50), (44, 54), (5, 3))}
+    for _ in range(40):
+        shape = list(marked)[rng.integers(3)]
+        mask = marked[shape].copy()
+        row, col = (int(rng.integers(n)) for n in shape)
+        mask[row : row + 4, col : col + 3] = rng.random() < 0.6
+        marked[shape] = mask
+        assert np.array_equal(cells.of(mask), far_from(mask, 3))
+        assert np.array_equal(cells.of(mask), far_from(mask, 3))

@@ -15,12 +15,13 @@ from __future__ import annotations
 from sixthsense.navigation.gridsearch.connected import reachable_cells
 from sixthsense.navigation.gridsearch.cost_tree import CostTree, shortest_path
 from sixthsense.navigation.gridsearch.distances import Costs, cell_before_gap, geodesic_distances
-from sixthsense.navigation.gridsearch.far import far_from
+from sixthsense.navigation.gridsearch.far import FarCells, far_from
 from sixthsense.navigation.gridsearch.nearest import path_to_nearest
 
 __all__ = [
     "CostTree",
     "Costs",
+    "FarCells",
     "cell_before_gap",
     "far_from",
     "geodesic_distances",

@@ -45,10 +45,9 @@ class FreeSpace:
 
     def __post_init__(self) -> None:
         for name in ("blocked", "seen"):
-            array = np.array(getattr(self, name), dtype=np.bool_)
+            array = frozen(getattr(self, name))
             if array.ndim != 2 or array.shape != np.shape(self.blocked):
                 raise ValueError(f"{name}: expected shape (H, W) alike in blocked and seen, got {array.shape}")
-            array.flags.writeable = False
             object.__setattr__(self, name, array)
 
     def cell_of(self, point_world: ArrayLike) -> tuple[int, int]:
@@ -140,6 +139,15 @@ class FreeSpace:
         """X and y of a point in cells from the grid's corner."""
         x, y = as_point(name, point_world)
         return float((x - self.origin[0]) / self.cell_m), float((y - self.origin[1]) / self.cell_m)
+
+
+def frozen(mask: Bools) -> Bools:
+    """The mask as a read-only one: a copy, unless nobody else can write to it."""
+    if isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.base is None and not mask.flags.writeable:
+        return mask
+    array = np.array(mask, dtype=np.bool_)
+    array.flags.writeable = False
+    return array
 
 
 def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]:

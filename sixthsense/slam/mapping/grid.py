@@ -119,7 +119,9 @@ class Grid:
         reached. Raises ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
         """
         cells = self._counted()
-        space = FreeSpace(cells.cover > 0, cells.seen, self.origin, self._config.cell_m)
+        covered = cells.cover > 0
+        covered.flags.writeable = False
+        space = FreeSpace(covered, cells.seen, self.origin, self._config.cell_m)
         if margin_m == 0.0:
             return space.covering(*points_world)
         if not margin_m < math.inf:

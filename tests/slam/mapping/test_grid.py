@@ -433,3 +433,18 @@ def test_an_invalid_point_is_refused_by_name() -> None:
             space.cell_of(bad)
     with pytest.raises(ValueError, match="seen"):
         FreeSpace(np.zeros((2, 2), dtype=bool), np.zeros((3, 2), dtype=bool), (0.0, 0.0), 1.0)
+
+
+def test_a_free_space_copies_masks_that_somebody_can_write_to() -> None:
+    own = np.zeros((3, 4), dtype=np.bool_)
+    space = FreeSpace(own, own, (0.0, 0.0), 0.05)
+    own[1, 1] = True
+    assert not space.blocked.any() and not space.seen.any()
+    whole = np.zeros((3, 4), dtype=np.bool_)
+    view = whole[:, :2]
+    view.flags.writeable = False
+    space = FreeSpace(view, view, (0.0, 0.0), 0.05)
+    whole[1, 1] = True
+    assert not space.blocked.any()
+    whole.flags.writeable = False
+    assert FreeSpace(whole, whole, (0.0, 0.0), 0.05).blocked is whole
