@@ -16,6 +16,7 @@ from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, trave
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.gridsearch import Costs, FarCells, cell_before_gap, geodesic_distances
+from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
@@ -51,6 +52,7 @@ class Exploration:
         self._task = task
         self._target = NO_TARGET
         self._failed_views = FailedViewCounts()
+        self._hidden_cells = HiddenCells(task.sensor.reach)
         self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._widening = 0  # index into _OUTSIDE_M
@@ -233,9 +235,9 @@ class Exploration:
         self._window = self._window.with_closed_walls(self._map.grid)
         task, failed_views = self._task, self._failed_views.within(self._window)
         cost, sigma_m = self._distances(pose), self._history.sigma_m
-        return ViewPlanner(
-            self._window, failed_views, pose, sigma_m, cost, task.radius_m, task.sensor, self._task.config
-        )
+        self._hidden_cells.update(self._window, np.isfinite(cost))
+        rest = task.radius_m, task.sensor, task.config, self._hidden_cells
+        return ViewPlanner(self._window, failed_views, pose, sigma_m, cost, *rest)
 
     def _target_is_seen(self) -> bool:
         return self._target.unknown_cells(self._window) <= _SEEN_FRACTION * len(self._target.cells)

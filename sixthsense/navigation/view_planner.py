@@ -24,6 +24,7 @@ from sixthsense.navigation.frontier import (
     frontier_clusters,
 )
 from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
 from sixthsense.slam.mapping.freespace import Bools
@@ -88,6 +89,8 @@ class ViewPlanner:
     """the robot's"""
     sensor: SensorModel
     config: Config
+    hidden: HiddenCells
+    """centres of clusters that no reachable cell of this map sees"""
 
     def next_target(self, outside_m: float, widened: bool, rng: np.random.Generator) -> Target | None:
         """The best view, by the configured method; else the nearest occluded cells; None if nothing is left to see.
@@ -178,8 +181,12 @@ class ViewPlanner:
 
     def target_beside(self, wanted: Bools, cells: Cells) -> Target | None:
         """The cells of `wanted` beside a cluster, with the nearest viewpoint; None if there is none."""
-        index = nearest_viewpoint(self.cost, self.window.obstacles, *centre_cell(cells), self.sensor.reach)
+        centre = centre_cell(cells)
+        if self.hidden.has(*centre):
+            return None
+        index = nearest_viewpoint(self.cost, self.window.obstacles, *centre, self.sensor.reach)
         if index < 0:
+            self.hidden.add(*centre)
             return None
         first = self.window.first
         row, col = divmod(index, wanted.shape[1])

@@ -1,0 +1,47 @@
+"""What is remembered as hidden would be found hidden again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.map_window import MapWindow
+from sixthsense.navigation.visibility import nearest_viewpoint
+
+REACH = 6.5
+
+
+def window_of(obstacles):
+    none = np.zeros_like(obstacles)
+    return MapWindow((0, 0), 0.05, ~obstacles, obstacles, obstacles, none)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_remembered_cell_has_no_viewpoint_however_the_map_has_changed(seed):
+    rng, hidden = np.random.default_rng(seed), HiddenCells(REACH)
+    obstacles, reachable = rng.random((60, 70)) < 0.2, rng.random((60, 70)) < 0.02
+    remembered = 0
+    for _ in range(30):
+        changed = obstacles if rng.random() < 0.5 else reachable
+        row, col = rng.integers(55), rng.integers(65)
+        changed[row : row + 3, col : col + 3] = rng.random((3, 3)) < 0.1
+        hidden.update(window_of(obstacles.copy()), reachable.copy())
+        cost = np.where(reachable, 1.0, np.inf).astype(np.float32)
+        for cell in rng.integers(60, size=(40, 2)).tolist():
+            visible = nearest_viewpoint(cost, obstacles, *cell, REACH) >= 0
+            assert not (visible and hidden.has(*cell))
+            remembered += hidden.has(*cell)
+            if not visible:
+                hidden.add(*cell)
+    assert remembered > 20
+
+
+def test_a_window_with_another_corner_is_remembered_anew():
+    hidden, window = HiddenCells(REACH), window_of(np.zeros((20, 20), dtype=np.bool_))
+    hidden.update(window, window.obstacles)
+    hidden.add(3, 4)
+    hidden.update(window, window.obstacles)
+    assert hidden.has(3, 4)
+    hidden.update(replace(window, first=(0, 1)), window.obstacles)
+    assert not hidden.has(3, 4)
