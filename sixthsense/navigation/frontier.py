@@ -112,9 +112,14 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
 def centre_cell(cells: Cells) -> tuple[int, int]:
     """The one of (N, 2) cells that is nearest to their mean."""
+    row, col = _centre_cell(np.ascontiguousarray(cells))
+    return int(row), int(col)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _centre_cell(cells: Cells) -> tuple[int, int]:
     n = len(cells)
     row, col = 0, 0
     for i in range(n):
@@ -125,4 +130,4 @@ def centre_cell(cells: Cells) -> tuple[int, int]:
         away = (cells[i, 0] - mean_row) ** 2 + (cells[i, 1] - mean_col) ** 2
         if away < nearest:
             best, nearest = i, away
-    return int(cells[best, 0]), int(cells[best, 1])
+    return cells[best, 0], cells[best, 1]

@@ -51,7 +51,7 @@ class FarCells:
         """(H, W) `far_from` of `marked`, which must not change afterwards; valid until the next call."""
         before = self._latest.pop(marked.shape, None)
         if before is None:
-            far = far_from(marked, self._reach)
+            far = far_from(np.array(marked), self._reach)  # a copy, as below: one type of array for the kernel
         else:
             far = before[1]
             changed = before[0] != marked
@@ -62,7 +62,7 @@ class FarCells:
                     strict=True,
                 )
                 part = tuple(slice(i.start - o.start, i.stop - o.start) for o, i in zip(outer, inner, strict=True))
-                far[inner] = far_from(np.ascontiguousarray(marked[outer]), self._reach)[part]
+                far[inner] = far_from(np.array(marked[outer]), self._reach)[part]
         self._latest[marked.shape] = marked, far
         if len(self._latest) > _SHAPES:
             del self._latest[next(iter(self._latest))]
