@@ -7,20 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from sixthsense.cli.common import Common, announce, parse_command, show_help, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
+from sixthsense.cli.shown import arg, positional
+from sixthsense.sources.scene_names import scene_file
 
 
 @dataclass(frozen=True)
 class Calibrate(Common):
     """Measure the robot's noise against the truth, and write it as a configuration for `run --config`."""
 
-    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENE")] = None
+    scene: Annotated[str | None, positional(), arg(metavar="SCENE")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    out: Annotated[Path | None, arg(metavar="FILE")] = None
     """TOML file to write, a partial configuration; its figure is written beside it as .png."""
     overwrite: bool = False
     """Replace the file and its figure if they exist."""
@@ -37,15 +37,16 @@ def command(args: list[str]) -> int:
         raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")
     if not isinstance(options.samples, int):  # the parser passes text that is not a number unchanged
         raise UsageError(f"--samples: found {options.samples!r}, allowed: a whole number")
+    config = options.settings
+    if options.scene is not None:
+        config = dataclasses.replace(config, scene=options.scene)
+    scene_file(config.scene)
     from tqdm import tqdm
 
     from sixthsense.evaluation.calibrate import calibrate, check_output, summary
     from sixthsense.figures.calibration import write_calibration
     from sixthsense.running.warmup import prepare
 
-    config = options.settings
-    if options.scene is not None:
-        config = dataclasses.replace(config, scene=options.scene)
     check_output(options.out, options.overwrite)
     prepare(announce)
     with tqdm(total=options.samples, desc="calibrate", unit=" samples", disable=None, leave=False) as bar:

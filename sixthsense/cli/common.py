@@ -12,12 +12,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
-import tyro
-
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.options import OptionalValue, Table, parse
+from sixthsense.cli.shown import arg
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
-from sixthsense.view.viewer import VIEW_TARGETS, is_view_target
+from sixthsense.view.target import VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -32,28 +31,28 @@ C = TypeVar("C", bound="Common")
 class Common:
     """Options of all commands that write a run folder."""
 
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: Annotated[Path | None, arg(metavar="FILE")] = None
     """TOML file, partial or complete, that overrides the preset; the config.toml of a run folder repeats that run."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
-    view: Annotated[str | None, tyro.conf.arg(metavar="[window|browser|FILE.rrd]")] = None
+    view: Annotated[str | None, arg(metavar="[window|browser|FILE.rrd]")] = None
     """Show the run live in Rerun (pip install 'sixthsense[view]'): in a window, in a browser, or write a file."""
-    bind: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    bind: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """With --view browser: address of the server, 127.0.0.1 by default; any host that reaches it can watch."""
-    settings: Annotated[Config, tyro.conf.arg(name="")] = field(default_factory=Config)
+    settings: Annotated[Config, arg(name="")] = field(default_factory=Config)
 
 
 @dataclass(frozen=True)
 class WithPriorMap(Common):
     """Options of the commands that can begin with the map of an earlier run."""
 
-    prior_map: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
+    prior_map: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder of an earlier run in the same building, whose map the run begins with."""
-    pose: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y THETA")] = None
+    pose: Annotated[tuple[float, float, float] | None, arg(metavar="X Y THETA")] = None
     """With --prior-map: where the robot begins in its frame, m and rad; by default the start of the scene or log."""
-    pose_sigma: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="SX SY STHETA")] = None
+    pose_sigma: Annotated[tuple[float, float, float] | None, arg(metavar="SX SY STHETA")] = None
     """With --prior-map: standard deviations of that pose, m and rad; 0 by default: known exactly."""
 
     def prior_start(self) -> PriorStart | None:
@@ -68,6 +67,8 @@ class WithPriorMap(Common):
 
 def show_help(command: type[Common], name: str, base: str) -> int:
     """Print a command's options with their default values."""
+    import tyro
+
     with contextlib.suppress(SystemExit):
         tyro.cli(command, prog=f"sixthsense {name}", args=["--help"], default=command(settings=preset(base)))
     return DONE

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
+from sixthsense.cli.shown import arg, positional
 from sixthsense.cli.view import live_view
 
 
@@ -22,13 +21,13 @@ class Replay(WithPriorMap):
     the folder of a run; an MRCLAM folder.
     """
 
-    log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
+    log: Annotated[str | None, positional(), arg(metavar="LOG")] = None
     """The log."""
-    relations: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    relations: Annotated[Path | None, arg(metavar="FILE")] = None
     """Hand-checked relations between poses (Kuemmerle et al. 2009), the reference of the trajectory's error."""
-    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME[,NAME]")] = None
+    topic: Annotated[str | None, arg(metavar="NAME[,NAME]")] = None
     """Topics to use from a bag with several topics of scans or odometry."""
-    robot: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    robot: Annotated[int | None, arg(metavar="N")] = None
     """Robot to use from an MRCLAM folder with several."""
 
 

@@ -6,19 +6,19 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Annotated
 
-import tyro
-
 from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
 from sixthsense.cli.options import UsageError
+from sixthsense.cli.shown import arg, positional
 from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
+from sixthsense.sources.scene_names import scene_file
 
 
 @dataclass(frozen=True)
 class Run(WithPriorMap):
     """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
 
-    scene: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[SCENE]")] = None
+    scene: Annotated[str | None, positional(), arg(metavar="[SCENE]")] = None
     """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
     realtime: bool = False
     """Slow the simulation down to real time."""
@@ -36,6 +36,7 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--scene: found beside {options.scene!r}, allowed: one scene")
     if options.scene is not None:
         config = dataclasses.replace(config, scene=options.scene)
+    scene_file(config.scene)
     from sixthsense.api import with_task
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.sources.mission import mission

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from sixthsense.cli.options import UsageError
-from sixthsense.view.viewer import LOOPBACK
+from sixthsense.view.target import LOOPBACK
 
 if TYPE_CHECKING:
     from sixthsense.cli.common import Common

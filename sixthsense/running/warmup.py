@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.config import Config, merge
+from sixthsense.core import kernel_cache
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.source import Command
@@ -37,6 +38,8 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
 
     `of_log` is whether the run replays a log: with aligned scans alone it needs neither a world nor a planner.
     """
+    if kernel_cache.note:
+        say(f"note: {kernel_cache.note}")
     if not is_compiled():
         say(COMPILING)
     if config is None or not of_log or config.front_end != "scans":

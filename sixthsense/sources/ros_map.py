@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.sources.scene_fields import SceneError, check_keys, read_name, read_text
+from sixthsense.sources.scene_fields import check_keys, read_name, read_text
+from sixthsense.sources.scene_names import SceneError
 
 MAX_PIXELS = 100_000_000
 TOLERANCE_CELLS = 0.5

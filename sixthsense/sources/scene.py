@@ -15,13 +15,11 @@ from typing import Literal
 import numpy as np
 
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.config.section import shown
 from sixthsense.config.toml import parse_toml
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene_fields import (
     Point,
     Region,
-    SceneError,
     check_keys,
     read_floats,
     read_list,
@@ -33,12 +31,12 @@ from sixthsense.sources.scene_fields import (
     read_text,
     read_wall,
 )
+from sixthsense.sources.scene_names import SceneError, scene_file, shipped_scenes
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
 _SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass")
 _NO_GLASS = np.zeros((0, 2, 2))
-_SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,14 +79,6 @@ class Scene:
         return np.concatenate([self.walls, self.glass])
 
 
-def shipped_scenes() -> dict[str, Path]:
-    """The files of the shipped scenes by name, in alphabetical order."""
-    package = Path(__file__).resolve().parents[1]
-    # A wheel contains the scenes inside the package; an editable install has them in the root of the repository.
-    folder = next((f for f in (package / "scenes", package.parent / "scenes") if f.is_dir()), None)
-    return {} if folder is None else {file.stem: file for file in sorted(folder.glob("*.toml"))}
-
-
 def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = "wall") -> Scene:
     """Read a shipped scene by its name, or a `.toml`, map_server `.yaml` or report `.scn` file.
 
@@ -97,14 +87,8 @@ def load_scene(name_or_file: str | Path, map_unknown: Literal["wall", "free"] = 
     Raises SceneError, one line, for an unknown name (with the known ones), and for a field that is missing, misspelt,
     not finite, or places the robot in a wall or outside the region.
     """
-    shipped = shipped_scenes()
-    path = shipped.get(str(name_or_file), Path(name_or_file))
+    path = scene_file(name_or_file)
     suffix = path.suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise SceneError(
-            f"scene: found {shown(str(name_or_file))}, allowed: {', '.join(shipped)}, or a file ending in "
-            f"{', '.join(_SUFFIXES)}"
-        )
     try:
         if suffix == ".toml":
             return _from_toml(path)

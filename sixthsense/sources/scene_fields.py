@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.config.errors import InputError
 from sixthsense.config.section import is_one_line, shown, shown_name
+from sixthsense.sources.scene_names import SceneError
 
 Point = tuple[float, float]
 Region = tuple[float, float, float, float]
@@ -19,10 +19,6 @@ _LIMIT_M = 1e6
 _LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
 _POLYGON_KEYS = ("points", "closed")
-
-
-class SceneError(InputError):
-    """One line that names the file, the field or line, what was found and what is allowed."""
 
 
 def read_text(path: Path) -> str:

@@ -18,20 +18,13 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.view import keeper
 from sixthsense.view.relay import Relay
-
-LOOPBACK = "127.0.0.1"
-VIEW_TARGETS = "window, browser or FILE.rrd"
+from sixthsense.view.target import LOOPBACK, VIEW_TARGETS, is_view_target
 
 _START_TIMEOUT_S = 60.0  # until the viewer listens
 
 
 class ViewError(InputError):
     """A view that cannot be opened; its message is one line."""
-
-
-def is_view_target(word: str) -> bool:
-    """Whether a word names a target of the view: window, browser, or an .rrd file."""
-    return word in ("window", "browser") or Path(word).suffix.lower() == ".rrd"
 
 
 def check_view_target(target: str | Path, address: str = LOOPBACK) -> None:

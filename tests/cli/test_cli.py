@@ -341,6 +341,17 @@ def test_help_loads_no_numpy_and_the_command_works_as_a_program(here: Path) -> N
     assert done.stdout.startswith("usage: sixthsense COMMAND")
 
 
+@pytest.mark.parametrize("line", ["run nowhere", "calibrate nowhere --out n.toml", "run --laser.beams many"])
+def test_a_wrong_name_is_told_before_anything_large_is_loaded(line: str, here: Path) -> None:
+    code = (
+        f"import sys; from sixthsense.cli import main; code = main({line.split()!r}); "
+        "assert not {'numpy', 'numba', 'tyro', 'http.server'} & set(sys.modules), 'heavy'; sys.exit(code)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == cli.BAD_INPUT
+    assert done.stderr.startswith("sixthsense: ") and done.stderr.count("\n") == 1 and "allowed: " in done.stderr
+
+
 def test_a_bad_command_line_is_exit_code_2_without_a_traceback_for_the_shell(here: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "sixthsense.cli", "run", "rectangle", "--seed", "x"], capture_output=True, text=True
