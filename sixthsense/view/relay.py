@@ -10,7 +10,9 @@ import http.client
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from socket import AF_INET, AF_INET6
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
+
+from sixthsense.view.hosts import hosts_of
 
 _OWN = "'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:"
 _KEPT = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
@@ -20,15 +22,27 @@ _TIMEOUT_S = 60.0
 class Relay:
     """A server that relays another server on this machine, with the policy."""
 
-    def __init__(self, address: str, page: str, stream: str) -> None:
-        """Listen on `address` and relay `page`, http://...; the policy allows requests only to it and to `stream`."""
-        policy = f"default-src {_OWN}; connect-src {_OWN} {stream}"
-        origin = urlsplit(page)
+    def __init__(self, address: str, page: str, stream_port: int) -> None:
+        """Listen on `address` and relay `page`, http://...; the policy allows requests to it and to the stream alone.
+
+        The host of the stream is the one under which the browser has reached this server. Requests for any other host
+        are refused: a name of someone else that leads here is no page of this machine.
+        """
+        hosts, origin = hosts_of(address), urlsplit(page)
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
 
             def do_GET(self) -> None:
+                host = _host(self.headers["Host"])
+                if host not in hosts:
+                    self.send_error(421, f"allowed hosts: {', '.join(hosts)}")
+                    return
+                stream = f"http://{host}:{stream_port}"
+                path = urlsplit(self.path)
+                if path.path == "/" and "url=" not in path.query:
+                    self._redirect(f"/?url={quote(f'rerun+{stream}/proxy', safe='')}")
+                    return
                 connection = http.client.HTTPConnection(str(origin.hostname), origin.port, timeout=_TIMEOUT_S)
                 try:
                     asked = {name: self.headers[name] for name in ("Accept-Encoding",) if name in self.headers}
@@ -44,10 +58,16 @@ class Relay:
                 kept = {name: value for name in _KEPT if (value := answer.headers[name]) is not None}
                 for name, value in (kept | {"Content-Length": str(len(body))}).items():
                     self.send_header(name, value)
-                self.send_header("Content-Security-Policy", policy)
+                self.send_header("Content-Security-Policy", f"default-src {_OWN}; connect-src {_OWN} {stream}")
                 self.send_header("Referrer-Policy", "no-referrer")
                 self.end_headers()
                 self.wfile.write(body)
+
+            def _redirect(self, place: str) -> None:
+                self.send_response(302)
+                self.send_header("Location", place)
+                self.send_header("Content-Length", "0")
+                self.end_headers()
 
             def log_message(self, *_: object) -> None:
                 """Log nothing: the terminal belongs to the run."""
@@ -70,3 +90,12 @@ class Relay:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+
+def _host(header: str | None) -> str:
+    """The host of a Host header without its port, as `hosts_of` writes it; empty for none and for a damaged one."""
+    try:
+        host = urlsplit(f"//{header or ''}").hostname or ""
+    except ValueError:
+        return ""
+    return f"[{host}]" if ":" in host else host.lower()

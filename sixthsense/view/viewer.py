@@ -17,6 +17,7 @@ from urllib.parse import quote
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.view import keeper
+from sixthsense.view.hosts import hosts_of, reachable
 from sixthsense.view.relay import Relay
 from sixthsense.view.target import LOOPBACK, VIEW_TARGETS, is_view_target
 
@@ -50,7 +51,8 @@ class Viewer:
 
     def __init__(self, kind: Literal["window", "browser"], address: str = LOOPBACK) -> None:
         """Start the viewer and wait until it listens; ViewError if it does not."""
-        host = f"[{address}]" if ":" in address else address
+        here, hosts = reachable(address), hosts_of(address)
+        host = f"[{here}]" if ":" in here else here
         port = _free_port(address)
         self.stream = f"rerun+http://{host}:{port}/proxy"
         """address that data is sent to"""
@@ -60,10 +62,12 @@ class Viewer:
         command, ports = [_program(), "--bind", address, "--port", str(port)], [port]
         if kind == "browser":
             ports.append(_free_port(address))
-            self._relay = Relay(address, f"http://{host}:{ports[1]}", f"http://{host}:{port}")
-            origin = f"http://{host}:{self._relay.port}"
-            self.page = f"{origin}/?url={quote(self.stream, safe='')}"
-            command += ["--serve-web", "--web-viewer-port", str(ports[1]), "--cors-allow-origin", origin]
+            self._relay = Relay(address, f"http://{host}:{ports[1]}", port)
+            origins = [f"http://{name}:{self._relay.port}" for name in hosts]
+            stream = f"rerun+http://{hosts[0]}:{port}/proxy"
+            self.page = f"{origins[0]}/?url={quote(stream, safe='')}"
+            command += ["--serve-web", "--web-viewer-port", str(ports[1])]
+            command += [word for origin in origins for word in ("--cors-allow-origin", origin)]
         else:
             command += ["--hide-welcome-screen", "--expect-data-soon"]
         null = subprocess.DEVNULL
@@ -74,7 +78,7 @@ class Viewer:
             env=_environment(), stdin=subprocess.PIPE, stdout=null, stderr=null, start_new_session=True,
         )  # fmt: skip
         deadline = time.monotonic() + _START_TIMEOUT_S
-        while not all(_listens(address, port) for port in ports):
+        while not all(_listens(here, port) for port in ports):
             if self._process.poll() is not None or time.monotonic() > deadline:
                 self.end()
                 raise ViewError(f"--view: Rerun's viewer does not start on {address}, allowed: FILE.rrd")

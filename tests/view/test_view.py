@@ -1,3 +1,4 @@
+import http.client
 import os
 import signal
 import socket
@@ -5,6 +6,7 @@ import subprocess
 import sys
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -150,6 +152,47 @@ def test_a_file_that_cannot_be_written_is_named_in_one_line(tmp_path, capsys):
     assert f"{tmp_path}/dir.rrd: " in err
 
 
+def answer(url: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str]]:
+    """Status and headers of an HTTP answer; redirections are not followed."""
+    place = urllib.parse.urlsplit(url)
+    connection = http.client.HTTPConnection(str(place.hostname), place.port, timeout=20)
+    names = {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.request(method, f"{place.path or '/'}?{place.query}".rstrip("?"), headers=names)
+    found = connection.getresponse()
+    found.read()
+    connection.close()
+    return found.status, {name.lower(): value for name, value in found.getheaders()}
+
+
+def test_a_server_on_all_addresses_shows_its_stream_to_a_browser_at_any_of_them():
+    from sixthsense.view.hosts import hosts_of
+    from sixthsense.view.viewer import Viewer
+
+    hosts = [host for host in hosts_of("0.0.0.0") if host[0] != "["]
+    assert {"localhost", "127.0.0.1"} < set(hosts) and "0.0.0.0" not in hosts
+    viewer = Viewer("browser", "0.0.0.0")
+    try:
+        assert "0.0.0.0" not in viewer.page
+        port = urllib.parse.urlsplit(viewer.page).port
+        stream_port = int(viewer.stream.rpartition(":")[2].partition("/")[0])
+        for host in {hosts[0], "127.0.0.1", "localhost"}:
+            status, headers = answer(f"http://{host}:{port}/")
+            stream = f"http://{host}:{stream_port}"
+            assert (status, urllib.parse.unquote(headers["location"])) == (302, f"/?url=rerun+{stream}/proxy")
+            status, headers = answer(f"http://{host}:{port}{headers['location']}")
+            assert status == 200 and headers["content-security-policy"].endswith(f" {stream}")
+            asked = {"Access_Control_Request_Method": "POST", "Access_Control_Request_Headers": "content-type"}
+            origin = f"http://{host}:{port}"
+            _, headers = answer(f"{stream}/proxy", "OPTIONS", Origin=origin, **asked)
+            assert headers["access-control-allow-origin"] in (origin, "*")
+            _, headers = answer(f"{stream}/proxy", "OPTIONS", Origin="http://example.com", **asked)
+            assert headers.get("access-control-allow-origin") not in ("http://example.com", "*")
+        for foreign in ("example.com", f"example.com:{port}", "", "[", "0.0.0.0"):
+            assert answer(f"http://127.0.0.1:{port}/", Host=foreign)[0] == 421
+    finally:
+        viewer.end()
+
+
 @pytest.fixture
 def viewer():
     from sixthsense.view.viewer import Viewer
@@ -217,7 +260,7 @@ class Behind(BaseHTTPRequestHandler):
 def test_the_relay_adds_its_policy_to_the_original_page():
     server = HTTPServer(("127.0.0.1", 0), Behind)
     Thread(target=server.serve_forever, daemon=True).start()
-    relay = Relay("127.0.0.1", f"http://127.0.0.1:{server.server_port}", "http://127.0.0.1:1")
+    relay = Relay("127.0.0.1", f"http://127.0.0.1:{server.server_port}", 1)
     with urllib.request.urlopen(f"http://127.0.0.1:{relay.port}/a/b?c=d") as answer:
         assert answer.read() == b"/a/b?c=d"
         assert answer.headers["Content-Type"] == "text/plain"
