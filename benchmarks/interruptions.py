@@ -79,7 +79,10 @@ def stop(process: subprocess.Popen[bytes], case: Case) -> int | None:
         for _ in range(STOPS[case.stop]):
             process.send_signal(getattr(signal, case.stop.split()[-1]))
             time.sleep(0.05)
-    error = process.communicate(timeout=120)[1]
+    try:
+        error = process.communicate(timeout=120)[1]
+    finally:
+        process.kill()
     # Before `main` has begun, Python itself answers Ctrl-C with a traceback.
     assert b", in main" not in error and b"Exception ignored" not in error, error.decode()
     return process.returncode

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from sixthsense.cli.options import UsageError
+from sixthsense.core.interrupt import is_command_ended
 from sixthsense.view.target import LOOPBACK
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
             print(f"view: {view.page}", file=sys.stderr)
         yield (view,)
         view.finish()
-        if view.page and not view.is_interrupted:
+        if view.page and not (view.is_interrupted or is_command_ended()):
             print("the view stays open until Ctrl-C", file=sys.stderr)
             with contextlib.suppress(KeyboardInterrupt):
                 view.wait()

@@ -82,6 +82,11 @@ def command_signals() -> Iterator[CommandSignals]:
             signal.signal(number, signal.SIG_IGN if command.is_last else handler)
 
 
+def is_command_ended() -> bool:
+    """Whether the command that is running has received a signal, if only after the end of its run."""
+    return _command is not None and _command.number != 0
+
+
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first Ctrl-C in the block; the yielded function tells whether there was one. A second one raises.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.sources.scene_fields import check_keys, read_name, read_text
+from sixthsense.sources.scene_fields import check_count, check_keys, read_name, read_text
 from sixthsense.sources.scene_names import SceneError
 
 MAX_PIXELS = 100_000_000
@@ -78,10 +78,15 @@ def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
         raise SceneError(f"{image}: found no free pixel, allowed: at least one below free_thresh")
     solid = occupied[::-1]  # the image's first row is the map's top
     beyond = int(unknown == "wall" and _is_cut_off(solid))
-    loops = [simplify(loop) for loop in outlines(np.pad(solid, beyond, constant_values=True))]
-    corners_map = (np.concatenate(loops) - beyond) * resolution
-    ends_map = (np.concatenate([np.roll(loop, -1, axis=0) for loop in loops]) - beyond) * resolution
-    return np.stack([T_world_map @ corners_map, T_world_map @ ends_map], axis=1)
+    cells, cell_ends = _outlines(np.pad(solid, beyond, constant_values=True))
+    count = len(cell_ends)
+    check_count(str(image), 3 * count, f"; remove the specks, it has {count:,} separate obstacles")
+    corners, ends = _simplified(cells.astype(np.float64), cell_ends)
+    check_count(str(image), len(corners))
+    following = np.arange(1, len(corners) + 1)
+    following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
+    corners_world = T_world_map @ np.asarray((corners - beyond) * resolution, dtype=np.float64)
+    return np.stack([corners_world, corners_world[following]], axis=1)
 
 
 def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
@@ -97,8 +102,14 @@ def outlines(occupied: NDArray[np.bool_]) -> list[Array]:
     lower left corner of the grid, occupied cells on the left: counter-clockwise around a solid, clockwise around
     a hole. Cells that touch diagonally are connected, so that no ray passes between them.
     """
-    corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
+    corners, ends = _outlines(occupied)
     return [loop.astype(np.float64) for loop in np.split(corners, ends[:-1])] if len(ends) else []
+
+
+def _outlines(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Corners (K, 2) of all outlines in sequence, and the end index of each."""
+    corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
+    return corners, ends
 
 
 def simplify(loop: Array) -> Array:
@@ -110,9 +121,29 @@ def simplify(loop: Array) -> Array:
     its steps. The shortest path over candidate points and the wedge test of a segment follow Imai and Iri, "Polygonal
     approximations of a curve" (1988).
     """
-    midpoints = (loop + np.roll(loop, -1, axis=0)) / 2
-    points = np.stack([loop, midpoints], axis=1).reshape(-1, 2)
-    return points[_cheapest(np.concatenate([points, points[:1]]), TOLERANCE_CELLS, _DEVIATION_COST)]
+    corners, _ = _simplified(np.asarray(loop, dtype=np.float64), np.array([len(loop)]))
+    return np.asarray(corners)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """The simplified outlines: their corners in sequence, and the end index of each; a map may have many thousands."""
+    kept = np.empty_like(corners)
+    kept_ends = np.empty_like(ends)
+    begin, filled = 0, 0
+    for k in range(len(ends)):
+        n = ends[k] - begin
+        points = np.empty((2 * n + 1, 2))
+        for i in range(n):
+            here, ahead = corners[begin + i], corners[begin + (i + 1) % n]
+            points[2 * i] = here
+            points[2 * i + 1] = (here + ahead) / 2
+        points[2 * n] = points[0]
+        for i in _cheapest(points, TOLERANCE_CELLS, _DEVIATION_COST):
+            kept[filled] = points[i]
+            filled += 1
+        begin, kept_ends[k] = ends[k], filled
+    return kept[:filled], kept_ends
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -20,6 +20,7 @@ from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene_fields import (
     Point,
     Region,
+    check_count,
     check_keys,
     read_floats,
     read_list,
@@ -36,6 +37,7 @@ from sixthsense.sources.scene_names import SceneError, scene_file, shipped_scene
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
 _SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass")
+_OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
 _NO_GLASS = np.zeros((0, 2, 2))
 
 
@@ -137,6 +139,7 @@ def check_placement(
 
 def _from_toml(path: Path) -> Scene:
     text = read_text(path)
+    check_count("walls", text.count("[") - _OTHER_LISTS)  # before they are parsed, which takes 10 s for 200,000
     try:
         table = parse_toml(text)
     except ValueError as error:
@@ -180,6 +183,7 @@ def _from_scn(path: Path) -> Scene:
         raise SceneError("line 1: missing, allowed: x y theta radius")
     number, words = rows[0]
     x, y, theta, radius = read_numbers(f"line {number}", read_floats(words), "x y theta radius")
+    check_count("walls", len(rows) - 1)
     if len(rows) == 1:
         raise SceneError(f"line {number + 1}: missing, allowed: at least one wall x1 y1 x2 y2")
     walls = np.array([read_wall(f"line {number}", read_floats(words)) for number, words in rows[1:]])

@@ -15,6 +15,8 @@ from sixthsense.sources.scene_names import SceneError
 Point = tuple[float, float]
 Region = tuple[float, float, float, float]
 
+MAX_WALLS = 50_000
+"""every beam is compared with every wall"""
 _LIMIT_M = 1e6
 _LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
@@ -35,6 +37,12 @@ def read_text(path: Path) -> str:
     if len(text) > _LONGEST:
         raise SceneError(f"found over {_LONGEST} characters, allowed: a scene")
     return text
+
+
+def check_count(where: str, found: int, reason: str = "") -> None:
+    """Raise SceneError for more walls than a simulation can do with."""
+    if found > MAX_WALLS:
+        raise SceneError(f"{where}: found {found:,} walls or more, allowed: at most {MAX_WALLS:,}{reason}")
 
 
 def read_name(where: str, value: Any) -> str:

@@ -186,3 +186,17 @@ def test_a_terminated_campaign_keeps_its_rows_and_leaves_no_process(here):
             return False
 
     wait_until(lambda: not any(is_left(folder) for folder in Path("/proc").glob("[0-9]*")))
+
+
+def test_a_signal_while_a_run_is_saved_keeps_no_view_open(here, monkeypatch):
+    pytest.importorskip("rerun")
+    code = (
+        "import os, signal, sys; from sixthsense.cli import main; from sixthsense.record.folder import RunFolder\n"
+        "finish = RunFolder.finish\n"
+        "RunFolder.finish = lambda folder: (os.kill(os.getpid(), signal.SIGTERM), finish(folder))\n"
+        "sys.exit(main())"
+    )
+    words = ("run", "rectangle", "--task", "tour", "--max-time", "2", "--out", "x", "--view", "browser")
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 143 and "stays open" not in done.stderr
+    assert outcome(here / "x") == "tour ended"
