@@ -41,7 +41,10 @@ class Relay:
                 stream = f"http://{host}:{stream_port}"
                 path = urlsplit(self.path)
                 if path.path == "/" and "url=" not in path.query:
-                    self._redirect(f"/?url={quote(f'rerun+{stream}/proxy', safe='')}")
+                    self.send_response(302)
+                    self.send_header("Location", f"/?url={quote(f'rerun+{stream}/proxy', safe='')}")
+                    self.send_header("Content-Length", "0")
+                    self.end_headers()
                     return
                 connection = http.client.HTTPConnection(str(origin.hostname), origin.port, timeout=_TIMEOUT_S)
                 try:
@@ -62,12 +65,6 @@ class Relay:
                 self.send_header("Referrer-Policy", "no-referrer")
                 self.end_headers()
                 self.wfile.write(body)
-
-            def _redirect(self, place: str) -> None:
-                self.send_response(302)
-                self.send_header("Location", place)
-                self.send_header("Content-Length", "0")
-                self.end_headers()
 
             def log_message(self, *_: object) -> None:
                 """Log nothing: the terminal belongs to the run."""
