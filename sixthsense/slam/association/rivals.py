@@ -23,7 +23,8 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
     """The set of matches that explains the scan best, and the squared innovations (m, k) of the others given them.
 
     `predicted` as of `predicted_cov`; `noise` (m, k, 2, 2) of the sightings. A set explains what its joint squared
-    innovation leaves of `gate` per match: a sighting without a match counts as one that just passes the gate.
+    innovation leaves of `gate` per match: a sighting without a match counts as one that just passes the gate. As in the
+    assignment, a match with a landmark that is less certain than another one in the gate explains less by as much.
     """
     best = agreed(innovation, predicted, noise, *assign(innovation, gate), gate)
     most = _explained(innovation, predicted, noise, best[0], best[1], gate)
@@ -52,8 +53,10 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
 def _explained(
     innovation: Innovations, predicted: Array, noise: Array, rows: Indices, cols: Indices, gate: float
 ) -> float:
-    """How much less than `gate` per match the joint squared innovation of the matches is."""
+    """How much less than `gate` per match the joint squared innovation is, less what density the matches lack."""
     index = blocks(cols)
+    densest = np.where(innovation.squared < gate, innovation.log_det, np.inf).min(axis=1, initial=np.inf)
+    lacking = float((innovation.log_det[rows, cols] - densest[rows]).sum())
     S = predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols])
     stacked = innovation.values[rows, cols].ravel()
-    return gate * len(rows) - float(stacked @ np.linalg.solve(S, stacked))
+    return gate * len(rows) - float(stacked @ np.linalg.solve(S, stacked)) - lacking
