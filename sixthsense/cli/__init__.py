@@ -12,6 +12,7 @@ from importlib import import_module
 from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
+from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
 COMMANDS = ("run", "replay", "calibrate", "campaign", "report", "scenes")
@@ -34,7 +35,7 @@ commands:
                  figures of one run, or of several side by side with a table
   scenes         list the shipped scenes
 
-`sixthsense COMMAND --help` lists a command's options.
+`sixthsense COMMAND --help` lists a command's options, `sixthsense --version` tells the version.
 """
 
 
@@ -64,6 +65,9 @@ def _run(args: list[str]) -> int:
         if not args or args[0] in ("-h", "--help"):
             print(USAGE, end="")
             return DONE if args else BAD_INPUT
+        if args[0] == "--version":
+            print(f"sixthsense {__version__}")
+            return DONE
         if args[0] not in COMMANDS:
             raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}")
         code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])

@@ -72,7 +72,7 @@ def metrics(folder: Path) -> dict[str, object]:
 
 BAD_LINES = [
     ("rn", "command: found 'rn', allowed: run, replay, calibrate, campaign, report, scenes"),
-    ("--version", "command: found '--version', allowed: run, replay, calibrate, campaign, report, scenes"),
+    ("--versions", "command: found '--versions', allowed: run, replay, calibrate, campaign, report, scenes"),
     ("scenes extra", "scenes: found 'extra', allowed: no arguments"),
     ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),
@@ -302,6 +302,11 @@ def test_no_command_prints_the_usage_and_is_bad_input(capsys: pytest.CaptureFixt
     assert capsys.readouterr().out.startswith("usage: sixthsense COMMAND")
     assert cli.main(["--help"]) == cli.DONE
     assert capsys.readouterr().out.startswith("usage: sixthsense COMMAND")
+
+
+def test_the_command_tells_its_version(capsys):
+    assert cli.main(["--version"]) == cli.DONE
+    assert re.fullmatch(r"sixthsense \d+\.\d+\.\d+\n", capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("command", ["run", "replay", "scenes"])
