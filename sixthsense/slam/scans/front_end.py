@@ -24,7 +24,7 @@ from sixthsense.slam.scans.odometry_prior import has_slipped, prior_of, weakened
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import Tracked, track
+from sixthsense.slam.scans.tracking import Tracked, Views, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
@@ -143,7 +143,7 @@ class ScanFrontEnd:
         motions = (last.motion, step, Pose()) if self._doubts_wheels else (step, last.motion, Pose())
         starts = np.array([(before @ motion).array() for motion in motions])
         trusted = prior.doubted() if self._doubts_wheels else prior
-        tracked = track(self._store.returns, row, self._references(), poses, trusted, starts, self._support)
+        tracked = track(Views(self._store.returns, row, self._references(), poses), trusted, starts, self._support)
         tracked = tracked.judged_by(prior)
         self._support += _SUPPORT_SHARE * (tracked.support - self._support)
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))

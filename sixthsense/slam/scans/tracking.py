@@ -59,6 +59,18 @@ class Prior(NamedTuple):
         return self._replace(slip_sigmas=math.inf)
 
 
+class Views(NamedTuple):
+    """A scan and the key scans that it is aligned with."""
+
+    returns: Returns
+    source: int
+    """row of the scan"""
+    references: NDArray[np.int64]
+    """(R,) rows of the key scans"""
+    poses: Array
+    """(n, 3) of key scans, `T_world_laser`"""
+
+
 class Tracked(NamedTuple):
     """A scan's pose among key scans."""
 
@@ -78,16 +90,8 @@ class Tracked(NamedTuple):
         return self._replace(slip=float(self.off @ prior.information @ self.off))
 
 
-def track(
-    returns: Returns,
-    source: int,
-    references: NDArray[np.int64],
-    poses: Array,
-    prior: Prior,
-    starts: Array,
-    usual: float,
-) -> Tracked:
-    """The pose of scan `source` among the key scans `references` (R,), whose poses are rows of `poses` (n, 3).
+def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
+    """The pose of a scan among key scans.
 
     `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. `usual` is the support that
     scans have lately had. Where fewer returns find a line, wheels may have slipped: the other starts are tried, with
@@ -95,32 +99,24 @@ def track(
     contradicts the odometry must explain clearly more than one that does not: along a corridor, what has come into
     view lately, or moves, would slide the scan.
     """
-    best = _best_of(returns, source, references, poses, prior, starts, usual)
+    best = _best_of(views, prior, starts, usual)
     if best.slip <= SLIP_SIGMAS**2:
         return best
-    firm = _solved(returns, source, references, poses, prior.firm(), prior.pose, _GATES_M)
+    firm = _solved(views, prior.firm(), prior.pose, _GATES_M)
     if firm.slip > SLIP_SIGMAS**2:
         return best
-    with_slip, without = (share_on_lines(returns, source, references, poses, found.pose) for found in (best, firm))
+    with_slip, without = (share_on_lines(*views, found.pose) for found in (best, firm))
     return best if with_slip > without + _GAIN_OF_SLIP else firm
 
 
-def _best_of(
-    returns: Returns,
-    source: int,
-    references: NDArray[np.int64],
-    poses: Array,
-    prior: Prior,
-    starts: Array,
-    usual: float,
-) -> Tracked:
+def _best_of(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
     """The pose that explains most, from one of the starts."""
-    best = _solved(returns, source, references, poses, prior, starts[0], _GATES_M)
+    best = _solved(views, prior, starts[0], _GATES_M)
     if best.support >= max(usual - _DROP, _POOR_SUPPORT):
         return best
     tried = prior.doubted()
     for start in starts:
-        other = _solved(returns, source, references, poses, tried, start, _WIDE_GATES_M)
+        other = _solved(views, tried, start, _WIDE_GATES_M)
         if other.support > best.support + _GAIN:
             best = other.judged_by(prior)
     if best.support >= _POOR_SUPPORT:
@@ -128,28 +124,20 @@ def _best_of(
     least = best.support + _GAIN_OF_TURN
     for turn, start in itertools.product(_OTHER_HEADINGS_RAD, starts):
         turned = start + np.array([0.0, 0.0, turn])
-        other = _solved(returns, source, references, poses, tried, turned, _WIDE_GATES_M)
+        other = _solved(views, tried, turned, _WIDE_GATES_M)
         if other.support > least:
             best, least = other.judged_by(prior), other.support
     return best
 
 
-def refine(returns: Returns, source: int, references: NDArray[np.int64], poses: Array, prior: Prior) -> Tracked:
+def refine(views: Views, prior: Prior) -> Tracked:
     """As `track`, from the prior's pose, which is nearly right."""
-    return _solved(returns, source, references, poses, prior, prior.pose, _LAST_GATES_M)
+    return _solved(views, prior, prior.pose, _LAST_GATES_M)
 
 
-def _solved(
-    returns: Returns,
-    source: int,
-    references: NDArray[np.int64],
-    poses: Array,
-    prior: Prior,
-    start: Array,
-    gates_m: Array,
-) -> Tracked:
+def _solved(views: Views, prior: Prior, start: Array, gates_m: Array) -> Tracked:
     pose, information = np.array(start, dtype=np.float64), np.zeros((3, 3))
-    support = _iterate(returns, source, references, poses, prior, gates_m, pose, information)
+    support = _iterate(*views, prior, gates_m, pose, information)
     pose[2] = wrap_angle(float(pose[2]))
     off = pose - prior.pose
     off[2] = wrap_angle(float(off[2]))
