@@ -40,7 +40,7 @@ Every field of the configuration is also an option, with one value for all runs:
 Exit code: 0 when all rows are complete, 1 when some have the outcome "error", 130 after Ctrl-C, 2 for bad input.
 """
 
-OWN = {"config": Path, "out": Path, "retry-failed": bool, "workers": int, "scheduler": str}
+OWN = {"config": Path, "out": Path, "retry_failed": bool, "workers": int, "scheduler": str}
 LISTS = ("scene", "estimator", "preset", "planner", "seeds")
 
 
@@ -85,7 +85,7 @@ def _complete(campaign: Campaign, given: dict[str, Any]) -> int:
     rows = Rows(out)
     known = rows.summaries()
     check_rows(out, runs, known)
-    retry = given.get("retry-failed", False)
+    retry = given.get("retry_failed", False)
     done = {row["config_hash"] for row in known if not (retry and row["outcome"] == FAILED_RUN)}
     missing = {key: run for key, run in runs.items() if key not in done}
     interrupted = False

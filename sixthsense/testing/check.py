@@ -25,7 +25,6 @@ LAWS = (*contract.LAWS, *edges.LAWS, *posterior.LAWS, *walls.LAWS)
 LINK_LAWS = tuple(links.LAWS)
 """tested where the estimator has `link` and `unlink`"""
 
-
 WHEEL_LAWS = tuple(wheels.LAWS)
 """tested where the estimator has `estimate_wheels` and `wheels`"""
 
@@ -66,8 +65,7 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
     `ss.register_estimator`. It is registered under `name`, by default the name of the factory. If the estimator raises
     NotImplementedError for the first sighting of a wall, the laws of walls are skipped. The laws of links are tested if
     it has `link` and `unlink`, those of wheels if it has `estimate_wheels` and `wheels`, those of prior maps if it has
-    `start_from`. Raises ValueError for the
-    name of a built-in estimator and for an invalid name.
+    `start_from`. Raises ValueError for the name of a built-in estimator and for an invalid name.
     """
     name = name or getattr(factory, "__name__", "")
     register_estimator(name, factory)
