@@ -19,6 +19,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import whole
 from sixthsense.slam.association.associator import Record
 from sixthsense.slam.association.crookedness import MeanShape
 from sixthsense.slam.estimators import Estimate
@@ -46,14 +47,14 @@ def write_arrays(folder: Path, trace: Trace) -> None:
     }
     if trace.relations is not None:
         arrays |= {"relation_stamps": trace.relations.stamps, "relation_poses": trace.relations.poses}
-    np.savez_compressed(folder / END_FILE, **arrays)
+    with whole(folder / END_FILE) as file:
+        np.savez_compressed(file, **arrays)
 
 
 def write_grid(folder: Path, grid: Grid) -> None:
     """Write `grid.npz`: scans that hit and passed each cell, whether it was seen, and where the cells lie."""
-    np.savez_compressed(
-        folder / GRID_FILE, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin)
-    )
+    with whole(folder / GRID_FILE) as file:
+        np.savez_compressed(file, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
 
 
 def read_arrays(file: Path, trace: Trace) -> None:

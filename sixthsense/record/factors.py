@@ -12,6 +12,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import whole
 
 _MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matrix must be finite
 
@@ -113,8 +114,10 @@ def write_graph(folder: Path, graph: FactorGraph) -> None:
     rows = zip(graph.sighting_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), polar, cov in rows:
         lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
-    (folder / "graph.g2o").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    np.savez(folder / "graph.npz", **{name: getattr(graph, name) for name in FactorGraph.__slots__})
+    with whole(folder / "graph.g2o") as file:
+        file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with whole(folder / "graph.npz") as file:
+        np.savez(file, **{name: getattr(graph, name) for name in FactorGraph.__slots__})
 
 
 def _row(values: Array) -> str:

@@ -23,6 +23,7 @@ from sixthsense.record.factors import factor_graph, write_graph
 from sixthsense.record.folder_lock import FolderError, FolderLock
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import whole
 
 
 class RunFolder:
@@ -143,7 +144,8 @@ class RunFolder:
             write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
         if trace.outcome.startswith("explored"):
             write_places_left(self.partial / "places_left.csv", trace)
-        (self.partial / "metrics.json").write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        with whole(self.partial / "metrics.json") as file:
+            file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
         write_end(self.partial, trace)
 
     def finish(self) -> None:
@@ -178,7 +180,7 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
 
     Stamps are relative because a double cannot resolve 1 ns in seconds since 1970.
     """
-    with file.open("w", encoding="utf-8") as out:
+    with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
         for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
             seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
             half = 0.5 * theta
@@ -187,7 +189,7 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
 
 def write_places_left(file: Path, trace: Trace) -> None:
     """Write the unseen places of an exploration, the largest first: x and y in m, area in m^2, and the reason."""
-    with file.open("w", newline="", encoding="utf-8") as out:
+    with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
         writer.writerow(["x", "y", "area_m2", "reason"])
         writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
@@ -201,7 +203,7 @@ LANDMARK_COLUMNS = (
 def write_landmarks(folder: Path, trace: Trace) -> None:
     """Write `landmarks.csv`, and the joint mean and covariance as `landmarks.npz`."""
     estimate, records = trace.final, trace.records
-    with (folder / "landmarks.csv").open("w", newline="", encoding="utf-8") as out:
+    with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
         writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "sightings", "from_x", "from_y", "to_x", "to_y"])
         for k, i in enumerate(estimate.ids.tolist()):
@@ -212,13 +214,14 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
             columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
             extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
             writer.writerow([i, record.kind.name.lower(), *columns, record.sightings, *extent])
-    np.savez(
-        folder / "landmarks.npz",
-        ids=estimate.ids,
-        kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
-        mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
-        covariance=trace.joint_cov,
-    )
+    with whole(folder / "landmarks.npz") as file:
+        np.savez(
+            file,
+            ids=estimate.ids,
+            kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
+            mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
+            covariance=trace.joint_cov,
+        )
 
 
 def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:

@@ -15,6 +15,7 @@ from sixthsense.figures.plot import save_map
 from sixthsense.loop import run
 from sixthsense.record.folder import FolderError, RunFolder, write_map, write_tum
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import whole
 from sixthsense.sources.ros_map import read_map
 
 CORNERS = {"landmarks": "corners"}
@@ -241,3 +242,13 @@ def test_what_is_no_run_is_neither_overwritten_nor_deleted(tmp_path: Path) -> No
 def test_a_path_without_a_name_of_its_own_is_refused(name: str) -> None:
     with pytest.raises(FolderError, match="allowed: a path that ends in a name"):
         RunFolder(Path(name), Config(), overwrite=True)
+
+
+def test_a_file_whose_writing_is_interrupted_is_not_there(tmp_path):
+    (tmp_path / "old.npz").write_text("of the run before")
+    for name in ("new.npz", "old.npz"):
+        with pytest.raises(KeyboardInterrupt), whole(tmp_path / name) as file:
+            file.write_text("half of")
+            raise KeyboardInterrupt
+    assert [entry.name for entry in tmp_path.iterdir()] == ["old.npz"]
+    assert (tmp_path / "old.npz").read_text() == "of the run before"
