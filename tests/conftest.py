@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 import sixthsense as ss
+from sixthsense.running.warmup import warm_up
 
 # Before NumPy is imported: the matrices of the tests are small, and each worker of xdist has one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -13,6 +14,21 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 def explored() -> ss.Run:
     """The exploration of the scene rectangle with seed 1, one for all tests that only read it."""
     return ss.run("rectangle", seed=1, progress=False)
+
+
+@pytest.fixture(scope="session")
+def compiled() -> None:
+    """Compile the kernels before a test that looks at times or at what is printed."""
+    warm_up()
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder to stand in."""
+    folder = tmp_path / "here"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from sixthsense.campaign.plan import AXES, Campaign, PlannedRun, ranges, scene_d
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
+from sixthsense.record.writing import whole
 
 FILE = "campaign.toml"
 
@@ -80,7 +80,8 @@ def save_folder(folder: Path, campaign: Campaign, saved: Mapping[str, Any] | Non
             "versions": {"sixthsense": __version__},
         }
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / FILE, tomli_w.dumps(table).encode())
+        with whole(folder / FILE) as file:
+            file.write_bytes(tomli_w.dumps(table).encode())
 
 
 def read_folder(folder: Path) -> Mapping[str, Any]:
@@ -109,23 +110,6 @@ def read_folder(folder: Path) -> Mapping[str, Any]:
     except CampaignError as error:
         raise CampaignError(f"{file}: axes.{str(error).removeprefix('--')}") from None
     return table
-
-
-def write_atomically(file: Path, content: bytes) -> None:
-    """Write a file atomically; raises OSError that names the file, and then leaves no temporary file."""
-    # Readers of a Parquet folder ignore files whose name begins with a dot.
-    temporary = file.with_name(f".{file.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as out:
-            out.write(content)
-            out.flush()
-            os.fsync(out.fileno())
-        temporary.replace(file)
-    except OSError as error:
-        error.filename = str(file)  # the error of a full disk names no file
-        raise
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _typed_fields(campaign: Campaign) -> dict[str, Any]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import numbers
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.campaign.errors import CampaignError, import_extra
-from sixthsense.campaign.folder import read_folder, write_atomically
+from sixthsense.campaign.folder import read_folder
 from sixthsense.campaign.plan import AXES
+from sixthsense.record.writing import whole
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,8 +32,8 @@ class Rows:
         """Open `folder`/rows, which may be missing; raises CampaignError if it cannot be read."""
         self.folder = folder / "rows"
         self._arrow, self._parquet = import_extra("pyarrow"), import_extra("pyarrow.parquet")
-        text, whole, real = self._arrow.string(), self._arrow.int64(), self._arrow.float64()
-        columns = [*((name, text) for name in TEXTS), ("seed", whole), ("run_time_s", real)]
+        text, integer, real = self._arrow.string(), self._arrow.int64(), self._arrow.float64()
+        columns = [*((name, text) for name in TEXTS), ("seed", integer), ("run_time_s", real)]
         self._schema = self._arrow.schema(columns)
         if (self.folder / _COLUMNS).is_file():
             self._schema = self._read(lambda: self._parquet.read_schema(self.folder / _COLUMNS))
@@ -71,9 +71,8 @@ class Rows:
         self._write(f"run-{values['config_hash']}.parquet", self._arrow.table(cells, schema=self._schema))
 
     def _write(self, name: str, table: Any) -> None:
-        content = io.BytesIO()
-        self._parquet.write_table(table, content)
-        write_atomically(self.folder / name, content.getvalue())
+        with whole(self.folder / name) as file:
+            self._parquet.write_table(table, file)
 
     def _table(self, columns: list[str] | None) -> Any:
         return import_extra("pyarrow.dataset").dataset(self.folder, format="parquet").to_table(columns=columns)

@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import os
+import re
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -57,7 +58,8 @@ class RunFolder:
                 self._check_out()
                 self._keep_killed()
                 self.partial.mkdir()
-                save_config(config, self.partial / "config.toml", replayed, prior_map)
+                with whole(self.partial / "config.toml") as file:
+                    save_config(config, file, replayed, prior_map)
             except BaseException:
                 self._lock.release()
                 raise
@@ -107,6 +109,9 @@ class RunFolder:
     def _keep_killed(self) -> None:
         """Rename the `.partial` of a killed run, unless it has recorded nothing; FolderError if it is not of a run."""
         if not os.path.lexists(self.partial):
+            return
+        if _is_just_made(self.partial):
+            shutil.rmtree(self.partial)
             return
         if reason := reason_not_started(self.partial):
             raise _not_a_run(self.partial, reason)
@@ -169,6 +174,15 @@ class RunFolder:
         else:
             self.partial.rename(self.out)
         self._lock.release()
+
+
+def _is_just_made(folder: Path) -> bool:
+    """Whether a run was killed before it wrote its configuration."""
+    return (
+        not folder.is_symlink()
+        and folder.is_dir()
+        and all(re.fullmatch(r"\.\d+\.config\.toml", file.name) and not file.is_dir() for file in folder.iterdir())
+    )
 
 
 def _not_a_run(folder: Path, reason: str) -> FolderError:
@@ -239,7 +253,8 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
     r0, c0 = int(rows[0]), int(cols[0])
     part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
     grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
-    Image.fromarray(np.flipud(grey)).save(folder / "map.pgm")  # the first row of an image is the top of the map
+    with whole(folder / "map.pgm") as file:
+        Image.fromarray(np.flipud(grey)).save(file)  # the first row of an image is the top of the map
     meta = {
         "image": "map.pgm",
         "mode": "trinary",
@@ -249,4 +264,5 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    (folder / "map.yaml").write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+    with whole(folder / "map.yaml") as file:
+        file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")

@@ -13,6 +13,7 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.slam.mapping.evidence import are_obstacles
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.prior_map import PriorMap
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
@@ -27,6 +28,7 @@ _SIGMAS, _MOST_SQUARE = 3.0, 21.1  # of the window; of a pose in it, 0.9999 of c
 _APART, _STRETCH = Apart(0.5, 0.2), Apart(1.0, 0.2)
 _AS_GOOD_SHARE, _AS_GOOD_SCORE = 0.1, 0.85  # another place with a share less this, and a part of the score, is as good
 _SCALE_M, _STEPS = 0.05, 12
+_FLAT_M = 1.0  # farther obstacles attract no return
 _SMOOTH_CELLS, _WEIGHT = 2.0, 0.3  # of the distances: single cells must not tell a place along a wall
 
 
@@ -96,15 +98,27 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     return found[best].pose
 
 
+class _Slopes(NamedTuple):
+    """(H, W) slope of the smoothed distance from obstacles, by x and y."""
+
+    by_x: Array
+    by_y: Array
+
+    @classmethod
+    def of(cls, obstacles: _Obstacles) -> _Slopes:
+        """Those of the cells of a map."""
+        smooth = gaussian_filter(np.minimum(obstacles.distance_m, _FLAT_M), _SMOOTH_CELLS)
+        by_y, by_x = np.gradient(smooth, obstacles.cell_m)
+        return cls(by_x, by_y)
+
+
 def _obstacles(prior: PriorMap, config: GridConfig) -> _Obstacles:
     evidence, rim = prior.evidence, round(1.0 / prior.cell_m)
     low, high = evidence.corners - np.array([[rim], [-rim]])
     shape = tuple((high - low + 1).tolist())
     rows, cols = (evidence.cells - low).T
     occupied, seen = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
-    occupied[rows, cols] = (evidence.hits >= config.min_hits) & (
-        evidence.passes <= config.passes_per_hit * evidence.hits
-    )
+    occupied[rows, cols] = are_obstacles(evidence.hits, evidence.passes, config)
     seen[rows, cols] = evidence.seen
     distance = distance_transform_edt(~occupied) if occupied.any() else np.full(shape, np.inf)
     return _Obstacles(distance * prior.cell_m, seen, low[::-1] * prior.cell_m, prior.cell_m)
@@ -143,11 +157,12 @@ def _places(points: Array, pose: Pose, cov: Array, obstacles: _Obstacles) -> lis
     sigmas = np.sqrt(np.diag(cov))
     half_rad = min(_SIGMAS * float(sigmas[2]) + _KNOWN_RAD, math.pi)
     window = Window(pose.array(), _SIGMAS * float(sigmas[:2].max()) + _NEAR_M, half_rad)
+    slopes = _Slopes.of(obstacles)
     found = []
     floor = np.diag([_KNOWN_M, _KNOWN_M, _KNOWN_RAD]) ** 2 * 1e-2
     information = np.asarray(np.linalg.inv(cov + floor), dtype=np.float64)
     for score, *place in peaks(pyramid(cells), points, window, _LEAST_SCORE, _APART).tolist():
-        refined = _refined(points, Pose(*place), pose, information, obstacles)
+        refined = _refined(points, Pose(*place), pose, information, obstacles, slopes)
         off = refined.array() - pose.array()
         off[2] = wrap_angle(float(off[2]))
         if off @ information @ off <= _MOST_SQUARE:
@@ -155,17 +170,15 @@ def _places(points: Array, pose: Pose, cov: Array, obstacles: _Obstacles) -> lis
     return found
 
 
-def _refined(points: Array, at: Pose, pose: Pose, information: Array, obstacles: _Obstacles) -> Pose:
+def _refined(points: Array, at: Pose, pose: Pose, information: Array, obstacles: _Obstacles, slopes: _Slopes) -> Pose:
     """Gauss-Newton from `at` on the points' distances from obstacles, under a Cauchy loss, with `pose` as prior."""
-    smooth = gaussian_filter(np.minimum(obstacles.distance_m, 1.0), _SMOOTH_CELLS)
-    by_y, by_x = np.gradient(smooth, obstacles.cell_m)
     now = at.array()
     for _ in range(_STEPS):
         here = Pose.from_array(now)
         ends = here @ points
         row, col, inside = obstacles.at(ends)
-        r = np.where(inside, np.minimum(obstacles.distance_m[row, col], 1.0), 1.0)
-        gx, gy = (np.where(inside, slope[row, col], 0.0) for slope in (by_x, by_y))
+        r = np.where(inside, np.minimum(obstacles.distance_m[row, col], _FLAT_M), _FLAT_M)
+        gx, gy = (np.where(inside, slope[row, col], 0.0) for slope in slopes)
         lever = ends - here.position
         J = np.column_stack([gx, gy, gy * lever[:, 0] - gx * lever[:, 1]])
         weighted = _WEIGHT * J / (_SCALE_M**2 + r**2)[:, None]

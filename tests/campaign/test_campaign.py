@@ -20,22 +20,13 @@ from sixthsense import cli
 from sixthsense.campaign import Campaign, CampaignError, Rows, cluster, folder, worker
 from sixthsense.campaign.plan import config_hash, plan, ranges, seed_range, shared_fields
 from sixthsense.campaign.summary import mean_band, mean_interval, summary
-from sixthsense.running.warmup import warm_up
+from sixthsense.record import writing
+
+pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 SHORT = ("--task", "tour", "--max-time", "4")
 FIELDS = {"task": "tour", "max_time": 4.0}
 IDENTITY = ["scene", "estimator", "preset", "planner", "seed"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    warm_up()
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture
@@ -171,7 +162,7 @@ def test_a_full_disk_leaves_the_rows_before_it_readable_and_nothing_half_written
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(folder.os, "fsync", full)
+    monkeypatch.setattr(writing.os, "fsync", full)
     with pytest.raises(OSError, match="No space left on device") as found:
         rows.add(row("b" * 16, 1))
     assert found.value.filename == f"c/rows/run-{'b' * 16}.parquet"
@@ -434,7 +425,7 @@ def test_a_full_disk_ends_the_campaign_in_one_line_and_what_is_written_goes_on(n
         sync(file)
 
     with monkeypatch.context() as patch:
-        patch.setattr(folder.os, "fsync", filling)
+        patch.setattr(writing.os, "fsync", filling)
         assert run_command(*words) == cli.BAD_INPUT
     assert capsys.readouterr().err.splitlines()[-1].endswith(".parquet: No space left on device")
     assert len(ss.load_campaign("c")) == 2

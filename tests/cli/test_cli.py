@@ -12,7 +12,8 @@ from sixthsense import cli
 from sixthsense.cli.common import parse_command
 from sixthsense.cli.run import Run
 from sixthsense.config import Config, load_config, preset
-from sixthsense.running.warmup import warm_up
+
+pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 # A room of 4 x 4 m with a closet of 1 x 1 m that has no door.
 CLOSET = """\
@@ -27,21 +28,6 @@ points = [[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]
 FLASER = "FLASER 4 1.0 2.0 3.0 4.0 {x} 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
 LOG = "".join(FLASER.format(x=0.1 * k, stamp=float(k)) for k in range(5))
 SHORT_LOG = ("--laser.beams", "4", "--laser.fov", "1.5")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    """The line that announces a first compilation is not what these tests look for."""
-    warm_up()
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder to stand in, and files that the command lines below name."""
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
-    return folder
 
 
 def entries(folder: Path) -> list[str]:

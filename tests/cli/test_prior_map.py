@@ -10,7 +10,8 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.running.warmup import warm_up
+
+pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 SHORT = ("--task", "tour", "--max-time", "6")
 OTHER = """\
@@ -22,25 +23,11 @@ points = [[-9.0, -7.0], [9.0, -7.0], [9.0, 8.0], [-9.0, 8.0]]
 """
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    """The line that announces a first compilation is not what these tests look for."""
-    warm_up()
-
-
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a short tour of the rectangle."""
     folder = tmp_path_factory.mktemp("earlier") / "first"
     ss.run("rectangle", task="tour", max_time=12.0, seed=1, progress=False, out=folder)
-    return folder
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    folder = tmp_path / "here"
-    folder.mkdir()
-    monkeypatch.chdir(folder)
     return folder
 
 

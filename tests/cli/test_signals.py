@@ -14,20 +14,10 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.record.contents import has_record, reason_not_a_run
-from sixthsense.running.warmup import warm_up
+
+pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 ENDLESS = ("run", "rectangle", "--task", "tour", "--max-time", "1e6", "--out", "x")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    warm_up()
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def listen() -> None:

@@ -12,16 +12,12 @@ from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
 from sixthsense.loop import replay, run
 from sixthsense.record import bag, folder
-from sixthsense.running.warmup import warm_up
 from sixthsense.sources.logs.runfolder import read_run
+
+pytestmark = pytest.mark.usefixtures("compiled")
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    warm_up()
 
 
 def complaint(args: list[str], capsys) -> str:

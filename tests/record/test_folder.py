@@ -2,6 +2,7 @@ import csv
 import dataclasses
 import itertools
 import json
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -227,10 +228,11 @@ def test_overwriting_puts_the_new_run_in_the_old_ones_place_and_touches_nothing_
 def test_what_is_no_run_is_neither_overwritten_nor_deleted(tmp_path: Path) -> None:
     for name in ("run", "run.partial"):
         (tmp_path / name).mkdir()
+        (tmp_path / name / "notes.txt").write_text("mine")
         with pytest.raises(FolderError, match=r"is not a run folder, it holds no config.toml of a run, allowed: "):
             RunFolder(tmp_path / "run", Config(), overwrite=True)
-        assert (tmp_path / name).is_dir()
-        (tmp_path / name).rmdir()
+        assert entries(tmp_path / name) == ["notes.txt"]
+        shutil.rmtree(tmp_path / name)
     (tmp_path / "run").write_text("a file")
     with pytest.raises(FolderError, match="is not a run folder"):
         RunFolder(tmp_path / "run", Config(), overwrite=True)
@@ -252,3 +254,18 @@ def test_a_file_whose_writing_is_interrupted_is_not_there(tmp_path):
             raise KeyboardInterrupt
     assert [entry.name for entry in tmp_path.iterdir()] == ["old.npz"]
     assert (tmp_path / "old.npz").read_text() == "of the run before"
+
+
+def test_a_run_killed_before_it_had_its_configuration_stops_no_later_run(tmp_path: Path) -> None:
+    for leftover in ((), (".4242.config.toml",)):
+        partial = tmp_path / "run.partial"
+        partial.mkdir()
+        for name in leftover:
+            (partial / name).write_text("half of")
+        with RunFolder(tmp_path / "run", Config()) as folder:
+            assert folder.notes == [] and entries(partial) == ["config.toml"]
+        (partial / "config.toml").unlink(missing_ok=True)
+        partial.rmdir()
+    (tmp_path / "run.partial" / ".4242.config.toml").mkdir(parents=True)
+    with pytest.raises(FolderError, match="is not a run folder"):
+        RunFolder(tmp_path / "run", Config())

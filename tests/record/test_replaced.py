@@ -15,20 +15,10 @@ from sixthsense.figures.panels import KINDS
 from sixthsense.record.contents import FIGURES, reason_not_a_run
 from sixthsense.record.folder import FolderError, RunFolder
 from sixthsense.record.folder_lock import FolderInUseError, FolderLock
-from sixthsense.running.warmup import warm_up
+
+pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 RUN = ("run", "rectangle", "--task", "tour", "--max-time", "2")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _compiled() -> None:
-    warm_up()
-
-
-@pytest.fixture(autouse=True)
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 def content(folder: Path) -> dict[str, bytes | None]:

@@ -27,8 +27,10 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
     assignment, a match with a landmark that is less certain than another one in the gate explains less by as much.
     """
     best = agreed(innovation, predicted, noise, *assign(innovation, gate), gate)
-    most = _explained(innovation, predicted, noise, best[0], best[1], gate)
     inside = innovation.squared < gate
+    densest = np.where(inside, innovation.log_det, np.inf).min(axis=1, initial=np.inf)
+    lacking = innovation.log_det - densest[:, None]
+    most = _explained(innovation, predicted, noise, lacking, best, gate)
     possible = np.count_nonzero(inside.any(axis=1))
     if most >= (gate - 2.0) * possible:  # all are matched, with no more than the mean of a chi-square
         return best
@@ -44,19 +46,26 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
         given[i, j] = 0.0
         found = agreed(innovation, predicted, noise, *assigned(given, innovation.log_det, gate), gate)
         tried[found[0], found[1]] = True
-        explained = _explained(innovation, predicted, noise, found[0], found[1], gate)
+        explained = _explained(innovation, predicted, noise, lacking, found, gate)
         if explained > most:
             best, most = found, explained
     return best
 
 
 def _explained(
-    innovation: Innovations, predicted: Array, noise: Array, rows: Indices, cols: Indices, gate: float
+    innovation: Innovations,
+    predicted: Array,
+    noise: Array,
+    lacking: Array,
+    matches: tuple[Indices, Indices, Array],
+    gate: float,
 ) -> float:
-    """How much less than `gate` per match the joint squared innovation is, less what density the matches lack."""
+    """How much less than `gate` per match the joint squared innovation is, less what density the matches lack.
+
+    `lacking` (m, k) is the logarithm of the density of the densest match in the gate over each match's.
+    """
+    rows, cols, _ = matches
     index = blocks(cols)
-    densest = np.where(innovation.squared < gate, innovation.log_det, np.inf).min(axis=1, initial=np.inf)
-    lacking = float((innovation.log_det[rows, cols] - densest[rows]).sum())
     S = predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols])
     stacked = innovation.values[rows, cols].ravel()
-    return gate * len(rows) - float(stacked @ np.linalg.solve(S, stacked)) - lacking
+    return gate * len(rows) - float(stacked @ np.linalg.solve(S, stacked)) - float(lacking[rows, cols].sum())

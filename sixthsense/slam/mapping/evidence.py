@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config import GridConfig
 from sixthsense.slam.mapping.freespace import Bools
 
 Ints = NDArray[np.int32]
@@ -57,6 +58,11 @@ class EvidenceRules(NamedTuple):
     """further hits are not counted"""
     passes_per_hit: float
     """with more passes per hit than this the cell is free again"""
+
+
+def are_obstacles(hits: Ints, passes: Ints, config: GridConfig) -> Bools:
+    """Which cells are obstacles by these counts, arrays of one shape."""
+    return np.asarray((hits >= config.min_hits) & (passes <= config.passes_per_hit * hits))
 
 
 class ScanCells(NamedTuple):

@@ -64,6 +64,8 @@ class Mapper:
         """(D, 3) pose at which each scan that is in the grid was drawn"""
         self._earlier: Submap | None = None
         """evidence of an earlier run"""
+        self._base: list[Submap] = []
+        """evidence before that of the first scan: the earlier run's as that of a few scans"""
 
     def start_from(self, evidence: Submap) -> None:
         """Begin with the evidence of an earlier run, as that of a few scans.
@@ -71,7 +73,9 @@ class Mapper:
         Its cells count as seen when this run has seen them, or when the map is complete: exploring sees all of the
         building again.
         """
-        self._earlier = evidence
+        config = self._config
+        rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
+        self._earlier, self._base = evidence, [weakened(evidence, rules)]
         self._clear()
 
     def add(self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array) -> None:
@@ -102,13 +106,7 @@ class Mapper:
 
     def _clear(self) -> None:
         """Remove the evidence of all scans of this run."""
-        self.grid.compose(self._base())
-
-    def _base(self) -> list[Submap]:
-        """Evidence before that of the first scan."""
-        config = self._config
-        rules = EvidenceRules(config.min_hits, config.max_hits, config.passes_per_hit)
-        return [] if self._earlier is None else [weakened(self._earlier, rules)]
+        self.grid.compose(self._base)
 
     def _read(self) -> None:
         self._is_read = True
@@ -144,7 +142,7 @@ class Mapper:
                 self._add(own, scans, poses)
                 self._submaps[k : k + 1] = [own.submap()]
                 self._drawn_at[scans] = poses[scans]
-        self.grid.compose([*self._base(), *self._submaps])
+        self.grid.compose([*self._base, *self._submaps])
         return count * SCANS_PER_SUBMAP
 
     def _add(self, grid: Grid, scans: slice, poses: Array) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
-from sixthsense.slam.mapping.evidence import Cells
+from sixthsense.slam.mapping.evidence import Cells, are_obstacles
 from sixthsense.slam.mapping.grid import Grid
 
 
@@ -29,7 +29,7 @@ def restore_grid(
         raise ValueError(f"origin: found {origin}, allowed: finite numbers")
     grid = Grid(config, radius_m)
     grid._first = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
-    obstacles = (hits >= config.min_hits) & (passes <= config.passes_per_hit * hits)
+    obstacles = are_obstacles(hits, passes, config)
     height, width = hits.shape
     rim = int(grid._stencil.max())
     cover = np.zeros((height + 2 * rim, width + 2 * rim), dtype=np.int32)
