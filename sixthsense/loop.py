@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
@@ -17,17 +20,23 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
-from sixthsense.slam.prior_map import PriorStart
+from sixthsense.slam.prior_map import PriorStart, check_usable
+from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer
 from sixthsense.slam.slam import Slam, Step
+from sixthsense.slam.start_search import PriorMapError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.mission import mission
 from sixthsense.sources.replay_input import recorded_scene
+from sixthsense.sources.rewindable import RewindableSource
 from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
 """Hook of a caller: called after every tick with it and the record so far."""
+
+NOWHERE = "nowhere"
+"""outcome of a search for the start that has driven far enough"""
 
 Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every tick; an outcome that it returns ends the run."""
@@ -62,9 +71,11 @@ def run(
     scene = scene or load_scene(config.scene, config.map_unknown)
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
-    source = World(scene.walls, start, radius_m, config, streams.world, scene.glass)
+    source: Source = World(scene.walls, start, radius_m, config, streams.world, scene.glass)
     region = config.region or scene.region
     believed = start if prior is None or prior.pose is None else prior.pose
+    if prior is not None and prior.is_lost:
+        source, prior, believed = find_start(source, config, radius_m, prior, _searching_navigator(config, radius_m))
     navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
     return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
 
@@ -85,7 +96,52 @@ def replay(
     scene = recorded_scene(log, config)
     radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
-    return recorded_drive(log, log.start, ReplayNavigator(), trace, on_tick, prior)
+    source: Source = log
+    if prior is not None and prior.is_lost:
+        source, prior, _ = find_start(log, config, radius_m, prior, ReplayNavigator())
+    return recorded_drive(source, log.start, ReplayNavigator(), trace, on_tick, prior)
+
+
+def find_start(
+    source: Source, config: Config, radius_m: float, prior: PriorStart, navigator: Navigator
+) -> tuple[Source, PriorStart, Pose]:
+    """Drive without the map until the robot's place in it is certain: the source from its begin, and the start.
+
+    Raises PriorMapError if nothing has become certain when the drive ends.
+    """
+    check_usable(prior.map, config)
+    first, relocalizer = RewindableSource(source), Relocalizer(prior.map, config.grid)
+    start: Pose | None = None
+
+    def search(tick: Tick, step: Step, command: Command) -> str | None:
+        nonlocal start
+        if step.scan is not None:
+            start = relocalizer.take(step.scan, step.pose)
+        return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
+
+    pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
+    with Slam(config, Pose(), radius_m=radius_m, timed=clock.timed) as slam, deferred_interrupt() as interrupted:
+        outcome = drive(first, slam, pilot, [search, lambda *_: "interrupted" if interrupted() else None], clock)
+    if outcome == "interrupted":
+        raise KeyboardInterrupt
+    if outcome in ("explored", "log ended"):  # no more will be seen
+        start = relocalizer.place
+    if start is None:
+        found = (
+            f"lost: found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
+        )
+        ended = "" if outcome == NOWHERE else f" ({outcome})"
+        raise PriorMapError(f"{found}{ended}, allowed: a map of this building, in which places differ")
+    first.rewind()
+    return first, prior._replace(pose=start, sigma=FOUND_SIGMA), start
+
+
+def _searching_navigator(config: Config, radius_m: float) -> Navigator:
+    """The navigator of a robot that explores, since goals and a region mean nothing to it while it is lost."""
+    streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
+    task = dataclasses.replace(config, task="explore", goal=None, tour=None)
+    region = (-reach_m, -reach_m, reach_m, reach_m)
+    return make_navigator(task, Pose(), np.zeros((0, 2)), region, radius_m, streams.planner, streams.exploration)
 
 
 def recorded_drive(

@@ -54,6 +54,8 @@ class WithPriorMap(Common):
     """With --prior-map: where the robot begins in its frame, m and rad; by default the start of the scene or log."""
     pose_sigma: Annotated[tuple[float, float, float] | None, arg(metavar="SX SY STHETA")] = None
     """With --prior-map: standard deviations of that pose, m and rad; 0 by default: known exactly."""
+    lost: bool = False
+    """With --prior-map: the robot does not know where in it it begins, and drives until it has found out."""
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
@@ -62,7 +64,7 @@ class WithPriorMap(Common):
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
             found = f"--config: {self.config} is of a run with the prior map {note.get('name')}"
             raise ConfigError(f"{found}, allowed: with --prior-map")
-        return prior_start(self.prior_map, self.pose, self.pose_sigma, "--")
+        return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost, "--")
 
 
 def show_help(command: type[Common], name: str, base: str) -> int:

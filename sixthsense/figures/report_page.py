@@ -223,6 +223,8 @@ def _prior_map_options(note: Any) -> str:
     if not isinstance(note, Mapping) or "name" not in note:
         return ""
     options = f" --prior-map {shlex.quote(str(note['name']))}"
+    if note.get("lost") is True:
+        options += " --lost"
     for name in ("pose", "pose_sigma"):
         value = note.get(name)
         if isinstance(value, list) and any(value):

@@ -57,13 +57,23 @@ def read_prior_map(folder: Path | str) -> PriorMap:
 
 
 def prior_start(
-    folder: Path | str | None, pose: Sequence[float] | None, sigma: Sequence[float] | None, prefix: str = ""
+    folder: Path | str | None,
+    pose: Sequence[float] | None,
+    sigma: Sequence[float] | None,
+    lost: bool = False,
+    prefix: str = "",
 ) -> PriorStart | None:
     """The prior map in `folder` and the start in it, None without a folder; `prefix` precedes names in messages.
+
+    A robot that is `lost` has no pose.
 
     Raises ConfigError for a pose or sigmas that are not allowed, and without a folder; RecordError as `read_prior_map`.
     """
     names = {"pose": pose, "pose_sigma": sigma}
+    if lost and folder is None:
+        raise ConfigError(
+            f"{prefix}lost: found without {prefix + ('prior-map' if prefix else 'prior_map')}, allowed: with it"
+        )
     option = {name: prefix + (name.replace("_", "-") if prefix else name) for name in ("prior_map", *names)}
     for name, value in names.items():
         if value is None:
@@ -73,13 +83,15 @@ def prior_start(
         is_number = [isinstance(number, int | float) and math.isfinite(number) for number in value]
         if len(value) != 3 or not all(is_number):
             raise ConfigError(f"{option[name]}: found {' '.join(map(str, value))}, allowed: three finite numbers")
+        if lost:
+            raise ConfigError(f"{option[name]}: found with {prefix}lost, allowed: one of both")
     if folder is None:
         return None
     if sigma is not None and min(sigma) < 0.0:
         raise ConfigError(f"{option['pose_sigma']}: found {' '.join(map(str, sigma))}, allowed: at least 0")
     x, y, theta = (0.0, 0.0, 0.0) if sigma is None else map(float, sigma)
     there = None if pose is None else Pose.from_array(np.array(pose, dtype=np.float64))
-    return PriorStart(read_prior_map(folder), there, (x, y, theta))
+    return PriorStart(read_prior_map(folder), there, (x, y, theta), lost)
 
 
 def _digest(folder: Path) -> str:

@@ -52,9 +52,13 @@ class PriorStart(NamedTuple):
     """`T_world_robot`; None: where the scene or the log says"""
     sigma: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """of x, y and theta, m and rad; 0: known"""
+    is_lost: bool = False
+    """whether the pose is unknown, and has to be found by driving"""
 
     def note(self) -> dict[str, Any]:
         """What a run's record says of it; a pose only where it was given."""
+        if self.is_lost:
+            return {"name": self.map.name, "digest": self.map.digest, "lost": True}
         given = {} if self.pose is None else {"pose": self.pose.array().tolist()}
         return {"name": self.map.name, "digest": self.map.digest, **given, "pose_sigma": list(self.sigma)}
 
@@ -66,22 +70,27 @@ class PriorStart(NamedTuple):
 
 def begin_with(prior: PriorMap, config: Config, estimator: Estimator, start: Pose, start_cov: Array) -> None:
     """Give the estimator the landmarks; ConfigError where this configuration or start cannot be used with the map."""
+    check_usable(prior, config)
+    if not takes_prior_map(estimator):
+        raise ConfigError(f"estimator: found {config.estimator} with a prior map, allowed: one that has start_from")
+    if len(prior.evidence.cells):
+        _check_start(prior, start, start_cov)
+    estimator.start_from(prior.landmarks)
+
+
+def check_usable(prior: PriorMap, config: Config) -> None:
+    """Raise ConfigError for a configuration that cannot be used with the map, whatever the start."""
     if config.front_end != "landmarks":
         raise ConfigError(f"front_end: found {config.front_end} with a prior map, allowed: landmarks")
     if config.association.proposed_by != "estimate":
         found = f"association.proposed_by: found {config.association.proposed_by} with a prior map"
         raise ConfigError(f"{found}, allowed: estimate")
-    if not takes_prior_map(estimator):
-        raise ConfigError(f"estimator: found {config.estimator} with a prior map, allowed: one that has start_from")
-    if len(prior.evidence.cells):
-        _check_start(prior, config, start, start_cov)
-    estimator.start_from(prior.landmarks)
-
-
-def _check_start(prior: PriorMap, config: Config, start: Pose, start_cov: Array) -> None:
-    if not math.isclose(prior.cell_m, config.grid.cell_m):
+    if len(prior.evidence.cells) and not math.isclose(prior.cell_m, config.grid.cell_m):
         found = f"grid.cell_m: found {config.grid.cell_m:g} with a prior map of {prior.cell_m:g} m cells"
         raise ConfigError(f"{found}, allowed: the same")
+
+
+def _check_start(prior: PriorMap, start: Pose, start_cov: Array) -> None:
     seen = (prior.evidence.cells[prior.evidence.seen][:, ::-1] + 0.5) * prior.cell_m  # (N, 2) centres
     reach_m = _SIGMAS * math.sqrt(float(start_cov[:2, :2].trace())) + 2.0 * prior.cell_m
     if not len(seen) or np.hypot(*(seen - start.position).T).min() > reach_m:

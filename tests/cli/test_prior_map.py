@@ -89,6 +89,12 @@ def test_python_takes_the_same_options(first):
             ["--prior-map", "{first}", "--pose-sigma", "-1", "0", "0"],
             "--pose-sigma: found -1.0 0.0 0.0, allowed: at le",
         ),
+        (["--lost"], "--lost: found without --prior-map, allowed: with it"),
+        (["--prior-map", "{first}", "--lost", "--pose", "0", "0", "0"], "--pose: found with --lost, allowed: one of b"),
+        (
+            ["--prior-map", "{first}", "--lost", "--front-end", "scans", "--estimator", "isam2"],
+            "front_end: found scans",
+        ),
         (["--prior-map", "nowhere"], "nowhere: found no such folder, allowed: the folder of a run"),
         (["--prior-map", "."], ".: found no config.toml in it, allowed: the folder of a run"),
         (
