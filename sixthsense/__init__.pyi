@@ -1,4 +1,5 @@
 from .config.version import __version__ as __version__
+from .api import merge_runs as merge_runs
 from .api import replay as replay
 from .api import run as run
 from .campaign import load_campaign as load_campaign

@@ -139,6 +139,54 @@ def replay(
         return replay_log(found, folder, _watch(on_tick, progress), prior)
 
 
+def merge_runs(
+    first: str | Path,
+    second: str | Path,
+    relations: str | Path | None = None,
+    on_tick: OnTick | None = None,
+    *,
+    progress: bool | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    **fields: Any,
+) -> Run:
+    """Map two runs in one building together: scans of both are aligned, in the frame of the first.
+
+        run = ss.merge_runs("runs/monday", "runs/tuesday", out="runs/both")
+
+    Parameters
+    ----------
+    first, second
+        Folders of runs with scans of one laser. The second is found in the map of the first by what it has seen.
+    relations, on_tick, progress, out, overwrite
+        As of `ss.replay`.
+    **fields
+        Fields that override the configuration of the first run, as in `ss.replay`.
+
+    Returns
+    -------
+    Run
+        As of `ss.replay`, of a log with the ticks of both runs.
+
+    Raises
+    ------
+    ConfigError, LogError, MergeError
+        One line each: as of `ss.replay`; two runs with different lasers, or that share no place.
+
+    """
+    from sixthsense.config import load_config
+    from sixthsense.running.merging import open_merged, replay_merged
+    from sixthsense.sources.replay_input import check_options, check_out
+
+    check_options(first, fields, False, False)
+    for run in (first, second):
+        check_out(run, None if out is None else Path(out))
+    config = _apply_fields(load_config(Path(first) / "config.toml"), _register_custom(fields))
+    merged = open_merged(Path(first), Path(second), config, relations)
+    with reserved(out, merged.config, overwrite, merged.files) as folder:
+        return replay_merged(merged, folder, _watch(on_tick, progress))
+
+
 def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
     """The configuration of a run from the scene, or the complete configuration, and the given fields."""
     if isinstance(scene, Config):

@@ -110,7 +110,7 @@ def find_start(
     Raises PriorMapError if nothing has become certain when the drive ends.
     """
     check_usable(prior.map, config)
-    first, relocalizer = RewindableSource(source), Relocalizer(prior.map, config.grid)
+    first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config.grid)
     start: Pose | None = None
 
     def search(tick: Tick, step: Step, command: Command) -> str | None:

@@ -15,7 +15,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
-COMMANDS = ("run", "replay", "calibrate", "campaign", "report", "scenes")
+COMMANDS = ("run", "replay", "merge", "calibrate", "campaign", "report", "scenes")
 
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000  # a run makes many objects and hardly a cycle: the default takes 8 % of its time
 
@@ -27,6 +27,8 @@ A workbench for 2-D laser SLAM.
 commands:
   run [SCENE]    simulate a robot that explores a scene or drives to goals
   replay LOG     process a real robot's log with the same code
+  merge RUN_A RUN_B
+                 map two runs in one building together
   calibrate SCENE
                  measure the robot's noise against the truth, for `run --config`
   campaign [SCENE ...]

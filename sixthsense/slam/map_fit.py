@@ -1,4 +1,4 @@
-"""How well returns fit the obstacles of a prior map, and at which pose they fit best."""
+"""How well returns fit the obstacles of a map, and at which pose they fit best."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.slam.mapping.evidence import are_obstacles
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.prior_map import PriorMap
+from sixthsense.slam.mapping.submap import Submap
 
 NEAR_M = 0.15
 """a return this near an obstacle is explained by it"""
@@ -23,7 +23,7 @@ _SCALE_M, _STEPS = 0.05, 12
 
 
 class Obstacles(NamedTuple):
-    """Cells of a prior map, (H, W)."""
+    """Cells of a map, (H, W)."""
 
     distance_m: Array
     """from each cell to the nearest obstacle"""
@@ -36,9 +36,9 @@ class Obstacles(NamedTuple):
     cell_m: float
 
     @classmethod
-    def of(cls, prior: PriorMap, config: GridConfig) -> Obstacles:
-        """Those of a prior map, with a metre of unknown cells around them."""
-        evidence, rim = prior.evidence, round(1.0 / prior.cell_m)
+    def of(cls, evidence: Submap, config: GridConfig) -> Obstacles:
+        """Those of a map with cells as `config` says, with a metre of unknown cells around them."""
+        rim = round(1.0 / config.cell_m)
         low, high = evidence.corners - np.array([[rim], [-rim]])
         shape = tuple((high - low + 1).tolist())
         rows, cols = (evidence.cells - low).T
@@ -46,9 +46,9 @@ class Obstacles(NamedTuple):
         occupied[rows, cols] = are_obstacles(evidence.hits, evidence.passes, config)
         seen[rows, cols] = evidence.seen
         distance = distance_transform_edt(~occupied) if occupied.any() else np.full(shape, np.inf)
-        distance = distance * prior.cell_m
-        by_y, by_x = np.gradient(gaussian_filter(np.minimum(distance, _FLAT_M), _SMOOTH_CELLS), prior.cell_m)
-        return cls(distance, seen, by_x, by_y, low[::-1] * prior.cell_m, prior.cell_m)
+        distance = distance * config.cell_m
+        by_y, by_x = np.gradient(gaussian_filter(np.minimum(distance, _FLAT_M), _SMOOTH_CELLS), config.cell_m)
+        return cls(distance, seen, by_x, by_y, low[::-1] * config.cell_m, config.cell_m)
 
     @property
     def centres(self) -> Array:

@@ -1,6 +1,6 @@
-"""Where in a prior map a robot is that does not know where it began: told once what it has seen fits one place alone.
+"""Where in a map a robot is that does not know where it began: told once what it has seen fits one place alone.
 
-The robot drives with a map of its own. The scans of its last metres together are searched for in the whole prior map.
+The robot drives with a map of its own. The scans of its last metres together are searched for in the whole map.
 A place counts when the map explains most of what it can judge there, and no other place nearly as much. Two such finds,
 some metres apart, must agree.
 """
@@ -17,7 +17,7 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.slam.map_fit import Obstacles, fitted, judged
-from sixthsense.slam.prior_map import PriorMap
+from sixthsense.slam.mapping.submap import Submap
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
 from sixthsense.slam.scans.submap import Pyramid, pyramid
 
@@ -56,11 +56,11 @@ class _Vote(NamedTuple):
 
 
 class Relocalizer:
-    """Looks for the place of a robot in a prior map, from poses in a frame of its own."""
+    """Looks for the place of a robot in a map, from poses in a frame of its own."""
 
-    def __init__(self, prior: PriorMap, config: GridConfig) -> None:
-        """Search in `prior`, whose obstacles `config` defines."""
-        self._obstacles = Obstacles.of(prior, config)
+    def __init__(self, evidence: Submap, config: GridConfig) -> None:
+        """Search in a map of this evidence, with cells and obstacles as `config` says."""
+        self._obstacles = Obstacles.of(evidence, config)
         centres = self._obstacles.centres
         self._pyramid: Pyramid | None = pyramid(centres) if len(centres) else None
         low, high = (centres.min(axis=0), centres.max(axis=0)) if len(centres) else (np.zeros(2), np.zeros(2))

@@ -55,7 +55,7 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     if not len(points) or not len(prior.evidence.cells):
         return pose
     points = points[np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(np.int64)]
-    obstacles = Obstacles.of(prior, config)
+    obstacles = Obstacles.of(prior.evidence, config)
     laser = scan.T_robot_laser.position
     if max(cov[0, 0], cov[1, 1]) <= _KNOWN_M**2 and cov[2, 2] <= _KNOWN_RAD**2:
         share = _explained(points, laser, pose, obstacles)

@@ -82,7 +82,7 @@ MAP = map_of(ROOMS, WAY)
 def search(poses, walls=ROOMS, prior=MAP, own=None):
     """Metres driven and `T_map_own` once a robot that drives along the poses is certain; None if it never is."""
     own = own or Pose(3.0, -2.0, 0.7)
-    relocalizer = Relocalizer(prior, GRID)
+    relocalizer = Relocalizer(prior.evidence, GRID)
     for k, pose in enumerate(poses):
         found = relocalizer.take(look(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:

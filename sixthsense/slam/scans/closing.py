@@ -69,7 +69,7 @@ class Closings:
         While it was not clear where the robot was, they were not linked.
         """
         last, own = key, {source for _, source in self._groups[self._latest].pairs}
-        for k in range(key - 1, 0, -1):
+        for k in range(key - 1, self._graph.first, -1):
             if k in own:
                 last = k
                 continue

@@ -28,6 +28,7 @@ from sixthsense.slam.scans.tracking import Tracked, Views, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
+_CARRIED_M, _CARRIED_RAD = 0.15, 0.3  # sigmas of one stated motion, beyond which no wheel has measured it
 _RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
 
 
@@ -58,6 +59,8 @@ class ScanFrontEnd:
         self._since = STANDSTILL
         """odometry of the robot since the last key scan"""
         self._last: _Last | None = None
+        self._is_carried = False
+        """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
         self._doubts_wheels = False
         """whether scans contradicted the odometry at the last key scan"""
         self._scans: list[TrackedScan] = []
@@ -86,6 +89,7 @@ class ScanFrontEnd:
         if increment is not None:
             self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
             self._pose = self._pose @ increment.motion
+            self._is_carried |= _was_carried(increment)
         if scan is None:
             return None
         if scan.T_robot_laser is not self._mount.T_robot_laser:
@@ -130,9 +134,9 @@ class ScanFrontEnd:
         return Proposal(between(poses[-1], poses), sigma_m, sigma_rad)
 
     def _tracked(self, scan: Scan) -> Tracked | None:
-        """Track a scan against recent and linked key scans; None for the first scan."""
+        """Track a scan against recent and linked key scans; None for the first, also after the robot was carried."""
         row = self._store.put(scan)
-        if not self._store.count:
+        if not self._store.count or self._is_carried:
             return None
         poses, last = self._graph.poses, self._last
         assert last is not None
@@ -156,7 +160,7 @@ class ScanFrontEnd:
     def _references(self) -> NDArray[np.int64]:
         """Key scans to track against."""
         newest = self._store.count
-        recent = np.arange(max(0, newest - _RECENT), newest)
+        recent = np.arange(max(self._graph.first, newest - _RECENT), newest)
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
 
     def _is_due(self, tracked: Tracked | None) -> bool:
@@ -177,6 +181,8 @@ class ScanFrontEnd:
         self._estimator.update({})
         key = self._store.keep()
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
+        if self._is_carried:
+            self._graph.first, self._is_carried = key, False
         information = np.asarray(np.linalg.inv(self._since_of_laser().cov), dtype=np.float64)
         self._graph.add(guess, self._mount)
         self.revisits.moved(key, tracked, information)
@@ -194,3 +200,8 @@ class ScanFrontEnd:
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
         return estimate
+
+
+def _was_carried(increment: Odometry) -> bool:
+    sigmas = np.sqrt(np.diag(increment.cov))
+    return bool(max(sigmas[0], sigmas[1]) > _CARRIED_M or sigmas[2] > _CARRIED_RAD)

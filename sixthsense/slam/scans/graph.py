@@ -55,6 +55,8 @@ class ScanGraph:
         self._links = np.zeros(64, dtype=np.int64)
         """links of each key scan to earlier ones"""
         self.count = 0
+        self.first = 0
+        """index of the first key scan since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of key scans when all poses were read"""
         self._waiting: list[tuple[Alignments, int]] = []
@@ -93,7 +95,7 @@ class ScanGraph:
 
     def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
         """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
-        recent = self._align(np.arange(max(0, key - _RECENT), key), key, RECENT_GATES_M)
+        recent = self._align(np.arange(max(self.first, key - _RECENT), key), key, RECENT_GATES_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old)

@@ -37,6 +37,7 @@ _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked key scans
 _WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
 _VOTE_APART_M, _VOTE_LASTS_M = 1.5, 10.0  # travel between two votes that count both, and after which one is dropped
+_APART_M = 100.0  # of travel where the robot was carried: neither submap nor vote spans that
 _VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
 _VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
 
@@ -80,7 +81,10 @@ class Revisits:
         """Add a key scan that was tracked; `odometry_information` (3, 3) is the prior's."""
         if key == len(self._travelled):
             self._travelled = np.concatenate([self._travelled, np.zeros_like(self._travelled)])
-        if tracked is None or key == 0:
+        if key == 0:
+            return
+        if tracked is None:
+            self._carried(key, np.asarray(np.linalg.inv(odometry_information), dtype=np.float64))
             return
         step = between(self._graph.poses[key - 1], self._graph.poses[key])
         travel = math.hypot(step[0], step[1]) + _M_PER_RAD * abs(step[2])
@@ -97,6 +101,11 @@ class Revisits:
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
         bias_m = _WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
         self._uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
+
+    def _carried(self, key: int, cov: Array) -> None:
+        """Add a key scan that was not tracked; `cov` (3, 3) is of the motion to it."""
+        self._travelled[key] = self._travelled[key - 1] + _APART_M
+        self._uncertainty.add(key - 1, key, float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2]))
 
     def look(self, key: int) -> None:
         """From time to time, link the newest key scan to old ones around it, and look for a revisit."""

@@ -1,0 +1,162 @@
+"""Two runs in one building as one log: the second goes on where it is found in the map of the first."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sixthsense.config import Config, load_config, merge
+from sixthsense.config.errors import InputError
+from sixthsense.config.files import absolute
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.source import Tick
+from sixthsense.figures.run import Run
+from sixthsense.record.folder import RunFolder
+from sixthsense.record.trace import Trace
+from sixthsense.running.runs import QUIET, Watch, replay_log
+from sixthsense.slam.relocalization import Relocalizer
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.relations import read_relations
+from sixthsense.sources.replay_input import Recorded, open_recorded, relations_of
+
+_SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
+_DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
+_LINKED = 0.7  # of that sigma is left, at most, where scans of both runs are linked
+_PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded earlier
+
+
+class MergeError(InputError):
+    """Two runs that cannot be merged, in one line."""
+
+
+def open_merged(
+    first: Path, second: Path, config: Config | None = None, relations: str | Path | None = None
+) -> Recorded:
+    """The folders of two runs as one log, with `relations` to evaluate its replay; errors as of `merged_log`.
+
+    `config` is by default that of the first run. Scans are aligned, whatever front end and estimator it names.
+    """
+    settings = [config or load_config(first / "config.toml"), load_config(second / "config.toml")]
+    one, other = (open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True))
+    merged = merged_log(one, other)
+    if relations is None:
+        return merged
+    notes = list(merged.notes)
+    known = relations_of(merged.log, read_relations(relations), str(relations), notes)
+    files = {**merged.files, "relations": str(absolute(relations))}
+    return dataclasses.replace(merged, relations=known, files=files, notes=tuple(notes))
+
+
+def _aligning(config: Config) -> Config:
+    changed = merge(config, {"front_end": "scans", "estimator": "isam2", "calibrate_wheels": False})
+    return dataclasses.replace(changed, max_time=None)
+
+
+def merged_log(first: Recorded, second: Recorded) -> Recorded:
+    """The ticks of both runs; raises MergeError if the second is found nowhere in the first.
+
+    The second run is mapped by itself, and what it has seen on its last metres is searched for in the map of the first,
+    until it fits one place alone. The step from the end of the first run to the begin of the second has the covariance
+    of that place; no wheel has measured it.
+    """
+    _check_lasers(first, second)
+    with Slam(first.config, first.log.start) as slam:
+        _feed(slam, first.log.ticks)
+        end = slam.pose
+        slam.finish()
+        relocalizer = Relocalizer(slam.grid.submap(), first.config.grid)
+    with Slam(first.config, Pose()) as slam:
+        begin = _begin(slam, second.log.ticks, relocalizer)
+    if begin is None:
+        found = f"{second.name}: found no place of {first.name} that alone fits what was seen"
+        raise MergeError(f"{found}, allowed: two runs that share a part of one building, in which places differ")
+    driven_m = relocalizer.driven_m
+    sigmas = np.array([_SIGMA_M + _DRIFT_M_PER_M * driven_m] * 2 + [_SIGMA_RAD + _DRIFT_RAD_PER_M * driven_m])
+    ticks = (*first.log.ticks, *_going_on(first.log.ticks[-1], second.log.ticks, end.inverse() @ begin, sigmas))
+    notes = tuple(f"{run.name}: {note}" for run in (first, second) for note in run.notes)
+    files = {"log": first.files["log"], "merged_with": second.files["log"]}
+    log = Log(ticks, first.log.laser)
+    return Recorded(f"{first.name}-{second.name}", log, first.config, None, files, notes)
+
+
+def replay_merged(merged: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
+    """Replay a merged log, as `replay_log`; raises MergeError if the second run could not be linked to the first.
+
+    Where no link was made, the pose stays as uncertain as the place where the second run was found. Nothing is left of
+    the folder then.
+    """
+    check = _LinkCheck(merged.log.ticks)
+    try:
+        return replay_log(merged, folder, dataclasses.replace(watch, hooks=(check, *watch.hooks)))
+    except MergeError:
+        if folder is not None:
+            shutil.rmtree(folder.partial, ignore_errors=True)
+        raise
+
+
+class _LinkCheck:
+    """A hook that ends a replay at its last tick, if no scan of the second run was linked to the first."""
+
+    def __init__(self, ticks: Sequence[Tick]) -> None:
+        self._last_ns = ticks[-1].stamp_ns
+        self._begin_ns = next(tick.stamp_ns for tick in ticks if _is_begin(tick))
+
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        if tick.stamp_ns != self._last_ns:
+            return
+        covs = [
+            estimate.pose_cov[:2, :2]
+            for stamp_ns, estimate in zip(trace.key_stamps_ns, trace.key_estimates, strict=True)
+            if stamp_ns >= self._begin_ns
+        ]
+        sigmas = np.sqrt(np.linalg.eigvalsh(np.array(covs).reshape(-1, 2, 2))[:, -1])
+        if sigmas.min(initial=np.inf) > _LINKED * _SIGMA_M:
+            found = "merge: found no scan of the second run that could be linked to the first"
+            raise MergeError(f"{found}, allowed: two runs that share a part of one building")
+
+
+def _is_begin(tick: Tick) -> bool:
+    """Whether the second run begins with a tick: the position is not known from the tick before."""
+    return tick.increment_cov is not None and bool(tick.increment_cov[0, 0] >= _SIGMA_M**2)
+
+
+def _check_lasers(first: Recorded, second: Recorded) -> None:
+    for run in (first, second):
+        if not run.log.scans:
+            raise MergeError(f"{run.name}: found a run without scans, allowed: runs with scans")
+    one, other = first.config.laser, second.config.laser
+    for name in ("beams", "fov"):
+        if not np.isclose(getattr(one, name), getattr(other, name)):
+            found = f"{second.name}: found laser.{name} {getattr(other, name):g}"
+            raise MergeError(f"{found}, allowed: {getattr(one, name):g}, as in {first.name}")
+
+
+def _feed(slam: Slam, ticks: Sequence[Tick]) -> None:
+    for tick in ticks:
+        slam.take(tick)
+
+
+def _begin(slam: Slam, ticks: Sequence[Tick], relocalizer: Relocalizer) -> Pose | None:
+    """Where a run begins in the map, once a place of it is certain; None if none ever is."""
+    for tick in ticks:
+        step = slam.take(tick)
+        found = None if step.scan is None else relocalizer.take(step.scan, step.pose)
+        if found is not None:
+            return found
+    return relocalizer.place
+
+
+def _going_on(last: Tick, ticks: Sequence[Tick], motion: Pose, sigmas: Array) -> Iterator[Tick]:
+    """The ticks of the second run, after `last`, in the odometry frame of the first, with ascending stamps."""
+    T_first_second = last.odometry @ motion @ ticks[0].odometry.inverse()
+    later_ns = max(0, last.stamp_ns + _PAUSE_NS - ticks[0].stamp_ns)
+    for k, tick in enumerate(ticks):
+        cov = np.diag(sigmas**2) if k == 0 else tick.increment_cov
+        yield dataclasses.replace(
+            tick, stamp_ns=tick.stamp_ns + later_ns, odometry=T_first_second @ tick.odometry, increment_cov=cov
+        )
