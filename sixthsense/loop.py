@@ -75,7 +75,7 @@ def run(
     region = config.region or scene.region
     believed = start if prior is None or prior.pose is None else prior.pose
     if prior is not None and prior.is_lost:
-        source, prior, believed = find_start(source, config, radius_m, prior, _searching_navigator(config, radius_m))
+        source, prior, believed = find_start(source, config, radius_m, prior, searching_navigator(config, radius_m))
     navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
     return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
 
@@ -136,7 +136,7 @@ def find_start(
     return first, prior._replace(pose=start, sigma=FOUND_SIGMA), start
 
 
-def _searching_navigator(config: Config, radius_m: float) -> Navigator:
+def searching_navigator(config: Config, radius_m: float) -> Navigator:
     """The navigator of a robot that explores, since goals and a region mean nothing to it while it is lost."""
     streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
     task = dataclasses.replace(config, task="explore", goal=None, tour=None)

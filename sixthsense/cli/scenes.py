@@ -20,5 +20,5 @@ def command(args: list[str]) -> int:
         scene = load_scene(name)
         x0, y0, x1, y1 = scene.region
         size = f"{x1 - x0:.0f} x {y1 - y0:.0f} m"
-        print(f"{name:10}  {size:>10}  {len(scene.walls):3d} walls  {len(scene.tour):2d} goals on the tour")
+        print(f"{name:10}  {size:>10}  {len(scene.walls):6,d} walls  {len(scene.tour):2d} goals on the tour")
     return DONE

@@ -36,7 +36,7 @@ from sixthsense.sources.scene_names import SceneError, scene_file, shipped_scene
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
-_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass")
+_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass", "campus")
 _OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
 _NO_GLASS = np.zeros((0, 2, 2))
 
@@ -150,8 +150,12 @@ def _from_toml(path: Path) -> Scene:
     ]
     for k, polygon in enumerate(read_list("polygons", table.get("polygons", [])), 1):
         segments += read_polygon(f"polygons, entry {k}", polygon)
+    if "campus" in table:
+        from sixthsense.sources.campus import campus_walls, read_campus
+
+        segments += campus_walls(read_campus(table["campus"]))
     if not segments:
-        raise SceneError("walls: found none, allowed: at least one wall or polygon")
+        raise SceneError("walls: found none, allowed: at least one wall, polygon or campus")
     walls = np.array(segments)
     glass = [
         read_wall(f"glass, entry {k}", values) for k, values in enumerate(read_list("glass", table.get("glass", [])), 1)

@@ -319,7 +319,7 @@ def test_every_flag_that_the_help_shows_is_understood(
 def test_scenes_lists_what_ships(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["scenes"]) == cli.DONE
     rows = capsys.readouterr().out.splitlines()
-    assert [row.split()[0] for row in rows] == ["apartment", "block", "loop", "office", "rectangle"]
+    assert [row.split()[0] for row in rows] == ["apartment", "block", "campus", "loop", "office", "rectangle"]
 
 
 def test_help_loads_no_numpy_and_the_command_works_as_a_program(here: Path) -> None:

@@ -12,7 +12,9 @@ from sixthsense.core.laser import cast_rays
 from sixthsense.sources.outlines import _DEVIATION_COST, outlines, simplify
 from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
 
-SHIPPED = ["apartment", "block", "loop", "office", "rectangle"]
+SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]
+DRAWN = [name for name in SHIPPED if name != "campus"]
+"""those whose walls are in their file"""
 CELL_M = 0.05
 GOOD = "start = [1, 1, 0]\nradius = 0.2\ngoal = [3, 1]\ntour = [[3, 1], [1, 1]]\nregion = [0, 0, 4, 2]\n"
 ROOM = "walls = [[0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 0, 2], [0, 2, 0, 0]]\n"
@@ -78,7 +80,7 @@ def test_the_shipped_scenes_are_listed_by_name() -> None:
     assert list(shipped_scenes()) == SHIPPED
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", DRAWN)
 def test_no_path_leads_out_of_a_scene(name: str) -> None:
     scene = load_scene(name)
     raster = Raster(scene)
@@ -95,12 +97,12 @@ def test_no_path_leads_out_of_a_scene(name: str) -> None:
 def test_no_ray_leaks_out_of_a_scene(name: str) -> None:
     scene = load_scene(name)
     for place in [tuple(scene.start.position), scene.goal, *scene.tour]:
-        ranges = cast_rays(Pose(*place, 0.1), np.linspace(-math.pi, math.pi, 1441), scene.walls, 200.0)
+        ranges = cast_rays(Pose(*place, 0.1), np.linspace(-math.pi, math.pi, 1441), scene.walls, 1000.0)
         x0, y0, x1, y1 = scene.region
         assert ranges.max() <= math.hypot(x1 - x0, y1 - y0)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", DRAWN)
 def test_a_larger_robot_still_reaches_every_goal(name: str) -> None:
     scene = load_scene(name)
     raster = Raster(scene)
@@ -111,7 +113,7 @@ def test_a_larger_robot_still_reaches_every_goal(name: str) -> None:
         assert point_segment_distance(np.array(place), scene.walls).min() >= scene.radius + 0.15, place
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", DRAWN)
 def test_free_space_has_no_passage_too_narrow_for_a_robot_of_the_largest_radius(name: str) -> None:
     scene = load_scene(name)
     raster = Raster(scene)
