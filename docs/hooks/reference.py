@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
 import io
-import itertools
 import re
 import typing
 from collections.abc import Iterator
@@ -14,7 +12,9 @@ from contextlib import redirect_stdout
 from typing import Annotated, Any, Literal, Union
 
 from sixthsense.cli import COMMANDS, main
+from sixthsense.cli.help import own_options
 from sixthsense.config import PRESETS, Config, Section, preset
+from sixthsense.config.field_texts import field_texts
 from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
@@ -123,21 +123,13 @@ def _printed(*words: str) -> str:
 
 
 def _options(command: type) -> Iterator[tuple[str, str]]:
-    texts = _texts(command)
-    for field in sorted(dataclasses.fields(command), key=lambda field: field.name in _SHARED):
-        hint = typing.get_type_hints(command, include_extras=True)[field.name]
-        extras = [e for e in getattr(hint, "__metadata__", ()) if getattr(e, "metavar", None)]
-        metavar = extras[0].metavar if extras else {int: "N", float: "X"}.get(hint, "")
-        if field.name == "settings":
-            continue
-        positional = field.name == "scene" or field.name == "log"
-        flag = "--" + field.name.replace("_", "-")
-        yield (metavar if positional else f"{flag} {metavar}".strip()), texts.get(field.name, "")
+    for option in sorted(own_options(command), key=lambda option: option.name in _SHARED):
+        yield option.usage, option.text
 
 
 def _section(section: type[Section], path: str, level: int) -> list[str]:
     """Return heading, text and table of a section, then those of its subsections."""
-    hints, texts, default = typing.get_type_hints(section, include_extras=True), _texts(section), section()
+    hints, texts, default = typing.get_type_hints(section, include_extras=True), field_texts(section), section()
     title = path.rstrip(".") or "Top level"
     lines = ["#" * min(level, 4) + f" {title}", "", inspect.getdoc(section) or "", ""]
     inner: list[tuple[str, type[Section]]] = []
@@ -157,20 +149,6 @@ def _section(section: type[Section], path: str, level: int) -> list[str]:
     for below, kind in inner:
         lines += _section(kind, below, level + bool(path))
     return lines
-
-
-def _texts(cls: type) -> dict[str, str]:
-    """Return the docstring under each field, from the source of the class and of its base classes."""
-    found: dict[str, str] = {}
-    for one in reversed(cls.__mro__):
-        if not dataclasses.is_dataclass(one):
-            continue
-        body = typing.cast(ast.ClassDef, ast.parse(inspect.cleandoc("\n" + inspect.getsource(one))).body[0]).body
-        for field, text in itertools.pairwise(body):
-            is_field = isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-            if is_field and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
-                found[field.target.id] = inspect.cleandoc(str(text.value.value))
-    return found
 
 
 def _unit(name: str, text: str) -> str:

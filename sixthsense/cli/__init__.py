@@ -12,33 +12,41 @@ from importlib import import_module
 from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
+from sixthsense.config.suggestion import did_you_mean
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
-COMMANDS = ("run", "replay", "merge", "calibrate", "campaign", "report", "scenes")
+COMMANDS = {
+    "run": ("[SCENE]", "simulate a robot that explores or drives to goals"),
+    "replay": ("LOG", "process a real robot's log with the same code"),
+    "merge": ("RUN_A RUN_B", "map two runs in one building together"),
+    "calibrate": ("SCENE", "measure the robot's noise, for `run --config`"),
+    "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),
+    "report": ("RUN_DIR ...", "figures of one run, or of several side by side"),
+    "scenes": ("", "list the shipped scenes"),
+    "completion": ("SHELL", "print a completion script for bash, zsh or fish"),
+}
+"""by name, each the name of a module of this package: arguments and purpose, in a line of the usage"""
 
 _OBJECTS_BETWEEN_COLLECTIONS = 100_000  # a run makes many objects and hardly a cycle: the default takes 8 % of its time
 
-USAGE = """\
+_USAGE = """\
 usage: sixthsense COMMAND ...
 
-A workbench for 2-D laser SLAM.
+A workbench for 2-D laser SLAM. First run: `sixthsense run apartment`.
 
 commands:
-  run [SCENE]    simulate a robot that explores a scene or drives to goals
-  replay LOG     process a real robot's log with the same code
-  merge RUN_A RUN_B
-                 map two runs in one building together
-  calibrate SCENE
-                 measure the robot's noise against the truth, for `run --config`
-  campaign [SCENE ...]
-                 many runs on many processors or machines, with a table of the results
-  report RUN_DIR ...
-                 figures of one run, or of several side by side with a table
-  scenes         list the shipped scenes
+{commands}
 
-`sixthsense COMMAND --help` lists a command's options, `sixthsense --version` tells the version.
+`sixthsense COMMAND --help` lists a command's options, `sixthsense --version`
+tells the version. Exit codes: 0 done, 1 robot failed, 2 bad input, 130 Ctrl-C.
 """
+
+
+def usage() -> str:
+    """The text of `sixthsense --help`, a line for each command."""
+    lines = (f"  {f'{name} {arguments}':24}{purpose}" for name, (arguments, purpose) in COMMANDS.items())
+    return _USAGE.format(commands="\n".join(lines))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -65,13 +73,14 @@ def _run(args: list[str]) -> int:
     """Run one command and report its errors in one line."""
     try:
         if not args or args[0] in ("-h", "--help"):
-            print(USAGE, end="")
+            print(usage(), end="")
             return DONE if args else BAD_INPUT
         if args[0] == "--version":
             print(f"sixthsense {__version__}")
             return DONE
         if args[0] not in COMMANDS:
-            raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}")
+            near = did_you_mean(args[0], (*COMMANDS, "--help", "--version"))
+            raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}{near}")
         code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])
         return code
     except BrokenPipeError:

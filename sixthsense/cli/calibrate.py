@@ -19,7 +19,7 @@ class Calibrate(Common):
     """Measure the robot's noise against the truth, and write it as a configuration for `run --config`."""
 
     scene: Annotated[str | None, positional(), arg(metavar="SCENE")] = None
-    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    """Shipped scene, or a file: .toml, map_server .yaml, .scn."""
     out: Annotated[Path | None, arg(metavar="FILE")] = None
     """TOML file to write, a partial configuration; its figure is written beside it as .png."""
     overwrite: bool = False
@@ -31,7 +31,7 @@ class Calibrate(Common):
 def command(args: list[str]) -> int:
     """Measure the robot's noise."""
     if wants_help(args):
-        return show_help(Calibrate, "calibrate", "default")
+        return show_help(Calibrate, "calibrate", "default", args)
     options, _ = parse_command(Calibrate, "scene", "default", args)
     if options.out is None:
         raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")

@@ -6,13 +6,15 @@ import contextlib
 import itertools
 import os
 import sys
+import textwrap
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
+from sixthsense.cli.help import help_text, help_topic
 from sixthsense.cli.options import OptionalValue, Table, parse
 from sixthsense.cli.shown import arg
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
@@ -32,16 +34,16 @@ class Common:
     """Options of all commands that write a run folder."""
 
     config: Annotated[Path | None, arg(metavar="FILE")] = None
-    """TOML file, partial or complete, that overrides the preset; the config.toml of a run folder repeats that run."""
+    """TOML file of settings, which override the preset. It may be partial; that of a run folder repeats the run."""
     out: Annotated[Path | None, arg(metavar="DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
-    view: Annotated[str | None, arg(metavar="[window|browser|FILE.rrd]")] = None
-    """Show the run live in Rerun (pip install 'sixthsense[view]'): in a window, in a browser, or write a file."""
+    view: Annotated[str | None, arg(metavar="[WHERE]")] = None
+    """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install 'sixthsense[view]'."""
     bind: Annotated[str | None, arg(metavar="ADDRESS")] = None
-    """With --view browser: address of the server, 127.0.0.1 by default; any host that reaches it can watch."""
-    settings: Annotated[Config, arg(name="")] = field(default_factory=Config)
+    """With --view browser: address of the server. 127.0.0.1 by default; any host that reaches it can watch."""
+    settings: Config = field(default_factory=Config)
 
 
 @dataclass(frozen=True)
@@ -49,13 +51,13 @@ class WithPriorMap(Common):
     """Options of the commands that can begin with the map of an earlier run."""
 
     prior_map: Annotated[Path | None, arg(metavar="DIR")] = None
-    """Folder of an earlier run in the same building, whose map the run begins with."""
+    """Earlier run whose map this one begins with. The folder of a run in the same building."""
     pose: Annotated[tuple[float, float, float] | None, arg(metavar="X Y THETA")] = None
-    """With --prior-map: where the robot begins in its frame, m and rad; by default the start of the scene or log."""
-    pose_sigma: Annotated[tuple[float, float, float] | None, arg(metavar="SX SY STHETA")] = None
-    """With --prior-map: standard deviations of that pose, m and rad; 0 by default: known exactly."""
+    """With --prior-map: start in its frame, m and rad. By default the start of the scene or log."""
+    pose_sigma: Annotated[tuple[float, float, float] | None, arg(metavar="SX SY ST")] = None
+    """With --prior-map: sigmas of that pose, m and rad. 0 by default: known exactly."""
     lost: bool = False
-    """With --prior-map: the robot does not know where in it it begins, and drives until it has found out."""
+    """With --prior-map: the robot does not know where it is. It drives until it has found out."""
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
@@ -67,12 +69,14 @@ class WithPriorMap(Common):
         return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost, "--")
 
 
-def show_help(command: type[Common], name: str, base: str) -> int:
-    """Print a command's options with their default values."""
-    import tyro
+def show_help(
+    command: type[Common], name: str, base: str, args: Sequence[str] = (), hidden: Collection[str] = ()
+) -> int:
+    """Print a command's options with their default values: on one page, or of the section that `args` name.
 
-    with contextlib.suppress(SystemExit):
-        tyro.cli(command, prog=f"sixthsense {name}", args=["--help"], default=command(settings=preset(base)))
+    `base` is the default preset; `hidden` are fields and sections of the configuration that the command refuses.
+    """
+    print(help_text(command, name, preset(base), help_topic(args) or "", hidden))
     return DONE
 
 
@@ -99,8 +103,8 @@ def parse_command(
 
 
 def wants_help(args: list[str]) -> bool:
-    """Whether any argument is -h or --help."""
-    return "-h" in args or "--help" in args
+    """Whether any argument asks for the help."""
+    return help_topic(args) is not None
 
 
 def run_folder(
@@ -140,10 +144,12 @@ def announce(line: str) -> None:
 
 
 def show_end(run: Run) -> int:
-    """Print a run's metrics, its unseen places and its folder; returns the exit code."""
-    from sixthsense.evaluation.tables import digits, text_table
+    """Print a run's metrics, a sentence about them, its unseen places and its folder; returns the exit code."""
+    from sixthsense.evaluation.judgement import judgement
 
-    print(text_table([[key, digits(value)] for key, value in run.metrics.items()]))
+    print(run.metrics)
+    print()
+    print("\n".join(textwrap.wrap(judgement(run.metrics), 80)))
     if run.trace.left:
         print(f"left unseen: {'; '.join(map(_described, run.trace.left))}")
     print(f"written to {run.folder}/")

@@ -1,8 +1,6 @@
 """The parser of command lines: a command's own options, and every field of the Config tree as a flag.
 
 The parser converts values only. The validator of `config` checks them, so that flags and files give the same messages.
-tyro prints the help but does not parse: it answers an error with a framed page and exits, while our commands print one
-line with the allowed values.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from typing import Annotated, Any, Union
 from sixthsense.config import Config, Section
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import is_one_line, shown, shown_name
+from sixthsense.config.suggestion import did_you_mean
 
 Table = dict[str, Any]
 
@@ -47,7 +46,7 @@ def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple
     `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError
     with the allowed values for an unknown option, a flag without a value and a second positional argument.
     """
-    hints = {f"--{name.replace('_', '-')}": hint for name, hint in own.items()} | dict(_flags(Config))
+    hints = {f"--{name.replace('_', '-')}": hint for name, hint in own.items()} | dict(config_flags(Config))
     given: Table = {}
     table: Table = {}
     without_value: tuple[str, OptionalValue] | None = (
@@ -97,12 +96,12 @@ def parse_positionals(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list
     return positionals, given
 
 
-def _flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
+def config_flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
     """The flag and the type of every field of the Config tree."""
     for name, hint in typing.get_type_hints(section, include_extras=True).items():
         flag = path + name.replace("_", "-")
         if isinstance(hint, type) and issubclass(hint, Section):
-            yield from _flags(hint, flag + ".")
+            yield from config_flags(hint, flag + ".")
         else:
             yield flag, hint
 
@@ -115,7 +114,8 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
             return positive, False
-        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {', '.join(_suggestions(flag, hints))}")
+        allowed = ", ".join(_suggestions(flag, hints))
+        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {allowed}{_nearest(flag, hints)}")
     hint, optional = hints[flag], False
     if isinstance(hint, OptionalValue):
         if equals:
@@ -160,6 +160,15 @@ def _suggestions(flag: str, hints: Mapping[str, Any]) -> list[str]:
     within = [known for known in hints if known.startswith(flag + ".")]
     siblings = [known for known in hints if known.rpartition(".")[0] == path]
     return within or siblings or [known for known in hints if "." not in known]
+
+
+def _nearest(flag: str, hints: Mapping[str, Any]) -> str:
+    """The end of the message that names the option which a misspelt one, or one without its section, may mean."""
+    if any(known.startswith(flag + ".") for known in hints):
+        return ""  # the name of a section, whose options the message lists
+    name = flag.removeprefix("--")
+    of_sections = [known for known in hints if "." in known and known.rpartition(".")[2] == name]
+    return f"; did you mean {' or '.join(of_sections)}?" if of_sections else did_you_mean(flag, hints)
 
 
 def _convert(flag: str, kind: Any, text: str) -> Any:

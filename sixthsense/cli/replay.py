@@ -11,6 +11,7 @@ from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_fol
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
 from sixthsense.cli.view import live_view
+from sixthsense.config.names import OF_THE_ROBOT
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class Replay(WithPriorMap):
     log: Annotated[str | None, positional(), arg(metavar="LOG")] = None
     """The log."""
     relations: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Hand-checked relations between poses (Kuemmerle et al. 2009), the reference of the trajectory's error."""
+    """Hand-checked relations between poses, to measure errors. They are those of Kuemmerle et al. 2009."""
     topic: Annotated[str | None, arg(metavar="NAME[,NAME]")] = None
     """Topics to use from a bag with several topics of scans or odometry."""
     robot: Annotated[int | None, arg(metavar="N")] = None
@@ -34,7 +35,7 @@ class Replay(WithPriorMap):
 def command(args: list[str]) -> int:
     """Replay a log."""
     if wants_help(args):
-        return show_help(Replay, "replay", "log")
+        return show_help(Replay, "replay", "log", args, OF_THE_ROBOT)
     from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, "log", base_of, args)

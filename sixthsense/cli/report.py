@@ -29,6 +29,8 @@ The figures of one run are written to its own figures/. Several runs are drawn s
                    figures
 """
 
+OWN = {"out": Path, "overwrite": bool, "figures": str, "animate": Path}
+
 _FILM = "animation.gif"
 
 
@@ -40,7 +42,7 @@ def command(args: list[str]) -> int:
     from sixthsense.cli.options import OptionalValue, parse_positionals
 
     film = OptionalValue(None, _is_film, "FILE.mp4 or FILE.gif")
-    folders, given = parse_positionals(args, {"out": Path, "overwrite": bool, "figures": str, "animate": film})
+    folders, given = parse_positionals(args, {**OWN, "animate": film})
     if not folders:
         raise UsageError("run: found nothing, allowed: one or more folders of runs")
     out: Path | None = given.get("out")

@@ -19,7 +19,7 @@ class Run(WithPriorMap):
     """Simulate a robot in a scene unknown to it: it explores the scene, or drives to goals."""
 
     scene: Annotated[str | None, positional(), arg(metavar="[SCENE]")] = None
-    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    """Shipped scene, or a file: .toml, map_server .yaml, .scn."""
     realtime: bool = False
     """Slow the simulation down to real time."""
 
@@ -27,7 +27,7 @@ class Run(WithPriorMap):
 def command(args: list[str]) -> int:
     """Simulate a scene."""
     if wants_help(args):
-        return show_help(Run, "run", "default")
+        return show_help(Run, "run", "default", args)
     options, flags = parse_command(Run, "scene", "default", args)
     config = options.settings
     if options.config is not None and is_of_replay(options.config):

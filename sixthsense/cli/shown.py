@@ -1,16 +1,25 @@
-"""How the help shows an option; tyro, which prints the help, is loaded for that alone."""
+"""How the help shows an option of a command."""
 
 from __future__ import annotations
 
-import sys
-from typing import Any
+from dataclasses import dataclass
 
 
-def arg(**options: str) -> Any:
-    """The annotation of an option, `metavar` or `name`; None where no help is printed."""
-    return sys.modules["tyro"].conf.arg(**options) if "tyro" in sys.modules else None
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """An annotation of an option's type."""
+
+    metavar: str = ""
+    """name of its value in the help"""
+    is_positional: bool = False
+    """an argument without a flag"""
 
 
-def positional() -> Any:
-    """The annotation of a positional argument; None where no help is printed."""
-    return sys.modules["tyro"].conf.Positional if "tyro" in sys.modules else None
+def arg(metavar: str = "") -> Shown:
+    """The annotation of an option whose value the help calls `metavar`."""
+    return Shown(metavar)
+
+
+def positional() -> Shown:
+    """The annotation of a positional argument."""
+    return Shown(is_positional=True)

@@ -44,3 +44,6 @@ KEEP_POSES = "allowed: with isam2, which keeps the poses of all key scans"
 """of messages about the front end of scans"""
 CALIBRATE_WHEELS = "allowed: with ekf-invariant and isam2, and with the front end landmarks"
 """of messages about the wheels' parameters"""
+
+OF_THE_ROBOT = ("scene", "task", "goal", "tour", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
+"""fields and sections of the configuration that a replay refuses: they are of a robot that is driven or simulated"""

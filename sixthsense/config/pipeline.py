@@ -12,7 +12,7 @@ from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount
 
 @dataclass(frozen=True)
 class KeyScanConfig(Section):
-    """A scan is a key scan, and is used, when the robot has moved this far since the last one."""
+    """When a scan is a key scan, and is used: after the robot has moved this far since the last one."""
 
     distance_m: NonNegative = 0.25
     """With either value at 0 every scan after any motion is a key scan."""

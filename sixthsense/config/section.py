@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import numbers
 import reprlib
@@ -17,6 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import Names
+from sixthsense.config.suggestion import did_you_mean
 
 C = TypeVar("C", bound="Section")
 
@@ -99,12 +99,14 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         base, bounds = typing.get_args(hint)
         value = value if isinstance(bounds, Names) else _checked(name, base, value)
         if value not in bounds:
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: {bounds}")
+            near = did_you_mean(value, bounds) if isinstance(bounds, Names) else ""
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: {bounds}{near}")
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
         if value not in choices:
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: {', '.join(map(str, choices))}")
+            near = did_you_mean(value, map(str, choices))
+            raise ConfigError(f"{name}: found {shown(value)}, allowed: {', '.join(map(str, choices))}{near}")
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
@@ -147,9 +149,8 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     for key, value in base.completed(table).items():
         name = key.replace("-", "_")
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1) if len(name) <= 80 else []
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}{hint}")
+            near = did_you_mean(name, known)
+            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}{near}")
         current = getattr(base, name)
         if isinstance(current, Section):
             if not isinstance(value, Mapping):

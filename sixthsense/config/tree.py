@@ -29,37 +29,38 @@ class Config(Section):
     """All settings of a run: the same configuration and source give the same run, bit for bit."""
 
     scene: str = "apartment"
-    """A shipped scene's name or a file (.toml, map_server .yaml, .scn)."""
+    """Shipped scene, or a file: .toml, map_server .yaml, .scn."""
     preset: str = "default"
-    """Values under those of a file and of options: default, worn, noiseless, report, log, mrclam or victoria."""
+    """Set of values: default, worn, noiseless, report, log, mrclam or victoria. A file and options override it."""
     estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
-    """Back end: ekf-invariant, ekf-fej or ekf-oc, filters that stay consistent when the robot turns; ekf, the report's
-    filter; isam2, a smoother."""
+    """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf or isam2. The first three are filters that stay consistent when
+    the robot turns, ekf is the report's filter, isam2 a smoother."""
     front_end: Literal["landmarks", "scans"] = "landmarks"
-    """What the estimator is given: landmarks, sightings of walls and points; scans, relative poses of aligned scans,
-    for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an estimator is named."""
+    """What the estimator is given: landmarks or scans. landmarks: sightings of walls and points; scans: relative poses
+    of aligned scans, for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an
+    estimator is named."""
     calibrate_wheels: bool = False
-    """Estimate the wheels' systematic errors with the pose (ekf-invariant and isam2, front end landmarks); their prior
-    is in assumed.wheels."""
+    """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, front end landmarks; their
+    prior is in assumed.wheels."""
     planner: Annotated[str, PLANNERS] = "astar"
-    """Path planner: astar, shortest over the grid's cells; rrtstar, sampled in the plane."""
+    """Path planner: astar or rrtstar. astar: shortest over the grid's cells; rrtstar: sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
-    """explore: see all of the region, then drive home; goal: drive to a goal; tour: drive to a list of goals, again and
-    again until max-time, or once without it."""
+    """What the robot does: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
+    goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
     tour: tuple[tuple[float, float], ...] | None = None
-    """x y of one goal after another, world frame, m; none: the scene's."""
+    """x y of each goal, world frame, m; none: the scene's."""
     start: tuple[float, float, float] | None = None
     """x y theta, world frame, m and rad; none: the scene's."""
     region: tuple[float, float, float, float] | None = None
-    """x0 y0 x1 y1 of the region of interest, m; none: the scene's."""
+    """x0 y0 x1 y1 of the region to see, m; none: the scene's."""
     seed: Count = 0
-    """Of all randomness."""
+    """Seed of all randomness."""
     max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] | None = None
-    """Time of the source after which the run ends, s; none: when the task is over."""
+    """Time limit by the clock of the source, s. None: the run ends when the task is over."""
     map_unknown: Literal["wall", "free"] = "wall"
-    """What the unknown cells of a map_server map are: wall, or free and transparent."""
+    """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
     robot: RobotConfig = field(default_factory=RobotConfig)
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)

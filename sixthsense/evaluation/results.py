@@ -39,6 +39,13 @@ _WHEELS = (
 )
 
 
+_REMARKS = {
+    "plans_below_margin": "usual: doors leave less room than the margin",
+    "revisits_refused": "usual: places that look alike",
+}
+"""why a value that looks alarming is not, in a few words, by key"""
+
+
 def _quantities() -> dict[str, Quantity]:
     rows = {
         "Outcome": [
@@ -130,8 +137,11 @@ class Metrics(dict[str, Any]):
         rows: list[list[str]] = []
         for group, keys in self.groups():
             rows.append([group])
-            rows += [[f"  {key}", f"{digits(self[key])} {_unit(key)}".rstrip()] for key in keys]
+            rows += [[f"  {key}", f"{digits(self[key])} {_unit(key)}".rstrip(), self._remark(key)] for key in keys]
         return text_table(rows)
+
+    def _remark(self, key: str) -> str:
+        return _REMARKS.get(key, "") if self[key] else ""
 
     def _repr_html_(self) -> str:
         return metrics_table(["metric", "value", "meaning"], [self], lambda key: _of(key).meaning)

@@ -85,7 +85,8 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
     points = frontier_points(seen, grid.obstacles, grid.origin, cell_m, region)
     if len(points):
-        ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label="remaining frontiers", zorder=6)
+        label = "frontiers too small to count" if trace.outcome == "explored" else "remaining frontiers"
+        ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label=label, zorder=6)
     if trace.left:
         left = np.array([(place.x, place.y) for place in trace.left])
         ax.scatter(left[:, 0], left[:, 1], s=60.0, marker="x", color=LANDMARK, label="places left unseen", zorder=8)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from sixthsense.loop import OnTick
     from sixthsense.record.trace import Trace
 
-_BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far"
+_BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far, {remaining} left"
 _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
 
 
@@ -94,12 +94,23 @@ class Progress:
         if now_s - self._shown_s >= 0.1:
             if self._is_shown and self._shows_area and now - self._area_updated >= 1.0 and trace.grid is not None:
                 self._area_updated = now
-                area = float(trace.grid.seen.sum()) * trace.config.grid.cell_m**2
-                self._bar.set_postfix_str(f"{area:.0f} m² seen" if area else "", refresh=False)
+                self._bar.set_postfix_str(_seen_area(trace), refresh=False)
             self._draw(lambda: self._bar.update(now_s - self._shown_s))
             self._shown_s = now_s
         if self._realtime:
             time.sleep(max(0.0, self._start + now_s - time.monotonic()))
+
+
+def _seen_area(trace: Trace) -> str:
+    """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
+    if trace.grid is None or not trace.grid.seen.any():
+        return ""
+    area_m2 = float(trace.grid.seen.sum()) * trace.config.grid.cell_m**2
+    region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
+    if region is None or trace.config.task != "explore":
+        return f"{area_m2:.0f} m² seen"
+    x0, y0, x1, y1 = region
+    return f"{area_m2:.0f} of at most {max(area_m2, (x1 - x0) * (y1 - y0)):.0f} m² seen"
 
 
 def _bar(shown: bool, **options: Any) -> Any:

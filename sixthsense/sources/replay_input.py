@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sixthsense.config import Config, ConfigError, load_config
 from sixthsense.config.files import absolute
+from sixthsense.config.names import OF_THE_ROBOT
 from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
@@ -17,8 +18,6 @@ from sixthsense.sources.scene import Scene, SceneError, load_scene
 if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
-
-_OF_THE_ROBOT = ("scene", "task", "goal", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +68,7 @@ def check_options(
     `prefix` precedes field names in messages, such as -- on the command line.
     """
     robot = {f"robot.{name}" for name in fields.get("robot", {}) if name != "radius"}
-    for name in (*_OF_THE_ROBOT, *sorted(robot)):
+    for name in (*OF_THE_ROBOT, *sorted(robot)):
         if name in fields or name in robot:
             allowed = "options of the estimate, not of the recorded robot"
             raise ConfigError(f"{prefix}{name}: found on replay, allowed: {allowed}")

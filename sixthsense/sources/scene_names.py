@@ -6,6 +6,7 @@ from pathlib import Path
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.config.suggestion import did_you_mean
 
 SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
@@ -29,6 +30,6 @@ def scene_file(name_or_file: str | Path) -> Path:
     if path.suffix.lower() not in SUFFIXES:
         raise SceneError(
             f"scene: found {shown(str(name_or_file))}, allowed: {', '.join(shipped)}, or a file ending in "
-            f"{', '.join(SUFFIXES)}"
+            f"{', '.join(SUFFIXES)}{did_you_mean(str(name_or_file), shipped)}"
         )
     return path

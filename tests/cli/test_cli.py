@@ -308,7 +308,7 @@ def test_every_command_has_a_help(command: str, flag: str, capsys: pytest.Captur
 def test_every_flag_that_the_help_shows_is_understood(
     command: str, rest: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    cli.main([command, "--help"])
+    cli.main([command, "--help", "all"])
     shown = set(re.findall(r"--[a-z][\w.-]*", capsys.readouterr().out)) - {"--help"}
     assert len(shown) > 70
     for flag in shown:
@@ -357,7 +357,7 @@ def test_a_run_as_a_program_prints_its_table_and_the_folder(here: Path) -> None:
     command = [sys.executable, "-m", "sixthsense.cli", "run", "rectangle", "--out", "some/run"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("outcome")
+    assert done.stdout.startswith("Outcome\n  outcome")
     assert done.stdout.endswith("written to some/run/\n")
     assert entries(here / "some") == sorted(["run", *(f"run/{name}" for name in entries(here / "some" / "run"))])
 
@@ -395,7 +395,8 @@ def test_a_robot_that_reaches_its_goal_exits_with_0(here: Path, capsys: pytest.C
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert re.match(r"outcome +goal reached\n", out)
+    assert re.match(r"Outcome\n  outcome +goal reached\n", out)
+    assert re.search(r"\n\nThe robot reached its goal; .* of one\srun\)\.\nwritten to", out, re.DOTALL)
     assert out.endswith("written to runs/rectangle-ekf-invariant-1/\n")
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-invariant-2/\n")

@@ -1,0 +1,55 @@
+import io
+from contextlib import redirect_stderr
+from types import SimpleNamespace
+
+import numpy as np
+
+from sixthsense.config import preset
+from sixthsense.record.trace import Trace
+from sixthsense.running.progress import Progress, _seen_area
+
+ESCAPE = "\x1b"
+
+
+def at(seconds: float) -> SimpleNamespace:
+    return SimpleNamespace(stamp_ns=round(seconds * 1e9))
+
+
+def shown(total_s: float | None) -> str:
+    with redirect_stderr(io.StringIO()) as err, Progress("a log", total_s, shown=True) as bar:
+        for seconds in (0.0, 30.0, 60.0):
+            bar(at(seconds), Trace(preset(), None, 0.2))
+        bar._bar.refresh()
+    return err.getvalue()
+
+
+def test_a_run_with_a_known_end_shows_the_time_that_is_left():
+    last = shown(120.0).split("\r")[-3:]
+    assert any("60 of 120 s" in text and " so far, 00:00 left" in text for text in last), last
+
+
+def test_a_run_without_a_known_end_shows_no_time_left():
+    assert "left" not in shown(None) and "60 s" in shown(None)
+
+
+def test_the_bar_of_a_terminal_has_no_colour():
+    assert ESCAPE + "[3" not in shown(120.0)
+
+
+def test_nothing_is_written_where_no_terminal_is():
+    with redirect_stderr(io.StringIO()) as err, Progress("a log", 10.0) as bar:
+        bar(at(0.0), Trace(preset(), None, 0.2))
+        bar(at(5.0), Trace(preset(), None, 0.2))
+    assert err.getvalue() == ""
+
+
+def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
+    seen = np.zeros((10, 10), dtype=bool)
+    trace = SimpleNamespace(
+        grid=SimpleNamespace(seen=seen), scene=None, config=preset(region=(0.0, 0.0, 4.0, 3.0), grid={"cell_m": 0.5})
+    )
+    assert _seen_area(trace) == ""
+    seen[:4, :4] = True
+    assert _seen_area(trace) == "4 of at most 12 m² seen"
+    trace.config = preset(task="tour", grid={"cell_m": 0.5})
+    assert _seen_area(trace) == "4 m² seen"
