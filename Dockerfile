@@ -1,0 +1,28 @@
+# docker build -t sixthsense .
+# docker run --rm -v "$PWD/runs:/work/runs" sixthsense run apartment
+# Files of the host that the user of the image cannot write: add --user "$(id -u):$(id -g)".
+FROM python:3.12-slim AS build
+WORKDIR /source
+COPY pyproject.toml README.md LICENSE ./
+COPY sixthsense sixthsense
+COPY scenes scenes
+RUN python -m venv /opt/venv && /opt/venv/bin/pip install --no-cache-dir ".[campaign]"
+
+FROM python:3.12-slim
+COPY --from=build /opt/venv /opt/venv
+ENV PATH=/opt/venv/bin:$PATH \
+    NUMBA_CACHE_DIR=/var/cache/sixthsense/numba \
+    MPLCONFIGDIR=/var/cache/sixthsense/matplotlib \
+    MPLBACKEND=agg \
+    PYTHONUNBUFFERED=1
+# The kernels are compiled here, once; any user of the image may add to them.
+RUN useradd --create-home --uid 1000 robot \
+    && mkdir -p /var/cache/sixthsense /work/runs \
+    && python -c "from sixthsense.running.warmup import warm_up, warm_up_scans; warm_up(); warm_up_scans()" \
+    && chmod -R a+rwX /var/cache/sixthsense \
+    && chown -R robot /work
+USER robot
+WORKDIR /work
+VOLUME /work/runs
+ENTRYPOINT ["sixthsense"]
+CMD ["--help"]

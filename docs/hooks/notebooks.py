@@ -1,0 +1,33 @@
+"""The notebooks as pages of the site, as they are committed: nothing is run when the site is built."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+FOLDER = Path(__file__).parents[2] / "notebooks"
+
+
+def on_files(files: Any, config: Any, **_: Any) -> Any:
+    """Add a page for each notebook, and its pictures beside it."""
+    from mkdocs.structure.files import File
+
+    for notebook in sorted(FOLDER.glob("*.ipynb")):
+        text, pictures = page(notebook)
+        files.append(File.generated(config, f"notebooks/{notebook.stem}.md", content=text))
+        for name, content in pictures.items():
+            files.append(File.generated(config, f"notebooks/{name}", content=content))
+    return files
+
+
+def page(notebook: Path) -> tuple[str, dict[str, bytes]]:
+    """Return the Markdown of a notebook, and its pictures by file name."""
+    from nbconvert import MarkdownExporter
+
+    resources = {"unique_key": notebook.stem, "output_files_dir": f"{notebook.stem}_files"}
+    text, made = MarkdownExporter().from_filename(str(notebook), resources=resources)
+    # Links in the repository: to pages of docs/, and to other notebooks.
+    text = re.sub(r"\]\(\.\./docs/", "](../", text)
+    text = re.sub(r"\]\(([\w]+)\.ipynb\)", r"](\1.md)", text)
+    return text, made["outputs"]
