@@ -15,7 +15,7 @@ from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import Navigator, ReplayNavigator
+from sixthsense.navigation.navigator import ReplayNavigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
@@ -77,7 +77,8 @@ def run(
     if prior is not None and prior.is_lost:
         source, prior, believed = find_start(source, config, radius_m, prior, searching_navigator(config, radius_m))
     navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
-    return recorded_drive(source, start, navigator, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
+    pilot = Pilot(navigator, Guard(config, radius_m))
+    return recorded_drive(source, start, pilot, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
 
 
 def replay(
@@ -99,7 +100,8 @@ def replay(
     source: Source = log
     if prior is not None and prior.is_lost:
         source, prior, _ = find_start(log, config, radius_m, prior, ReplayNavigator())
-    return recorded_drive(source, log.start, ReplayNavigator(), trace, on_tick, prior)
+    pilot = Pilot(ReplayNavigator(), Guard(config, radius_m))
+    return recorded_drive(source, log.start, pilot, trace, on_tick, prior)
 
 
 def find_start(
@@ -124,7 +126,7 @@ def find_start(
         outcome = drive(first, slam, pilot, [search, lambda *_: "interrupted" if interrupted() else None], clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
-    if outcome in ("explored", "log ended"):  # no more will be seen
+    if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
         start = relocalizer.place
     if start is None:
         found = (
@@ -147,14 +149,13 @@ def searching_navigator(config: Config, radius_m: float) -> Navigator:
 def recorded_drive(
     source: Source,
     start: Pose,
-    navigator: Navigator,
+    pilot: Pilot,
     trace: Trace,
     on_tick: OnTick | None = None,
     prior: PriorStart | None = None,
 ) -> Trace:
     """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
     config, clock = trace.config, trace.stopwatch
-    pilot = Pilot(navigator, Guard(config, trace.radius_m))
     with _slam(start, trace, clock, prior) as slam:
         recorder = Recorder(trace, slam, pilot)
         with deferred_interrupt() as interrupted:
@@ -162,9 +163,11 @@ def recorded_drive(
             if on_tick is not None:
                 watchers.append(lambda tick, step, command: on_tick(tick, trace))
             if config.max_time is not None:
-                watchers.append(_Deadline(config.max_time, navigator.timeout_outcome))
+                watchers.append(_Deadline(config.max_time, pilot.navigator.timeout_outcome))
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
-            recorder.finish(drive(source, slam, pilot, watchers, clock))
+            outcome = drive(source, slam, pilot, watchers, clock)
+            # A robot that sends nothing brings no tick after which a watcher could end the run.
+            recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
     return trace
 
 

@@ -19,6 +19,8 @@ from sixthsense.core.interrupt import command_signals
 COMMANDS = {
     "run": ("[SCENE]", "simulate a robot that explores or drives to goals"),
     "replay": ("LOG", "process a real robot's log with the same code"),
+    "live": ("", "map with a robot on a ROS 2 network, and drive it"),
+    "simulate": ("[SCENE]", "a simulated robot on that network, to test with"),
     "merge": ("RUN_A RUN_B", "map two runs in one building together"),
     "calibrate": ("SCENE", "measure the robot's noise, for `run --config`"),
     "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),

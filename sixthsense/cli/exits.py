@@ -7,6 +7,7 @@ EXIT_CODES = {
     "explored": DONE,
     "explored in part": DONE,
     "log ended": DONE,
+    "time is up": DONE,
     "interrupted": INTERRUPTED,
 }
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""

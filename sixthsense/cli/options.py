@@ -43,8 +43,9 @@ class UsageError(InputError):
 def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple[Table, Table]:
     """Parse a command's arguments into its own options and the nested table of the Config fields.
 
-    `own` gives the type of each own option by name, `positional` is the name of the positional one. Raises UsageError
-    with the allowed values for an unknown option, a flag without a value and a second positional argument.
+    `own` gives the type of each own option by name, `positional` is the name of the positional one, empty if there is
+    none. Raises UsageError with the allowed values for an unknown option, a flag without a value and a second
+    positional argument.
     """
     hints = {f"--{name.replace('_', '-')}": hint for name, hint in own.items()} | dict(config_flags(Config))
     given: Table = {}
@@ -56,6 +57,8 @@ def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple
     while stack:
         word = stack.pop()
         if not word.startswith("-"):
+            if not positional:
+                raise UsageError(f"arguments: found {shown(word)}, allowed: options alone")
             if positional in given:
                 if without_value is not None:
                     raise UsageError(f"{without_value[0]}: found {shown(word)}, allowed: {without_value[1].allowed}")

@@ -207,6 +207,9 @@ def _reproduction(run: _DescribedRun) -> str:
         if "log" in replayed:
             more = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in replayed.items() if name != "log")
             command = f"sixthsense replay {shlex.quote(str(replayed['log']))} --config {config}{more}"
+        if "scan" in replayed:
+            topics = " ".join(f"--{name} {shlex.quote(str(value))}" for name, value in replayed.items())
+            command = f"sixthsense live {topics} --config {config}"
         with_map = _prior_map_options(run.notes.get("prior_map", {}))
         command += with_map
         again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"

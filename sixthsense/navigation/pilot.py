@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -23,7 +24,42 @@ class Pilot:
             self.guard.see(step.scan)
         if step.key_scan is not None:
             self.navigator.look(step.grid, step.key_scan.estimate)
-        command = self.guard.check(self.navigator.step(step.pose, step.stamp_ns))
+        return self.command(step.pose, step.stamp_ns)
+
+    def command(self, pose: Pose, stamp_ns: int) -> Command:
+        """The command of a robot at a pose, `T_world_robot`."""
+        command = self.guard.check(self.navigator.step(pose, stamp_ns))
         if self.guard.stopped:
-            self.navigator.guard_stopped(step.pose)
+            self.navigator.guard_stopped(pose)
         return command
+
+
+class AheadPilot(Pilot):
+    """Steers a robot whose scans arrive late: by the last step and the odometry since, as often as that arrives."""
+
+    def __init__(self, navigator: Navigator, guard: Guard) -> None:
+        super().__init__(navigator, guard)
+        self._step: Step | None = None
+        self._since_scan = Pose()  # motion from the last scan to the last step
+        self._guarded = Pose()  # motion from the last scan that the guard knows of
+
+    def steer(self, step: Step) -> Command:
+        """Take in a step; the command is made by `ahead`."""
+        if step.increment is not None:
+            self._since_scan = self._since_scan @ step.increment.motion
+        if step.scan is not None:
+            self.guard.see(step.scan)
+            self._since_scan = self._guarded = Pose()
+        if step.key_scan is not None:
+            self.navigator.look(step.grid, step.key_scan.estimate)
+        self._step = step
+        return Command()
+
+    def ahead(self, motion: Pose, stamp_ns: int) -> Command:
+        """The command of a robot that has moved by `motion` since the last step; a standstill before the first one."""
+        if self._step is None:
+            return Command()
+        since_scan = self._since_scan @ motion
+        self.guard.moved(self._guarded.inverse() @ since_scan)
+        self._guarded = since_scan
+        return self.command(self._step.pose @ motion, stamp_ns)

@@ -6,21 +6,18 @@ import contextlib
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.record.message_form import MessageForm, quaternion
+from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
-from sixthsense.sources.logs.sighting_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
+from sixthsense.sources.logs.sighting_cloud import CLOUD
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
@@ -33,13 +30,10 @@ TOPICS = {
 """recorded topics and their types, in the order of one tick"""
 SIGHTINGS = "/sightings"
 """additional topic of a log with known landmark identities: sightings, robot's frame"""
-WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
-"""names of the frames"""
 
 _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
-_LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
 # Reliable and transient local: late subscribers receive the mount, too.
 _LATCHED_QOS = """\
 - history: 1
@@ -68,10 +62,8 @@ class BagWriter:
     def __init__(self, folder: Path, before_flush: Callable[[], object] = lambda: None) -> None:
         """Create a bag in the run's `folder`; `before_flush` is called before each flush, for other files."""
         from mcap.writer import Writer
-        from rosbags.typesys import Stores, get_typestore
 
-        self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._types = self._store.types
+        self._messages = Messages()
         self._bag = folder / "bag"
         self._bag.mkdir()
         self._file = self._bag / _FILE
@@ -132,48 +124,41 @@ class BagWriter:
         self._flushed = time.monotonic()
 
     def _record(self, tick: Tick, trace: Trace) -> None:
-        stamp = tick.stamp_ns
+        stamp, make = tick.stamp_ns, self._messages
         if not self._counts:
             self._first_ns = stamp
-            self._write("/tf_static", stamp, self._mount(stamp, Pose(*trace.config.laser.mount)))
+            self._write("/tf_static", stamp, make.transform(stamp, ROBOT, LASER, Pose(*trace.config.laser.mount)))
         self._last_ns = stamp
         if tick.increment_cov is None:
             self._write_odometry(stamp, tick.odometry)
         else:
-            self._write("/odom", stamp, self._odometry(stamp, tick.odometry, tick.increment_cov))
+            self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov))
         if tick.truth is not None:
-            self._write("/truth", stamp, self._pose_stamped(stamp, tick.truth))
+            self._write("/truth", stamp, make.pose_stamped(stamp, tick.truth))
         if tick.scan is not None:
-            scan, message = tick.scan, self._types["sensor_msgs/msg/LaserScan"]
+            scan = tick.scan
             begin = max(stamp + sweep_ns(len(scan.ranges), scan.time_increment), 0)
             header_ns = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
-            first, step = scan.angle_min, scan.angle_increment
-            last = np.float32(first + step * (len(scan.ranges) - 1))
-            intensities = np.zeros(0, dtype=np.float32)
-            header = self._header(header_ns, LASER)
-            lag = scan.time_increment
-            content = (header, first, last, step, lag, 0, 0, scan.max_range, scan.ranges, intensities)
-            self._write("/scan", stamp, message(*content))
+            self._write("/scan", stamp, make.scan(header_ns, scan))
         if tick.sightings is not None:
             if SIGHTINGS not in self._channels:
                 self._names[SIGHTINGS] = CLOUD
                 self._channels[SIGHTINGS] = self._register(SIGHTINGS, CLOUD)
-            self._write(SIGHTINGS, stamp, self._cloud(stamp, tick.sightings))
+            self._write(SIGHTINGS, stamp, make.cloud(stamp, tick.sightings))
         for estimate in trace.key_estimates[self._key_scans :]:
-            self._write("/estimate", stamp, self._estimate(stamp, estimate.pose, estimate.pose_cov))
+            self._write("/estimate", stamp, make.estimate(stamp, estimate.pose, estimate.pose_cov))
         self._key_scans = len(trace.key_estimates)
         for path in trace.plans[self._plans :]:
-            poses = [self._pose_stamped(stamp, Pose(x, y)) for x, y in path.tolist()]
-            self._write("/plan", stamp, self._types[TOPICS["/plan"]](self._header(stamp, WORLD), poses))
+            self._write("/plan", stamp, make.path(stamp, path))
         self._plans = len(trace.plans)
 
     def _register(self, topic: str, name: str) -> int:
-        definition = self._store.generate_msgdef(name, ros_version=2)[0]
+        definition = self._messages.store.generate_msgdef(name, ros_version=2)[0]
         schema: int = self._writer.register_schema(name, "ros2msg", definition.encode())
         return int(self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": _qos(topic)}))
 
     def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
-        self._add(topic, stamp_ns, bytes(self._store.serialize_cdr(message, self._names[topic])))
+        self._add(topic, stamp_ns, self._messages.serialized(message, self._names[topic]))
 
     def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._counts[topic])
@@ -183,66 +168,18 @@ class BagWriter:
     def _write_odometry(self, stamp_ns: int, pose: Pose) -> None:
         """Write the odometry of a tick, of which there are many, without making the message's dozen objects."""
         z, w = quaternion(pose.theta)
-        self._add("/odom", stamp_ns, self._odometry_form.fill(*_stamp(stamp_ns), (pose.x, pose.y, z, w)))
+        self._add(
+            "/odom", stamp_ns, self._odometry_form.fill(*seconds_and_nanoseconds(stamp_ns), (pose.x, pose.y, z, w))
+        )
 
     def _make_odometry_form(self) -> MessageForm:
         def serialized(numbers: tuple[float, ...]) -> Any:
-            message = self._odometry(0, Pose(), None)
+            message = self._messages.odometry(0, Pose(), None)
             place, turn = message.pose.pose.position, message.pose.pose.orientation
             place.x, place.y, turn.z, turn.w = numbers
-            return self._store.serialize_cdr(message, TOPICS["/odom"])
+            return self._messages.serialized(message, TOPICS["/odom"])
 
         return MessageForm(4, serialized)
-
-    def _header(self, stamp_ns: int, frame: str) -> Any:
-        seconds, nanoseconds = _stamp(stamp_ns)
-        return self._types["std_msgs/msg/Header"](
-            self._types["builtin_interfaces/msg/Time"](seconds, nanoseconds), frame
-        )
-
-    def _pose(self, pose: Pose) -> Any:
-        z, w = quaternion(pose.theta)
-        return self._types["geometry_msgs/msg/Pose"](
-            self._types["geometry_msgs/msg/Point"](pose.x, pose.y, 0.0),
-            self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, z, w),
-        )
-
-    def _pose_stamped(self, stamp_ns: int, pose: Pose) -> Any:
-        return self._types["geometry_msgs/msg/PoseStamped"](self._header(stamp_ns, WORLD), self._pose(pose))
-
-    def _odometry(self, stamp_ns: int, pose: Pose, increment_cov: Array | None) -> Any:
-        zero = self._types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-        twist_cov = np.zeros(36)
-        return self._types["nav_msgs/msg/Odometry"](
-            self._header(stamp_ns, ODOM),
-            ROBOT,
-            self._types["geometry_msgs/msg/PoseWithCovariance"](self._pose(pose), increment_covariance(increment_cov)),
-            self._types["geometry_msgs/msg/TwistWithCovariance"](
-                self._types["geometry_msgs/msg/Twist"](zero, zero), twist_cov
-            ),
-        )
-
-    def _estimate(self, stamp_ns: int, pose: Pose, cov: Array) -> Any:
-        pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"](
-            self._pose(pose), spatial_covariance(cov).ravel()
-        )
-        return self._types["geometry_msgs/msg/PoseWithCovarianceStamped"](self._header(stamp_ns, WORLD), pose_with_cov)
-
-    def _cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:
-        data = to_bytes(sightings)
-        field = self._types["sensor_msgs/msg/PointField"]
-        fields = [field(name, offset, kind, 1) for name, offset, kind in FIELDS]
-        header = self._header(stamp_ns, ROBOT)
-        return self._types[CLOUD](header, 1, len(sightings), fields, False, POINT_BYTES, len(data), data, True)
-
-    def _mount(self, stamp_ns: int, mount: Pose) -> Any:
-        z, w = quaternion(mount.theta)
-        transform = self._types["geometry_msgs/msg/Transform"](
-            self._types["geometry_msgs/msg/Vector3"](mount.x, mount.y, 0.0),
-            self._types["geometry_msgs/msg/Quaternion"](0.0, 0.0, z, w),
-        )
-        stamped = self._types["geometry_msgs/msg/TransformStamped"](self._header(stamp_ns, ROBOT), LASER, transform)
-        return self._types["tf2_msgs/msg/TFMessage"]([stamped])
 
     def _write_metadata(self) -> None:
         import yaml
@@ -276,11 +213,6 @@ class BagWriter:
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": table}, sort_keys=False)
         (self._bag / "metadata.yaml").write_text(text, encoding="utf-8")
-
-
-def _stamp(stamp_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds."""
-    return divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
 
 
 def _qos(topic: str) -> str:

@@ -17,6 +17,7 @@ from sixthsense.figures.run import Run
 from sixthsense.running.progress import Progress, each
 
 if TYPE_CHECKING:
+    from sixthsense.live.session import Session
     from sixthsense.loop import OnTick
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
@@ -92,6 +93,14 @@ def replay_log(
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
     go = functools.partial(loop.replay, log, config, relations, prior=prior)
     return _watched(go, recorded.name, config, bar, folder, watch, of_log=True)
+
+
+def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: Watch, prior: PriorStart | None) -> Run:
+    """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
+    bar = Progress("live", session.config.max_time, shown=watch.progress)
+    return _watched(
+        lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive
+    )
 
 
 def _watched(

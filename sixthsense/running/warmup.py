@@ -18,6 +18,8 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.exploration_navigator import ExplorationNavigator
 from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
 from sixthsense.slam.features import extract
@@ -76,7 +78,7 @@ def warm_up() -> None:
     planner = make_planner("astar")
     driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
-    recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), driver, trace)
+    recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), Pilot(driver, Guard(config, 0.2)), trace)
     measure(trace)
     assert trace.grid is not None
     space = trace.grid.free_space()

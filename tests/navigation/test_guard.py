@@ -16,6 +16,7 @@ from sixthsense.loop import recorded_drive
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import GoalNavigator
 from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
 from sixthsense.sources.scene import Scene
@@ -191,7 +192,7 @@ def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 
     navigator = GoalNavigator(np.array([goal]), make_planner("astar"), follower, config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
-    recorded_drive(source, Pose(), navigator, trace)
+    recorded_drive(source, Pose(), Pilot(navigator, Guard(config, RADIUS)), trace)
     return trace
 
 

@@ -102,7 +102,7 @@ def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str], is_mount_gi
             "are of another laser"
         )
     ticks = _ticks(path, recording, scans)
-    return BagLog(ticks, _describe(scans[0], laser), recording.remarks)
+    return BagLog(ticks, described_laser(scans[0], laser), recording.remarks)
 
 
 @contextmanager
@@ -229,7 +229,7 @@ def _max_range(recording: _Recording) -> float | None:
     return found
 
 
-def _describe(first: Scan, laser: LaserConfig) -> LaserConfig:
+def described_laser(first: Scan, laser: LaserConfig) -> LaserConfig:
     """The configuration of the laser that took a scan."""
     step, count = float(first.angle_increment), len(first.ranges)
     fov = 2.0 * math.pi if first.closed else min(step * (count - 1), 2.0 * math.pi)

@@ -1,0 +1,90 @@
+"""`sixthsense live`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
+from sixthsense.cli.options import UsageError
+from sixthsense.cli.shown import arg
+from sixthsense.cli.view import live_view
+from sixthsense.config import Config, merge, preset
+from sixthsense.config.errors import InputError
+from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment
+
+
+@dataclass(frozen=True)
+class OnNetwork:
+    """Options of the commands that join a ROS 2 network."""
+
+    domain: Annotated[int | None, arg(metavar="N")] = None
+    """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
+    interface: Annotated[str, arg(metavar="NAME|ADDRESS")] = LOOPBACK
+    """Network interface to join; by default that of this machine alone, 127.0.0.1."""
+    peers: Annotated[str | None, arg(metavar="ADDRESS[,ADDRESS]")] = None
+    """Hosts of the robot, for networks without multicast."""
+
+    def network(self) -> Network:
+        """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
+        domain = domain_of_environment() if self.domain is None else self.domain
+        if not isinstance(domain, int):  # the parser passes text that is not a number unchanged
+            raise UsageError(f"--domain: found {domain!r}, allowed: a whole number")
+        network = Network(domain, self.interface, tuple(self.peers.split(",")) if self.peers else ())
+        check_installed()
+        return network
+
+
+@dataclass(frozen=True)
+class Live(OnNetwork, WithPriorMap):
+    """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
+
+    scan: Annotated[str, arg(metavar="TOPIC")] = "/scan"
+    """Topic of the laser, sensor_msgs/LaserScan."""
+    odom: Annotated[str, arg(metavar="TOPIC")] = "/odom"
+    """Topic of the wheels' odometry, nav_msgs/Odometry."""
+    drive: bool = False
+    """Drive the robot: it explores --region, or drives to --goal. Keep an emergency stop at hand."""
+    cmd_vel: Annotated[str, arg(metavar="TOPIC")] = "/cmd_vel"
+    """With --drive: topic of the commands, geometry_msgs/Twist."""
+
+
+def command(args: list[str]) -> int:
+    """Run SLAM on a robot."""
+    if wants_help(args):
+        return show_help(Live, "live", "log")
+    options, flags = parse_command(Live, "", lambda _: _base("--drive" in args), args)
+    network = options.network()
+    from sixthsense.api import with_task
+    from sixthsense.live.session import Session, Topics, check_drive
+    from sixthsense.running.runs import Watch, run_live
+    from sixthsense.running.warmup import prepare
+
+    topics = Topics(options.scan, options.odom, options.cmd_vel).checked()
+    config = with_task(options.settings, flags, "--")
+    if options.drive:
+        check_drive(config)
+    stated = tuple(name.replace("-", "_") for name in flags.get("laser", {}))
+    for name in stated:
+        if name not in ("mount", "max_range"):
+            raise InputError(f"--laser.{name}: found on a robot, which describes its laser, allowed: --laser.mount")
+    prior = options.prior_start()
+    prepare(announce, config, of_log=not options.drive)
+    with Session(network, topics, config, announce) as session:
+        session.configure(stated, options.drive)
+        config = session.config
+        source = {"scan": topics.scan, "odom": topics.odom}
+        with (
+            run_folder(options, config, f"live-{config.estimator}", source, prior) as folder,
+            live_view(options) as hooks,
+        ):
+            run = run_live(session, options.drive, folder, Watch(hooks, say=announce), prior)
+            if summary := session.notices.summary():
+                announce(summary)
+            return show_end(run)
+
+
+def _base(drive: bool) -> Config:
+    """The preset of real robots; with landmarks in a filter where the robot is driven, which answers sooner."""
+    changes = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+    return merge(preset("log"), changes if drive else {})

@@ -1,0 +1,141 @@
+"""Joining scans with odometry: ticks in the order of time, from messages in any order of arrival.
+
+No network and no clock of its own: stamps and times of arrival are arguments, in nanoseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from itertools import pairwise
+from typing import NamedTuple
+
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.laser import Scan, sweep_ns
+from sixthsense.core.source import Tick
+from sixthsense.live.robot_clock import RobotClock
+
+WAIT_NS = 200_000_000
+"""A scan waits at most this long for the odometry after it."""
+HOLD_NS = 1_000_000_000
+"""Odometry is held this long for scans that are late."""
+GAP_NS = 500_000_000
+"""No pose is interpolated in a longer gap of odometry."""
+
+_FASTEST_M_S, _FASTEST_RAD_S = 10.0, 20.0  # odometry that moves faster has begun anew elsewhere
+_JOLT_M, _JOLT_RAD = 0.5, 0.5  # at any moment
+
+
+class _Waiting(NamedTuple):
+    """A scan without odometry after it."""
+
+    time_ns: int
+    stamp_ns: int
+    """of the header"""
+    arrival_ns: int
+    scan: Scan
+
+
+class ScanJoiner:
+    """Makes a tick of each scan, with odometry interpolated at its stamp, and of the odometry before it.
+
+    The stamp of a scan that took time is that of its first beam; its tick has the time of its last one. A scan that
+    cannot be used is dropped and counted by reason. Odometry that begins anew elsewhere, as after a restart of its
+    driver, goes on from where it was.
+    """
+
+    def __init__(self) -> None:
+        self.clock = RobotClock()
+        self.dropped: Counter[str] = Counter()
+        """number of messages by reason"""
+        self.restarts = 0
+        """how often odometry has begun anew"""
+        self.T_old_odom = Pose()
+        """the frame of odometry, in that of its first message: the identity until it begins anew"""
+        self._odometry: list[tuple[int, Pose]] = []
+        self._scans: list[_Waiting] = []
+        self._last_scan_ns: int | None = None
+        self._ticked_ns: int | None = None  # time of the last tick
+
+    @property
+    def newest(self) -> tuple[int, Pose] | None:
+        """Time and pose of the newest odometry, `T_odom_robot`."""
+        return self._odometry[-1] if self._odometry else None
+
+    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int) -> bool:
+        """Take in the robot's pose by its wheels; whether it is the newest and can be used."""
+        if not self.clock.accepts(stamp_ns, arrival_ns):
+            self.dropped["odometry with a stamp of another time"] += 1
+            return False
+        time_ns = self.clock.time(stamp_ns)
+        if self._odometry:
+            newest_ns, before = self._odometry[-1]
+            if time_ns <= newest_ns:
+                self.dropped["odometry twice" if time_ns == newest_ns else "odometry out of order"] += 1
+                return False
+            if _is_elsewhere(before, self.T_old_odom @ T_odom_robot, 1e-9 * (time_ns - newest_ns)):
+                self.T_old_odom = before @ T_odom_robot.inverse()
+                self.restarts += 1
+        self._odometry.append((time_ns, self.T_old_odom @ T_odom_robot))
+        return True
+
+    def add_scan(self, stamp_ns: int, scan: Scan, arrival_ns: int) -> None:
+        """Take in a scan; `stamp_ns` is that of its first beam."""
+        time_ns = self.clock.time(stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment))
+        if time_ns == self._last_scan_ns or any(time_ns == other.time_ns for other in self._scans):
+            self.dropped["scan twice"] += 1
+        elif self._ticked_ns is not None and time_ns <= self._ticked_ns:
+            self.dropped["scan late"] += 1
+        else:
+            self._scans.append(_Waiting(time_ns, stamp_ns, arrival_ns, scan))
+            self._scans.sort(key=lambda waiting: waiting.time_ns)
+
+    def ticks(self, arrival_ns: int) -> list[Tick]:
+        """The ticks that are due at a time of arrival, in ascending order."""
+        found: list[Tick] = []
+        left: list[_Waiting] = []
+        for waiting in self._scans:
+            if not self._odometry or waiting.time_ns > self._odometry[-1][0]:
+                if arrival_ns - waiting.arrival_ns <= WAIT_NS:
+                    left.append(waiting)
+                else:
+                    self.dropped["scan without odometry"] += 1
+            elif (pose := self._odometry_at(waiting.time_ns)) is None:
+                self.dropped["scan without odometry"] += 1
+            else:
+                found += self._odometry_before(waiting.time_ns)
+                found.append(Tick(waiting.time_ns, pose, waiting.scan, log_stamp_s=waiting.stamp_ns / 1e9))
+                self._last_scan_ns = self._ticked_ns = waiting.time_ns
+        self._scans = left
+        if self._odometry:
+            found += self._odometry_before(self._odometry[-1][0] - HOLD_NS)
+        return found
+
+    def _odometry_before(self, time_ns: int) -> list[Tick]:
+        """Ticks of the odometry before a time that have not been made yet; the last one is kept to interpolate."""
+        ticked_ns = -math.inf if self._ticked_ns is None else self._ticked_ns
+        fresh = [(t, pose) for t, pose in self._odometry if ticked_ns < t < time_ns]
+        if fresh:
+            self._ticked_ns = fresh[-1][0]
+        past = sum(t <= time_ns for t, _ in self._odometry)
+        del self._odometry[: max(past - 1, 0)]
+        return [Tick(t, pose) for t, pose in fresh]
+
+    def _odometry_at(self, time_ns: int) -> Pose | None:
+        """`T_odom_robot`, interpolated between two messages; None before the first one, and in a long gap."""
+        for at_ns, pose in self._odometry:
+            if at_ns == time_ns:
+                return pose
+        for (before_ns, before), (after_ns, after) in pairwise(self._odometry):
+            if before_ns < time_ns < after_ns and after_ns - before_ns <= GAP_NS:
+                motion, share = before.inverse() @ after, (time_ns - before_ns) / (after_ns - before_ns)
+                return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+        return None
+
+
+def _is_elsewhere(before: Pose, after: Pose, duration_s: float) -> bool:
+    """Whether no robot drives so fast."""
+    distance = math.hypot(after.x - before.x, after.y - before.y)
+    turn = abs(wrap_angle(after.theta - before.theta))
+    is_far = distance > _FASTEST_M_S * duration_s + _JOLT_M
+    return is_far or turn > _FASTEST_RAD_S * duration_s + _JOLT_RAD

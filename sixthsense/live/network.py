@@ -1,0 +1,209 @@
+"""A participant of a DDS network, through Cyclone DDS: topics of ROS 2 with their qualities of service."""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import os
+import re
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+from xml.sax.saxutils import quoteattr
+
+from sixthsense.config.section import shown
+from sixthsense.live.topics import NetworkError, Topic, dds, dds_type, qos
+
+LOOPBACK = "127.0.0.1"
+LARGEST_MESSAGE_BYTES = 64 << 20
+"""A larger message is dropped before it is put together from its packets."""
+
+_INTERFACE_NAME = re.compile(r"[A-Za-z0-9_.:-]{1,15}")
+_MOST_PARTICIPANTS = 32  # of a host, that are looked for at an address without multicast
+_LARGEST_DOMAIN = 232
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """Which network to join; by default that of this machine alone."""
+
+    domain: int = 0
+    """separates networks, 0 to 232"""
+    interface: str = LOOPBACK
+    """name or address of the network interface"""
+    peers: tuple[str, ...] = ()
+    """addresses of hosts to ask for participants; without any, multicast finds them"""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.domain <= _LARGEST_DOMAIN:
+            raise NetworkError(f"--domain: found {self.domain}, allowed: 0 to {_LARGEST_DOMAIN}")
+        if not (_is_address(self.interface) or _INTERFACE_NAME.fullmatch(self.interface)):
+            found = f"--interface: found {shown(self.interface)}"
+            raise NetworkError(f"{found}, allowed: the name or the address of a network interface")
+        for peer in self.peers:
+            if not _is_address(peer):
+                raise NetworkError(f"--peers: found {shown(peer)}, allowed: addresses such as 192.168.1.7")
+            if self.is_loopback and not ipaddress.ip_address(peer).is_loopback:
+                found = f"--peers: found {peer} with --interface {self.interface}"
+                raise NetworkError(f"{found}, allowed: with the interface that leads there")
+
+    @property
+    def is_loopback(self) -> bool:
+        """Whether no other machine takes part."""
+        return self.interface == "lo" or (
+            _is_address(self.interface) and ipaddress.ip_address(self.interface).is_loopback
+        )
+
+    def xml(self) -> str:
+        """The configuration of Cyclone DDS."""
+        key = "address" if _is_address(self.interface) else "name"
+        peers = (LOOPBACK,) if self.is_loopback and not self.peers else self.peers
+        multicast = "false" if peers else "spdp"
+        listed = "".join(f"<Peer address={quoteattr(peer)}/>" for peer in peers)
+        return (
+            "<CycloneDDS><Domain>"
+            f"<General><Interfaces><NetworkInterface {key}={quoteattr(self.interface)}/></Interfaces>"
+            f"<AllowMulticast>{multicast}</AllowMulticast></General>"
+            f"<Discovery><ParticipantIndex>auto</ParticipantIndex><Peers>{listed}</Peers>"
+            f"<MaxAutoParticipantIndex>{_MOST_PARTICIPANTS}</MaxAutoParticipantIndex></Discovery>"
+            f"<Internal><MaxSampleSize>{LARGEST_MESSAGE_BYTES} B</MaxSampleSize></Internal>"
+            "<Tracing><Verbosity>none</Verbosity></Tracing>"
+            "</Domain></CycloneDDS>"
+        )
+
+
+def domain_of_environment() -> int:
+    """The domain of ROS_DOMAIN_ID, 0 without it; NetworkError for one that is no number."""
+    text = os.environ.get("ROS_DOMAIN_ID", "") or "0"
+    if not text.isascii() or not text.isdigit():
+        raise NetworkError(f"ROS_DOMAIN_ID: found {shown(text)}, allowed: 0 to {_LARGEST_DOMAIN}")
+    return int(text)
+
+
+def check_installed() -> None:
+    """Raise ExtraError, which says how to install it, if there is no Cyclone DDS."""
+    dds("core")
+
+
+class Node:
+    """A participant with its readers and writers. A context manager, which leaves the network at its end."""
+
+    def __init__(self, network: Network) -> None:
+        """Join; NetworkError if the interface is not there or all places of the domain are taken."""
+        core, domain = dds("core"), dds("domain")
+        _check_interface(network.interface)
+        before = _open_sockets()
+        try:
+            self._domain = domain.Domain(network.domain, network.xml())
+            self._participant = domain.DomainParticipant(network.domain)
+        except core.DDSException as error:
+            where = f"--interface {network.interface}, --domain {network.domain}"
+            raise NetworkError(f"{where}: cannot be joined ({error.msg}), allowed: an interface that is up") from None
+        if network.is_loopback:
+            _confine_to_loopback(_open_sockets() - before)
+        self._waitset = core.WaitSet(self._participant)
+        self._entities: list[Any] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the network, so that the others know it at once."""
+        for entity in [self._waitset, *reversed(self._entities), self._participant, self._domain]:
+            entity.__del__()  # the only way that the binding offers; a second call does nothing
+        self._entities = []
+
+    def reader(self, topic: Topic) -> Reader:
+        """Subscribe."""
+        core = dds("core")
+        reader = dds("sub").DataReader(self._participant, self._topic(topic), qos(topic.quality))
+        fresh = core.ReadCondition(reader, core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead)
+        self._waitset.attach(fresh)
+        self._entities += [reader, fresh]
+        return Reader(reader, topic.quality.depth)
+
+    def writer(self, topic: Topic) -> Writer:
+        """Advertise."""
+        found = self._topic(topic)
+        writer = dds("pub").DataWriter(self._participant, found, qos(topic.quality))
+        self._entities.append(writer)
+        return Writer(writer, dds_type(topic.type))
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait until a reader has a message, at most for a time."""
+        self._waitset.wait(round(1e9 * timeout_s))
+
+    def _topic(self, topic: Topic) -> Any:
+        made = dds("topic").Topic(self._participant, f"rt{topic.name}", dds_type(topic.type))
+        self._entities.append(made)
+        return made
+
+
+class Reader:
+    """Takes the messages of a topic."""
+
+    def __init__(self, reader: Any, depth: int) -> None:
+        self._reader, self._depth = reader, depth
+
+    def take(self) -> list[bytes]:
+        """The serialized messages that have arrived since the last call, the newest at last."""
+        return [sample.data for sample in self._reader.take(N=self._depth) if hasattr(sample, "data")]
+
+
+class Writer:
+    """Sends messages of a topic."""
+
+    def __init__(self, writer: Any, kind: Any) -> None:
+        self._writer, self._kind = writer, kind
+
+    def send(self, data: bytes) -> None:
+        """Send a serialized message; it is lost if a reader that must confirm it lags behind."""
+        with contextlib.suppress(dds("core").DDSException):
+            self._writer.write(self._kind.holding(data))
+
+    @property
+    def readers(self) -> int:
+        """How many readers there are."""
+        return len(self._writer.get_matched_subscriptions())
+
+
+def _is_address(text: str) -> bool:
+    try:
+        return ipaddress.ip_address(text).version == 4
+    except ValueError:
+        return False
+
+
+def _check_interface(interface: str) -> None:
+    """Raise NetworkError for an interface that this machine has not; Cyclone DDS would take another one."""
+    try:
+        if _is_address(interface):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind((interface, 0))
+        else:
+            socket.if_nametoindex(interface)
+    except OSError:
+        names = ", ".join(name for _, name in socket.if_nameindex())
+        raise NetworkError(f"--interface: found {interface}, allowed: {names}, or an address of one") from None
+
+
+def _open_sockets() -> set[int]:
+    """File descriptors of this process's sockets; empty where the system does not list them."""
+    found = set()
+    with contextlib.suppress(OSError):
+        for entry in Path("/proc/self/fd").iterdir():
+            with contextlib.suppress(OSError):
+                if str(entry.readlink()).startswith("socket:"):
+                    found.add(int(entry.name))
+    return found
+
+
+def _confine_to_loopback(descriptors: set[int]) -> None:
+    """Let sockets receive from this machine alone: Cyclone DDS binds those that receive to all interfaces."""
+    for descriptor in descriptors:
+        with contextlib.suppress(OSError), socket.socket(fileno=os.dup(descriptor)) as copy:
+            copy.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, b"lo\0")

@@ -1,0 +1,70 @@
+"""What a live run tells the network at every scan: its pose, where the map lies in odometry's frame, and the map."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.motion import compose_jacobians, odometry
+from sixthsense.core.source import Tick
+from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Node
+from sixthsense.live.robot import LiveRobot
+from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.record.messages import WORLD, Messages
+from sixthsense.record.trace import Trace
+
+POSE = Topic("/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", RELIABLE)
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage", RELIABLE._replace(depth=100))
+MAP = Topic("/map", "nav_msgs/msg/OccupancyGrid", LATCHED)
+
+_MAP_PERIOD_S = 2.0
+_HEADER_BYTES = 1024  # of a map, at most
+
+
+class Publisher:
+    """A hook of the loop. The map is sent when it has changed, at most every two seconds."""
+
+    def __init__(self, node: Node, robot: LiveRobot) -> None:
+        self._robot, self._messages = robot, Messages()
+        self._pose, self._tf, self._map = node.writer(POSE), node.writer(TF), node.writer(MAP)
+        self._sent_s, self._drawn = -_MAP_PERIOD_S, 0
+
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        """Send what a scan has changed, with its stamp."""
+        if tick.scan is None:
+            return
+        stamp_ns = self._robot.joiner.clock.stamp(tick.stamp_ns)
+        pose = Pose.from_array(trace.estimates[-1])
+        self._pose.send(self._estimate(stamp_ns, pose, trace))
+        T_map_odom = self._robot.odom_in_map(tick, pose)
+        transform = self._messages.transform(stamp_ns, WORLD, self._robot.odom_frame, T_map_odom)
+        self._tf.send(self._messages.serialized(transform, TF.type))
+        if time.monotonic() - self._sent_s >= _MAP_PERIOD_S:
+            self.send_map(stamp_ns, trace)
+
+    def send_map(self, stamp_ns: int, trace: Trace) -> None:
+        """Send the map, if there have been key scans since the last time; one that is too large is not sent."""
+        if trace.grid is None or len(trace.key_stamps_ns) == self._drawn:
+            return
+        self._sent_s, self._drawn = time.monotonic(), len(trace.key_stamps_ns)
+        cells = trace.grid.occupancy()
+        if cells.size + _HEADER_BYTES > LARGEST_MESSAGE_BYTES:
+            return
+        message = self._messages.occupancy(stamp_ns, cells, trace.grid.origin, trace.config.grid.cell_m)
+        self._map.send(self._messages.serialized(message, MAP.type))
+
+    def _estimate(self, stamp_ns: int, pose: Pose, trace: Trace) -> bytes:
+        message = self._messages.estimate(stamp_ns, pose, pose_covariance(trace))
+        return self._messages.serialized(message, POSE.type)
+
+
+def pose_covariance(trace: Trace) -> Array:
+    """(3, 3) of the pose at the last scan, world frame: that at the last key scan, and of the odometry since."""
+    if not trace.key_estimates:
+        return np.zeros((3, 3))
+    key, since = trace.key_estimates[-1], Pose.from_array(trace.since_key[-1])
+    by_pose, by_motion = compose_jacobians(key.pose.theta, since)
+    cov = odometry(Pose(), since, trace.config.assumed).cov
+    return np.asarray(by_pose @ key.pose_cov @ by_pose.T + by_motion @ cov @ by_motion.T)

@@ -1,0 +1,169 @@
+"""From serialized messages of the network to poses and scans; ValueError for what cannot be used.
+
+What comes from the network is data: its size is bounded before it is read, its numbers are checked, and its names are
+compared with others and shown, but are never paths.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sixthsense.config.section import shown_name
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Command
+from sixthsense.record.messages import Messages
+from sixthsense.sources.logs.ros_frames import Frames, frame_name
+from sixthsense.sources.logs.ros_messages import (
+    FARTHEST_M,
+    LASER_SCAN,
+    ODOMETRY,
+    mount,
+    planar,
+    scan,
+    stamp_ns,
+    transform,
+)
+
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TWIST = "geometry_msgs/msg/Twist"
+
+_MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8}
+_LONGEST_FRAME = 256  # letters of the name of a frame
+_MOST_FRAMES = 1000
+_SAME_COUNT, _SAME_STEP = 0.05, 0.01  # share by which the beams of one laser differ: some vary by a few
+_FASTEST = 100.0  # m/s and rad/s of a command
+
+
+class RobotPose(NamedTuple):
+    """A message of odometry."""
+
+    stamp_ns: int
+    T_odom_robot: Pose
+    frame: str
+    """of odometry"""
+    robot: str
+    """frame of the robot"""
+
+
+class MessageReader:
+    """Reads serialized messages."""
+
+    def __init__(self) -> None:
+        self._store = Messages().store
+
+    def read(self, data: bytes, name: str) -> Any:
+        """The message of the type of this name, with a valid header if it has one."""
+        if len(data) > _MOST_BYTES[name]:
+            raise ValueError(f"found a message of {len(data)} bytes, allowed: {_MOST_BYTES[name]}")
+        try:
+            message = self._store.deserialize_cdr(data, name)
+        except Exception as error:  # damaged bytes raise whatever they lead to
+            raise ValueError(f"found a message that cannot be read ({type(error).__name__})") from None
+        if hasattr(message, "header"):
+            _check_header(message.header)
+        return message
+
+    def odometry(self, data: bytes) -> RobotPose:
+        """The robot's pose by its wheels."""
+        message = self.read(data, ODOMETRY)
+        pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+        robot = _checked_frame(message.child_frame_id)
+        return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
+
+    def command(self, data: bytes) -> Command:
+        """The command of a Twist."""
+        message = self.read(data, TWIST)
+        speed, turn_rate = float(message.linear.x), float(message.angular.z)
+        if not (abs(speed) <= _FASTEST and abs(turn_rate) <= _FASTEST):  # false for NaN
+            raise ValueError(f"found a command of {speed} m/s and {turn_rate} rad/s, allowed: up to {_FASTEST:g}")
+        return Command(speed, turn_rate)
+
+
+class LaserReader:
+    """Reads the scans of one laser: that of the first message."""
+
+    def __init__(self, reader: MessageReader, max_range: float | None, mount: Pose | None) -> None:
+        """`max_range`, metres, and `mount`, `T_robot_laser`, are those stated, which messages do not change."""
+        self._reader, self._max_range = reader, max_range
+        self.T_robot_laser = mount
+        """mount; None: not known yet"""
+        self.upside_down = False
+        self.frame = ""
+        """of the first scan"""
+        self._first: Scan | None = None
+
+    def scan(self, data: bytes) -> tuple[int, Scan]:
+        """The stamp of a scan, ns, and the scan."""
+        message = self._reader.read(data, LASER_SCAN)
+        frame = frame_name(message.header.frame_id)
+        if self._max_range is None and not 0.0 < float(message.range_max) <= FARTHEST_M:  # true for NaN
+            allowed = f"allowed: up to {FARTHEST_M:g} m, or state it with --laser.max-range"
+            raise ValueError(f"found range_max {float(message.range_max)}, {allowed}")
+        if self._first is not None and frame != self.frame:
+            raise ValueError(f"found a scan of {shown_name(frame)}, allowed: of {shown_name(self.frame)}")
+        found = scan(message, self.T_robot_laser or Pose(), self.upside_down, self._max_range)
+        if self._first is None:
+            self._first, self.frame = found, frame
+        if not _is_same_laser(self._first, found):
+            now, first = _beams(found), _beams(self._first)
+            raise ValueError(f"found a laser of {now}, allowed: as in the first scan, {first}")
+        return stamp_ns(message), found
+
+    def forget(self) -> None:
+        """Take the next scan as the first one."""
+        self._first = None
+
+
+class FrameReader:
+    """Collects static transforms, and tells the mount of the laser."""
+
+    def __init__(self, reader: MessageReader) -> None:
+        self._reader, self._frames = reader, Frames()
+
+    def add(self, data: bytes) -> None:
+        """Take in the transforms of a message."""
+        for link in self._reader.read(data, TRANSFORMS).transforms:
+            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
+            if len(self._frames.transforms) < _MOST_FRAMES:
+                self._frames.transforms[child] = (parent, transform(link.transform))
+
+    def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
+        """`T_robot_laser`, and whether the laser is upside down; None if no transforms lead from one to the other.
+
+        A laser that is not level raises ValueError.
+        """
+        self._frames.robot, self._frames.laser = robot, laser
+        return mount(np.eye(4)) if robot == laser else self._frames.mount()
+
+
+def _check_header(header: Any) -> None:
+    seconds, nanoseconds = int(header.stamp.sec), int(header.stamp.nanosec)
+    if seconds < 0 or nanoseconds >= 1_000_000_000 or seconds == nanoseconds == 0:
+        raise ValueError(f"found the stamp {seconds} s {nanoseconds} ns, allowed: a time after 1970")
+    _checked_frame(header.frame_id)
+
+
+def _checked_frame(name: str) -> str:
+    if len(name) > _LONGEST_FRAME:
+        raise ValueError(f"found a name of a frame with {len(name)} letters, allowed: {_LONGEST_FRAME}")
+    return frame_name(name)
+
+
+def _is_same_laser(first: Scan, other: Scan) -> bool:
+    """Whether two scans have the same beams, but for a few more or less."""
+    step, count = float(first.angle_increment), len(first.ranges)
+    return (
+        abs(len(other.ranges) - count) <= _SAME_COUNT * count
+        and math.isclose(other.angle_increment, step, rel_tol=_SAME_COUNT)
+        and abs(float(other.angle_min) - float(first.angle_min)) <= max(_SAME_STEP, 2.0 * step)
+        and other.max_range == first.max_range
+    )
+
+
+def _beams(of: Scan) -> str:
+    first, step = np.degrees((float(of.angle_min), float(of.angle_increment)))
+    return f"{len(of.ranges)} beams from {first:.1f} degrees in steps of {step:.3f}, {of.max_range:g} m"

@@ -1,0 +1,199 @@
+"""A live run: join the network, wait for the robot, run the loop with it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from sixthsense.config import Config, ConfigError
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.section import shown_name
+from sixthsense.core.geometry import Pose
+from sixthsense.core.interrupt import is_command_ended
+from sixthsense.core.random_streams import random_streams
+from sixthsense.core.source import Tick
+from sixthsense.live.commands import Commands
+from sixthsense.live.network import Network, Node
+from sixthsense.live.notices import Notices
+from sixthsense.live.publishing import Publisher
+from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader, RobotPose
+from sixthsense.live.robot import LiveRobot, Received, Steering
+from sixthsense.live.topics import LATCHED, RELIABLE, SENSOR, Topic, checked_topic
+from sixthsense.loop import OnTick, recorded_drive
+from sixthsense.navigation import make_navigator
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import Navigator, ReplayNavigator
+from sixthsense.navigation.pilot import AheadPilot, Pilot
+from sixthsense.record.trace import Trace
+from sixthsense.slam.prior_map import PriorStart
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.sources.logs.rosbag import described_laser
+
+_WAIT_S = 0.05
+_FRAMES_S = 1.0  # static transforms have come by then, or there are none
+_PERIODS = 5  # between scans, that the laser's rate is measured by
+_RESPONSE_S = 0.1  # within which a robot follows a command: the time between two control ticks of a real one
+
+
+class Topics(NamedTuple):
+    """Names of topics of the robot."""
+
+    scan: str = "/scan"
+    odom: str = "/odom"
+    cmd_vel: str = "/cmd_vel"
+
+    def checked(self) -> Topics:
+        """With absolute names; NetworkError for one that is not allowed."""
+        return Topics(*(checked_topic(f"--{name.replace('_', '-')}", value) for name, value in self._asdict().items()))
+
+
+class Session:
+    """A network joined to listen to one robot, and to drive it if told so."""
+
+    def __init__(self, network: Network, topics: Topics, config: Config, say: Callable[[str], object]) -> None:
+        """Join the network and subscribe; `say` prints a line. `configure` and `run` follow."""
+        self._node = Node(network)
+        self._topics, self._say = topics, say
+        self.config = config
+        """after `configure` with the robot's laser"""
+        self.notices = Notices(say)
+        self._reader = MessageReader()
+        self._frames = FrameReader(self._reader)
+        self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
+        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, SENSOR))
+        self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._node.close()
+
+    def configure(self, stated: tuple[str, ...], drive: bool) -> None:
+        """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
+
+        `stated` names the fields of `config.laser` that take precedence over the robot's messages.
+        """
+        laser = self.config.laser
+        mount = Pose(*laser.mount) if "mount" in stated else None
+        self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
+        self._say(f"waiting for {self._topics.scan} and {self._topics.odom} ...")
+        stamps, self._robot, found = self._first_messages()
+        if mount is None:
+            self._laser.T_robot_laser, self._laser.upside_down = self._mount()
+        self._laser.forget()
+        _, scan = self._laser.scan(found)
+        laser = described_laser(scan, laser)
+        robot = self.config.robot
+        if drive:
+            period_s = 1e-9 * float(np.median(np.diff(np.sort(stamps))))
+            robot = dataclasses.replace(robot, control_period_s=max(robot.control_period_s, _RESPONSE_S))
+            ticks = max(1, math.ceil(period_s / robot.control_period_s - 0.1))
+            laser = dataclasses.replace(laser, period_ticks=ticks)
+        self.config = dataclasses.replace(self.config, laser=laser, robot=robot)
+
+    def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
+        """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
+        config, start = self.config, self._robot.T_odom_robot
+        radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
+        guard = Guard(config, radius_m)
+        trace = Trace(config, None, radius_m, name="live")
+        with contextlib.ExitStack() as stack:
+            pilot: Pilot = Pilot(_listening(), guard)
+            steering = None
+            if drive:
+                believed = start if prior is None or prior.pose is None else prior.pose
+                pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
+                writer = self._node.writer(Topic(self._topics.cmd_vel, TWIST, RELIABLE))
+                steering = Steering(ahead, stack.enter_context(Commands(writer)).send)
+            robot = LiveRobot(self._received, self._reader, self._laser, self.notices, steering)
+            publisher = Publisher(self._node, robot)
+
+            def on_tick(tick: Tick, trace: Trace) -> None:
+                publisher(tick, trace)
+                if hook is not None:
+                    hook(tick, trace)
+
+            self._discard()
+            return recorded_drive(robot, start, pilot, trace, on_tick, prior)
+
+    def _received(self, timeout_s: float) -> Iterator[Received]:
+        """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
+        self._node.wait(timeout_s)
+        for data in self._odometry.take():
+            yield False, data
+        for data in self._scans.take():
+            yield True, data
+
+    def _discard(self) -> None:
+        """Drop what has arrived while the hot loops were compiled."""
+        self._odometry.take()
+        self._scans.take()
+
+    def _first_messages(self) -> tuple[list[int], RobotPose, bytes]:
+        """Stamps of some scans, the first odometry, and a scan."""
+        stamps: list[int] = []
+        odometry: RobotPose | None = None
+        last = b""
+        while len(stamps) <= _PERIODS or odometry is None:
+            if is_command_ended():
+                raise KeyboardInterrupt
+            for is_scan, data in self._received(_WAIT_S):
+                try:
+                    if is_scan:
+                        stamp_ns, _ = self._laser.scan(data)
+                        stamps, last = sorted({*stamps[-_PERIODS:], stamp_ns}), data
+                    else:
+                        odometry = odometry or self._reader.odometry(data)
+                except ValueError as error:
+                    self.notices.unusable("scan" if is_scan else "odometry", error)
+        return stamps, odometry, last
+
+    def _mount(self) -> tuple[Pose, bool]:
+        """The mount of the laser on the robot and whether it is upside down, by static transforms if there are any."""
+        until_s = time.monotonic() + _FRAMES_S
+        while True:
+            for data in self._transforms.take():
+                try:
+                    self._frames.add(data)
+                except ValueError as error:
+                    self.notices.unusable("/tf_static", error)
+            try:
+                found = self._frames.mount(self._robot.robot, self._laser.frame)
+            except ValueError as error:
+                raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
+            if found is not None:
+                return found
+            if time.monotonic() > until_s:
+                frames = f"{shown_name(self._robot.robot)} to {shown_name(self._laser.frame)}"
+                self._say(f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames}")
+                return Pose(), False
+            self._node.wait(_WAIT_S)
+
+
+def check_drive(config: Config) -> None:
+    """Raise ConfigError for a task without what it needs: there is no scene to take it from."""
+    needed = {"explore": ("region", "x0 y0 x1 y1"), "goal": ("goal", "x y"), "tour": ("tour", "x y x y ...")}
+    name, form = needed[config.task]
+    if getattr(config, name) is None:
+        raise ConfigError(f"--{name}: missing, allowed: {form}, metres, in the frame of the map")
+
+
+def _listening() -> Navigator:
+    navigator = ReplayNavigator()
+    navigator.timeout_outcome = "time is up"
+    return navigator
+
+
+def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:
+    check_drive(config)
+    streams = random_streams(config.seed)
+    goals = np.array(config.tour if config.task == "tour" else [config.goal or (0.0, 0.0)], dtype=np.float64)
+    region = config.region or (0.0, 0.0, 0.0, 0.0)
+    return make_navigator(config, start, goals, region, radius_m, streams.planner, streams.exploration)

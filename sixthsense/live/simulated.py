@@ -1,0 +1,144 @@
+"""A simulated robot on the network, in real time: it sends what a real one sends, and stops without commands."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from pathlib import Path
+from typing import NamedTuple, Self, TextIO
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Pose
+from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.core.laser import sweep_ns
+from sixthsense.core.random_streams import random_streams
+from sixthsense.core.source import Command, Tick
+from sixthsense.live.network import Network, Node
+from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
+from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.record.messages import LASER, ROBOT, Messages
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.sources.mission import mission
+from sixthsense.sources.scene import Scene
+from sixthsense.sources.world import World
+
+SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
+ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
+CMD_VEL = Topic("/cmd_vel", TWIST, RELIABLE._replace(depth=1))
+TF_STATIC = Topic("/tf_static", TRANSFORMS, LATCHED)
+
+_LATEST_S = 0.5  # by which a scan is late
+
+
+class Disturbance(NamedTuple):
+    """What the network does to scans, as shares of them."""
+
+    late: float = 0.0
+    """sent up to half a second late"""
+    lost: float = 0.0
+    """not sent"""
+    twice: float = 0.0
+    """sent twice"""
+
+    def delays(self, rng: np.random.Generator) -> list[float]:
+        """When one scan is sent, seconds after its time: none if it is lost."""
+        late, lost, twice, by = rng.random(4)
+        delay = _LATEST_S * float(by) if late < self.late else 0.0
+        return [] if lost < self.lost else [delay] * (2 if twice < self.twice else 1)
+
+
+class SimulatedRobot:
+    """Sends the ticks of a simulated world as messages, stamped with this machine's clock. A context manager."""
+
+    def __init__(self, network: Network, config: Config, disturbance: Disturbance, truth: Path | None = None) -> None:
+        """Join the network; `truth` is a file for the true trajectory, OSError if it cannot be written."""
+        self._file: TextIO | None = None if truth is None else truth.open("w", encoding="utf-8")
+        self._node = Node(network)
+        self._messages, self._reader = Messages(), MessageReader()
+        self._scans, self._odometry = self._node.writer(SCAN), self._node.writer(ODOM)
+        self._commands = self._node.reader(CMD_VEL)
+        self._disturbance = disturbance
+        self._rng = np.random.default_rng([config.seed, 1])  # apart from the world's, which is then undisturbed
+        self._late: list[tuple[float, bytes]] = []
+        self._began_ns = time.time_ns()
+        self._sent = 0
+        mount = self._messages.transform(self._began_ns, ROBOT, LASER, Pose(*config.laser.mount))
+        self._node.writer(TF_STATIC).send(self._messages.serialized(mount, TRANSFORMS))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._node.close()
+        if self._file is not None:
+            self._file.close()
+
+    def on_tick(self, tick: Tick, trace: Trace) -> None:
+        """Send a tick of the loop, as a hook."""
+        self.send(tick)
+
+    def send(self, tick: Tick) -> None:
+        """Send odometry, and the scans that are due; write the truth."""
+        stamp_ns, now_s = self._began_ns + tick.stamp_ns, time.monotonic()
+        make = self._messages
+        self._odometry.send(make.serialized(make.odometry(stamp_ns, tick.odometry, None), ODOMETRY))
+        if tick.scan is not None:
+            begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
+            data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)
+            self._late += [(now_s + delay_s, data) for delay_s in self._disturbance.delays(self._rng)]
+            self._write_truth(stamp_ns, tick)
+        due = [data for due_s, data in self._late if due_s <= now_s]
+        self._late = [entry for entry in self._late if entry[0] > now_s]
+        for data in due:
+            self._scans.send(data)
+            self._sent += 1
+
+    def command(self) -> Command | None:
+        """The newest command that has arrived since the last call; None without one that can be used."""
+        found = None
+        for data in self._commands.take():
+            with contextlib.suppress(ValueError):
+                found = self._reader.command(data)
+        return found
+
+    def summary(self) -> str:
+        """What was sent, in a line."""
+        return f"scans sent: {self._sent}"
+
+    def _write_truth(self, stamp_ns: int, tick: Tick) -> None:
+        if self._file is None or tick.truth is None:
+            return
+        half, (seconds, nanoseconds) = 0.5 * tick.truth.theta, divmod(stamp_ns, 1_000_000_000)
+        x, y, z, w = tick.truth.x, tick.truth.y, np.sin(half), np.cos(half)
+        self._file.write(f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} 0 0 0 {z:.9f} {w:.9f}\n")
+        self._file.flush()
+
+
+def drive_by_commands(robot: SimulatedRobot, config: Config, scene: Scene, timeout_s: float) -> str:
+    """Let a robot be driven by the commands that it gets, each for at most a time; returns how it ended.
+
+    That is "collided", "time is up" after `config.max_time`, or "interrupted".
+    """
+    start, _, radius_m = mission(scene, config)
+    world = World(scene.walls, start, radius_m, config, random_streams(config.seed).world, scene.glass)
+    period_s = config.robot.control_period_s
+    command, commanded_s = Command(), time.monotonic()
+    began_s, ticks = time.monotonic(), 0
+    with deferred_interrupt() as interrupted:
+        while not interrupted():
+            if (new := robot.command()) is not None:
+                command, commanded_s = new, time.monotonic()
+            if time.monotonic() - commanded_s > timeout_s:
+                command = Command()
+            tick = world.step(command)
+            if tick is None:
+                return "collided"
+            robot.send(tick)
+            ticks += 1
+            if config.max_time is not None and ticks * period_s > config.max_time:
+                return "time is up"
+            time.sleep(max(0.0, began_s + ticks * period_s - time.monotonic()))
+    return "interrupted"

@@ -1,0 +1,191 @@
+"""Joining scans with odometry, by stamps and times of arrival alone."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Tick
+from sixthsense.live.joining import HOLD_NS, WAIT_NS, ScanJoiner
+
+MS = 1_000_000
+BEGAN = 1_700_000_000_000 * MS
+
+
+def a_scan(increment_s: float = 0.0) -> Scan:
+    ranges = np.full(5, 2.0, dtype=np.float32)
+    return Scan(ranges, np.float32(-1.0), np.float32(0.5), 10.0, time_increment=np.float32(increment_s))
+
+
+def pose_at(ms: float) -> Pose:
+    """On an arc, from rest at 0 ms."""
+    return Pose(math.sin(0.001 * ms), 1.0 - math.cos(0.001 * ms), 0.001 * ms)
+
+
+class Driver:
+    """Feeds a joiner; times are milliseconds from the beginning, of stamp and of arrival."""
+
+    def __init__(self) -> None:
+        self.joiner = ScanJoiner()
+        self.ticks: list[Tick] = []
+
+    def odometry(self, *stamps_ms: int, arrival_ms: int | None = None) -> "Driver":
+        for ms in stamps_ms:
+            arrival = ms if arrival_ms is None else arrival_ms
+            self.joiner.add_odometry(BEGAN + ms * MS, pose_at(ms), arrival * MS)
+            self.at(arrival)
+        return self
+
+    def scan(self, stamp_ms: int, arrival_ms: int | None = None, scan: Scan | None = None) -> "Driver":
+        arrival = stamp_ms if arrival_ms is None else arrival_ms
+        self.joiner.add_scan(BEGAN + stamp_ms * MS, scan or a_scan(), arrival * MS)
+        return self.at(arrival)
+
+    def at(self, arrival_ms: int) -> "Driver":
+        self.ticks += self.joiner.ticks(arrival_ms * MS)
+        return self
+
+    @property
+    def scans_ms(self) -> list[float]:
+        return [(tick.stamp_ns - BEGAN) / MS for tick in self.ticks if tick.scan is not None]
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        return dict(self.joiner.dropped)
+
+
+def test_a_scan_takes_odometry_interpolated_at_its_stamp():
+    driver = Driver().odometry(0, 20).scan(30).odometry(40)
+    (tick,) = (tick for tick in driver.ticks if tick.scan is not None)
+    np.testing.assert_allclose(tick.odometry.array(), pose_at(30).array(), atol=1e-4)  # linear on an arc
+    assert tick.log_stamp_s == pytest.approx(1_700_000_000.03)
+    assert driver.dropped == {}
+
+
+def test_odometry_at_the_stamp_of_a_scan_is_taken_as_it_is():
+    driver = Driver().odometry(0, 20).scan(20)
+    assert driver.ticks[-1].odometry == pose_at(20) and driver.scans_ms == [20]
+
+
+def test_ticks_ascend_and_have_all_odometry_before_a_scan():
+    driver = Driver().odometry(0, 20, 40).scan(50).odometry(60, 80, 100).scan(100)
+    assert [(tick.stamp_ns - BEGAN) // MS for tick in driver.ticks] == [0, 20, 40, 50, 60, 80, 100]
+
+
+def test_a_scan_waits_for_the_odometry_after_it_and_no_longer_than_its_time():
+    wait_ms = WAIT_NS // MS
+    in_time = Driver().odometry(0).scan(30, arrival_ms=30).at(30 + wait_ms).odometry(40, arrival_ms=30 + wait_ms)
+    assert in_time.scans_ms == [30]
+    too_late = Driver().odometry(0).scan(30).at(31 + wait_ms).odometry(40, arrival_ms=31 + wait_ms)
+    assert too_late.scans_ms == [] and too_late.dropped == {"scan without odometry": 1}
+
+
+def test_a_scan_that_waits_does_not_hold_up_others():
+    driver = Driver().odometry(0, 20).scan(500, arrival_ms=25).scan(15, arrival_ms=30)
+    assert driver.scans_ms == [15]
+
+
+def test_scans_that_arrive_in_another_order_while_they_wait_are_sorted():
+    driver = Driver().odometry(0).scan(30, arrival_ms=31).scan(20, arrival_ms=32).odometry(40)
+    assert driver.scans_ms == [20, 30] and driver.dropped == {}
+
+
+def test_a_scan_behind_a_newer_one_is_late():
+    driver = Driver().odometry(0, 100, 200).scan(200).scan(100, arrival_ms=300)
+    assert driver.scans_ms == [200] and driver.dropped == {"scan late": 1}
+
+
+def test_a_late_scan_is_used_where_the_next_one_is_lost():
+    driver = Driver().odometry(*range(0, 520, 20)).scan(100, arrival_ms=550)
+    assert driver.scans_ms == [100]
+
+
+@pytest.mark.parametrize("odometry", [(0, 20, 40), (0, 20)])
+def test_a_scan_that_comes_twice_is_counted_once(odometry):
+    driver = Driver().odometry(*odometry).scan(30).scan(30, arrival_ms=31).odometry(60)
+    assert driver.scans_ms == [30] and driver.dropped == {"scan twice": 1}
+
+
+def test_a_scan_before_all_odometry_is_dropped():
+    driver = Driver().odometry(100, 120).scan(90, arrival_ms=130).scan(110, arrival_ms=130)
+    assert driver.scans_ms == [110] and driver.dropped == {"scan without odometry": 1}
+
+
+def test_no_pose_is_interpolated_in_a_long_gap_of_odometry():
+    driver = Driver().odometry(0, 20).scan(1000).odometry(1100)
+    assert driver.scans_ms == [] and driver.dropped == {"scan without odometry": 1}
+
+
+def test_odometry_that_comes_twice_or_out_of_order_is_counted():
+    driver = Driver().odometry(0, 20, 40).odometry(40, 20, arrival_ms=45).odometry(60).scan(60)
+    assert driver.dropped == {"odometry twice": 1, "odometry out of order": 1}
+    assert [(tick.stamp_ns - BEGAN) // MS for tick in driver.ticks] == [0, 20, 40, 60]
+
+
+def test_odometry_without_scans_becomes_ticks_after_a_while_and_is_not_kept():
+    driver = Driver().odometry(*range(0, 60_000, 20))
+    assert len(driver.ticks) > 2900 and driver.scans_ms == []
+    assert len(driver.joiner._odometry) <= HOLD_NS // (20 * MS) + 2
+
+
+def test_a_scan_that_took_time_has_the_time_of_its_last_beam():
+    driver = Driver().odometry(*range(0, 200, 20)).scan(100, arrival_ms=200, scan=a_scan(0.01))
+    assert driver.scans_ms == pytest.approx([140], abs=0.001)
+    assert driver.ticks[-1].log_stamp_s == pytest.approx(1_700_000_000.1)
+
+
+def test_when_the_clock_jumps_scans_and_odometry_go_on():
+    driver = Driver().odometry(*range(0, 1000, 20)).scan(900, arrival_ms=1000)
+    hour = 3_600_000
+    for ms in range(1000, 2000, 20):
+        driver.joiner.add_odometry(BEGAN + (ms - hour) * MS, pose_at(ms), ms * MS)
+        driver.at(ms)
+        if ms % 100 == 0:
+            driver.scan(ms - hour, arrival_ms=ms)
+    assert driver.joiner.clock.jumps == 1
+    assert len(driver.scans_ms) >= 9
+    assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(driver.ticks))
+    for tick in driver.ticks:
+        np.testing.assert_allclose(tick.odometry.array(), pose_at((tick.stamp_ns - BEGAN) / MS).array(), atol=1e-4)
+
+
+def test_odometry_that_begins_anew_elsewhere_goes_on_from_where_it_was():
+    driver = Driver().odometry(*range(0, 1000, 20))
+    shift = Pose(40.0, -7.0, 2.0)
+    for ms in range(1000, 2000, 20):
+        driver.joiner.add_odometry(BEGAN + ms * MS, shift @ pose_at(ms), ms * MS)
+    driver.scan(1980, arrival_ms=2000)
+    assert driver.joiner.restarts == 1
+    jump = pose_at(980).inverse() @ driver.ticks[-1].odometry
+    moved = pose_at(1000).inverse() @ pose_at(1980)
+    np.testing.assert_allclose(jump.array(), moved.array(), atol=1e-9)
+    T = driver.joiner.T_old_odom.inverse() @ driver.ticks[-1].odometry
+    np.testing.assert_allclose(T.array(), (shift @ pose_at(1980)).array(), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_whatever_the_network_does_each_scan_is_used_once_or_dropped_and_ticks_ascend(seed):
+    rng = np.random.default_rng(seed)
+    arrivals: list[tuple[int, bool, int]] = []
+    sent = 0
+    for ms in range(0, 20_000, 20):
+        arrivals.append((ms + int(rng.integers(0, 10)), False, ms))
+        if ms % 100 == 0:
+            delay = int(rng.integers(0, 500)) if rng.random() < 0.2 else int(rng.integers(0, 10))
+            copies = 0 if rng.random() < 0.05 else 1 + (rng.random() < 0.05)
+            sent += copies
+            arrivals += [(ms + delay + k, True, ms) for k in range(copies)]
+    driver = Driver()
+    for arrival, is_scan, ms in sorted(arrivals):
+        if is_scan:
+            driver.scan(ms, arrival_ms=arrival)
+        else:
+            driver.odometry(ms, arrival_ms=arrival)
+    driver.at(30_000)
+    assert all(a.stamp_ns < b.stamp_ns for a, b in itertools.pairwise(driver.ticks))
+    of_scans = sum(count for kind, count in driver.dropped.items() if kind.startswith("scan"))
+    assert len(driver.scans_ms) + of_scans == sent
+    assert len(driver.scans_ms) > 0.7 * sent

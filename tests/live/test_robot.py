@@ -1,0 +1,141 @@
+"""A live robot without a network and without a clock: what it makes of messages, and when it stops."""
+
+import numpy as np
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Command
+from sixthsense.live.notices import Notices
+from sixthsense.live.presence import SILENT_NS
+from sixthsense.live.reading import LaserReader, MessageReader
+from sixthsense.live.robot import LiveRobot, Steering
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.pilot import AheadPilot
+from sixthsense.record.messages import Messages
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+
+MS = 1_000_000
+BEGAN = 1_700_000_000_000 * MS
+MAKE = Messages()
+
+
+class Forward(ReplayNavigator):
+    """Drives forward always."""
+
+    def step(self, pose: Pose, stamp_ns: int) -> Command:
+        return Command(0.2, 0.0)
+
+
+class Bench:
+    """A robot that stands, and whose sensors can be switched off; time passes while it waits."""
+
+    def __init__(self) -> None:
+        self.now_ms = 0
+        self.has_scans = self.has_odometry = True
+        self.odd: bytes | None = None
+        self.jump_ms = 0
+        self.lines: list[str] = []
+        self.sent: list[tuple[int, Command]] = []
+        reader = MessageReader()
+        self.pilot = AheadPilot(Forward(), Guard(preset(), 0.2))
+        steering = Steering(self.pilot, lambda command: self.sent.append((self.now_ms, command)))
+        laser = LaserReader(reader, None, Pose())
+        notices = Notices(self.lines.append)
+        self.robot = LiveRobot(self._receive, reader, laser, notices, steering, lambda: self.now_ms * MS)
+        self.slam = Slam(preset(front_end="scans", estimator="isam2"))
+
+    def _receive(self, timeout_s: float):
+        self.now_ms += 20
+        stamp_ns = BEGAN + (self.now_ms + self.jump_ms) * MS
+        found = []
+        if self.has_odometry:
+            found.append((False, MAKE.serialized(MAKE.odometry(stamp_ns, Pose(), None), ODOMETRY)))
+        if self.has_scans and self.now_ms % 100 == 0:
+            ranges = np.full(360, 3.0, dtype=np.float32)
+            scan = Scan(ranges, np.float32(-np.pi), np.float32(2 * np.pi / 360), 10.0)
+            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, scan), LASER_SCAN)))
+        if self.odd is not None:
+            found.append((True, self.odd))
+        return found
+
+    def run(self, until_ms: int) -> None:
+        """Run the loop; the clock is looked at after each tick."""
+        while self.now_ms < until_ms:
+            tick = self.robot.step(Command())
+            assert tick is not None
+            self.pilot.steer(self.slam.take(tick))
+
+
+@pytest.fixture
+def bench():
+    found = Bench()
+    yield found
+    found.slam.close()
+
+
+def test_a_robot_with_scans_and_odometry_drives_at_the_rate_of_odometry(bench):
+    bench.run(2000)
+    driving = [ms for ms, command in bench.sent if command == Command(0.2, 0.0)]
+    assert len(driving) > 70 and max(np.diff(driving)) <= 40
+    assert bench.lines == []
+
+
+@pytest.mark.parametrize("sensor", ["has_scans", "has_odometry"])
+def test_a_sensor_that_stops_stops_the_robot_within_half_a_second(bench, sensor):
+    bench.run(1000)
+    setattr(bench, sensor, False)
+    off_ms = bench.now_ms
+    name = "the laser" if sensor == "has_scans" else "odometry"
+    said = f"{name} is silent; the robot is stopped"
+    while said not in bench.lines:  # not by `step`, which waits for a tick: none follows without odometry
+        bench.robot._take_messages()
+        bench.robot._due.extend(bench.robot.joiner.ticks(bench.now_ms * MS))
+        bench.robot._tell()
+        bench.robot._steer()
+        assert bench.now_ms < off_ms + 1000
+    assert bench.sent[-1][1] == Command()
+    stopped_ms = max(ms for ms, command in bench.sent if command != Command()) - off_ms
+    assert stopped_ms <= 500 and SILENT_NS < 500 * MS
+
+
+def test_a_laser_that_is_back_is_named_and_the_robot_drives_on(bench):
+    bench.run(1000)
+    bench.has_scans = False
+    bench.run(4000)
+    bench.has_scans = True
+    bench.run(6000)
+    assert bench.lines[0] == "the laser is silent; the robot is stopped"
+    assert bench.lines[1].startswith("the laser sends again, after 3.")
+    assert bench.sent[-1][1] == Command(0.2, 0.0)
+    assert not any(command != Command() for ms, command in bench.sent if 1500 < ms < 4000)
+
+
+def test_a_clock_that_jumps_is_named_and_the_map_goes_on(bench):
+    bench.run(2000)
+    scans = bench.slam.trajectory().shape[0]
+    bench.jump_ms = -86_400_000
+    bench.run(5000)
+    assert bench.lines[0] == "dropped: odometry with a stamp of another time"
+    assert "the robot's clock has jumped; the map goes on" in bench.lines
+    assert bench.slam.trajectory().shape[0] == scans == 1  # the robot stands: nothing has moved
+    np.testing.assert_allclose(bench.slam.pose.array(), 0.0, atol=1e-6)
+
+
+def test_what_cannot_be_read_is_named_once_and_counted(bench):
+    bench.odd = b"\0\1\0\0garbage"
+    bench.run(3000)
+    (line,) = bench.lines
+    assert line.startswith("scan: found a message that cannot be read")
+    assert bench.robot._notices.dropped["scan unusable"] > 100
+    assert bench.sent[-1][1] == Command(0.2, 0.0)
+
+
+def test_the_frame_of_odometry_lies_where_the_pose_says(bench):
+    bench.run(500)
+    tick = bench.robot.step(Command())
+    pose = Pose(1.0, 2.0, 0.3)
+    np.testing.assert_allclose((bench.robot.odom_in_map(tick, pose) @ tick.odometry).array(), pose.array(), atol=1e-12)
