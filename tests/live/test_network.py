@@ -1,0 +1,209 @@
+"""Topics on a real network of this machine, and their bytes."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.live.commands import TIMEOUT_S, Commands
+from sixthsense.live.network import Network, Node
+from sixthsense.live.publishing import MAP, POSE, TF
+from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
+from sixthsense.live.simulated import ODOM, SCAN
+from sixthsense.live.topics import LATCHED, SENSOR, NetworkError, checked_topic, dds_type
+from sixthsense.record.messages import Messages
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+
+MAKE = Messages()
+STAMP = 1_700_000_000_123_456_789
+
+needs_dds = pytest.mark.skipif(
+    find_spec("cyclonedds") is None,
+    reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'",
+)
+
+
+@pytest.fixture
+def domain() -> int:
+    """One for each process of tests, as they must not hear each other."""
+    return 100 + os.getpid() % 100
+
+
+def a_scan(beams: int = 360) -> Scan:
+    ranges = np.linspace(0.5, 8.0, beams, dtype=np.float32)
+    return Scan(ranges, np.float32(-np.pi), np.float32(2.0 * np.pi / beams), 10.0)
+
+
+MESSAGES = {
+    LASER_SCAN: MAKE.scan(STAMP, a_scan()),
+    ODOMETRY: MAKE.odometry(STAMP, Pose(1.0, -2.0, 0.7), None),
+    TRANSFORMS: MAKE.transform(STAMP, "base_link", "laser", Pose(0.1, 0.0, 3.0)),
+    TWIST: MAKE.twist(0.25, -0.5),
+    POSE.type: MAKE.estimate(STAMP, Pose(1.0, 2.0, 3.0), np.diag([0.1, 0.2, 0.3])),
+    MAP.type: MAKE.occupancy(STAMP, np.array([[0, 100, -1], [-1, 0, 0]], dtype=np.int8), (-1.0, 2.0), 0.05),
+}
+
+
+def wait_for(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 30.0
+    while not is_so():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.01)
+
+
+@needs_dds
+@pytest.mark.parametrize("name", MESSAGES)
+def test_the_structure_that_is_announced_has_the_bytes_that_are_sent(name):
+    """Cyclone DDS encodes by the structure what `rosbags` encodes by the definition of ROS."""
+    data = MAKE.serialized(MESSAGES[name], name)
+    kind = dds_type(name)
+    assert kind.__idl_typename__ == name.replace("/msg/", ".msg.dds_.") + "_"
+    read = kind.__idl__.deserialize(data)
+    again = kind.__idl__.serialize(read, use_version_2=False)
+    assert again == data[: len(again)] and not any(data[len(again) :])
+
+
+@needs_dds
+def test_a_scan_comes_through_byte_by_byte(domain):
+    with Node(Network(domain)) as node:
+        reader, writer = node.reader(SCAN._replace(quality=SENSOR)), node.writer(SCAN)
+        wait_for(lambda: writer.readers)
+        sent = [MAKE.serialized(MAKE.scan(STAMP + k, a_scan()), LASER_SCAN) for k in range(20)]
+        for data in sent:
+            writer.send(data)
+        got: list[bytes] = []
+        wait_for(lambda: got.extend(reader.take()) or len(got) == len(sent))
+        assert [MessageReader().read(data, LASER_SCAN).header.stamp.nanosec for data in got] == [
+            STAMP % 1_000_000_000 + k for k in range(20)
+        ]
+        assert all(a[: len(b)] == b for a, b in zip(got, sent, strict=True))
+
+
+@needs_dds
+def test_who_comes_late_gets_the_last_map(domain):
+    with Node(Network(domain)) as node:
+        writer = node.writer(MAP)
+        for k in range(3):
+            cells = np.full((200, 300), k, dtype=np.int8)
+            writer.send(MAKE.serialized(MAKE.occupancy(STAMP, cells, (0.0, 0.0), 0.05), MAP.type))
+        reader = node.reader(MAP)
+        got: list[bytes] = []
+        wait_for(lambda: got.extend(reader.take()) or got)
+        (only,) = got
+        message = MAKE.store.deserialize_cdr(only, MAP.type)
+        assert (message.info.width, message.info.height) == (300, 200) and set(message.data.tolist()) == {2}
+
+
+@needs_dds
+def test_two_processes_of_this_machine_find_each_other(domain):
+    program = (
+        "import sys, time\n"
+        "from sixthsense.live.network import *\n"
+        "from sixthsense.live.simulated import ODOM\n"
+        "with Node(Network(int(sys.argv[1]))) as node:\n"
+        "    writer = node.writer(ODOM)\n"
+        "    while True:\n"
+        "        writer.send(bytes.fromhex(sys.argv[2])); time.sleep(0.02)\n"
+    )
+    data = MAKE.serialized(MESSAGES[ODOMETRY], ODOMETRY)
+    other = subprocess.Popen([sys.executable, "-c", program, str(domain), data.hex()])
+    try:
+        with Node(Network(domain)) as node:
+            reader = node.reader(ODOM._replace(quality=SENSOR))
+            got: list[bytes] = []
+            wait_for(lambda: got.extend(reader.take()) or got)
+            assert MessageReader().odometry(got[0]).T_odom_robot.x == 1.0
+    finally:
+        other.kill()
+        other.wait()
+
+
+@needs_dds
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/net")
+def test_no_socket_of_the_default_network_can_be_reached_from_another_machine(domain):
+    program = (
+        "import socket, os, sys\n"
+        "from sixthsense.live.network import *\n"
+        "with Node(Network(int(sys.argv[1]))) as node:\n"
+        "    for name in os.listdir('/proc/self/fd'):\n"
+        "        try: found = socket.socket(fileno=os.dup(int(name)))\n"
+        "        except OSError: continue\n"
+        "        device = found.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)\n"
+        "        print(found.getsockname()[0], device.rstrip(bytes(1)).decode() or '-')\n"
+    )
+    out = subprocess.run([sys.executable, "-c", program, str(domain)], capture_output=True, text=True, check=True)
+    places = [line.split() for line in out.stdout.splitlines()]
+    assert len(places) >= 2
+    assert all(address.startswith("127.") or device == "lo" for address, device in places)
+
+
+class Sent:
+    """Keeps what is sent, with the time."""
+
+    def __init__(self) -> None:
+        self.commands: list[tuple[float, float]] = []
+
+    def send(self, data: bytes) -> None:
+        self.commands.append((time.monotonic(), MessageReader().command(data).speed))
+
+
+def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
+    from sixthsense.core.source import Command
+
+    sent = Sent()
+    with Commands(sent) as commands:
+        commands.send(Command(0.5, 0.0))
+        wait_for(lambda: len(sent.commands) == 2)
+        assert sent.commands[1][1] == 0.0 and commands.stalls == 1
+        assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
+        commands.send(Command(0.5, 0.0))
+    assert [speed for _, speed in sent.commands[3:]] == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"domain": -1}, "--domain: found -1, allowed: 0 to 232"),
+        ({"domain": 233}, "--domain"),
+        ({"interface": 'lo"/><x'}, "--interface: found .*, allowed: the name or the address"),
+        ({"interface": ""}, "--interface"),
+        ({"interface": "eth0", "peers": ("robot",)}, "--peers: found 'robot', allowed: addresses such as"),
+        ({"peers": ("192.168.1.7",)}, "--peers: found 192.168.1.7 with --interface 127.0.0.1"),
+    ],
+)
+def test_a_network_that_cannot_be_is_named(fields, message):
+    with pytest.raises(NetworkError, match=message):
+        Network(**fields)
+
+
+@needs_dds
+@pytest.mark.parametrize("interface", ["nosuch0", "203.0.113.5"])
+def test_an_interface_that_this_machine_has_not_is_named(interface):
+    with pytest.raises(NetworkError, match=f"--interface: found {interface}, allowed: .*lo"):
+        Node(Network(interface=interface))
+
+
+@pytest.mark.parametrize("name", ["", "/", "scan//x", "../etc", "a b", "1scan", "<b>", "x" * 300])
+def test_a_name_of_a_topic_that_is_not_allowed_is_named(name):
+    with pytest.raises(InputError, match="--scan: found .*, allowed: a name such as /scan"):
+        checked_topic("--scan", name)
+
+
+def test_topics_are_absolute():
+    assert checked_topic("--scan", "robot1/scan") == "/robot1/scan" == checked_topic("--scan", "/robot1/scan")
+
+
+@needs_dds
+def test_all_qualities_can_be_announced(domain):
+    with Node(Network(domain)) as node:
+        for topic in (SCAN, ODOM, POSE, TF, MAP):
+            assert node.writer(topic).readers == 0
+            assert node.reader(topic._replace(quality=LATCHED if topic is MAP else SENSOR)).take() == []

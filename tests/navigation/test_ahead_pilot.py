@@ -1,0 +1,70 @@
+"""A pilot that steers ahead of the estimate commands what one that is never late commands."""
+
+import numpy as np
+import pytest
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.source import Command
+from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.goal_navigator import GoalNavigator
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.pilot import AheadPilot, Pilot
+from sixthsense.navigation.planners import make_planner
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.world import World
+
+CONFIG = preset(seed=2)
+HALL = np.array(
+    [[[-1, -2], [6, -2]], [[6, -2], [6, 2]], [[6, 2], [-1, 2]], [[-1, 2], [-1, -2]], [[2, -2], [2, -0.5]]], dtype=float
+)
+
+
+def goal_navigator() -> GoalNavigator:
+    return GoalNavigator(np.array([[4.0, -1.0]]), make_planner("astar"), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
+
+
+def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():
+    """Slam of the one takes odometry at once, that of the other only with the next scan."""
+    world = World(HALL, Pose(), 0.2, CONFIG, np.random.default_rng(0))
+    punctual, ahead = Pilot(goal_navigator(), Guard(CONFIG, 0.2)), AheadPilot(goal_navigator(), Guard(CONFIG, 0.2))
+    command, held = Command(), []
+    moved = 0
+    with Slam(CONFIG) as slam, Slam(CONFIG) as late_slam:
+        for _ in range(600):
+            tick = world.step(command)
+            assert tick is not None
+            command = punctual.steer(slam.take(tick))
+            held.append(tick)
+            if tick.scan is not None:
+                for old in held:
+                    ahead.steer(late_slam.take(old))
+                held = []
+                last = tick
+            other = ahead.ahead(last.odometry.inverse() @ tick.odometry, tick.stamp_ns)
+            assert (other.speed, other.turn_rate) == pytest.approx((command.speed, command.turn_rate), abs=1e-6)
+            moved += command != Command()
+    assert moved > 300
+
+
+def test_a_pilot_without_a_step_stands():
+    assert AheadPilot(goal_navigator(), Guard(CONFIG, 0.2)).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
+
+
+class Forward(ReplayNavigator):
+    def step(self, pose: Pose, stamp_ns: int) -> Command:
+        return Command(0.5, 0.0)
+
+
+def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_it():
+    pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
+    walls = np.array([[[2.0, -1.0], [2.0, 1.0]]])
+    tick = World(walls, Pose(), 0.2, CONFIG, np.random.default_rng(0)).step(Command())
+    assert tick is not None
+    with Slam(CONFIG) as slam:
+        pilot.steer(slam.take(tick))
+    speeds = [pilot.ahead(Pose(x, 0.0, 0.0), k).speed for k, x in enumerate(np.linspace(0.0, 1.85, 60))]
+    assert speeds[0] == 0.5 and speeds[-1] == 0.0
+    assert all(b <= a + 1e-9 for a, b in zip(speeds, speeds[1:], strict=False))
+    assert pilot.ahead(Pose(), 99).speed == 0.5  # and knows when the robot is back
