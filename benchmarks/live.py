@@ -65,11 +65,22 @@ def read_truth(file: Path) -> Array:
 
 
 def live_ate(folder: Path, truth: Array) -> float:
-    """ATE of the poses published at each scan, by the truth at the same stamps."""
+    """ATE of the poses published at each scan, by the truth at the same stamps.
+
+    The frames are aligned by least squares: the map begins as the frame of the odometry, which has drifted by then.
+    """
     trace = ss.load(folder).trace
     stamps = np.array(trace.stamps_ns) / 1e9
     at = np.stack([np.interp(stamps, truth[:, 0], truth[:, k]) for k in (1, 2)], axis=1)
-    return ate(np.array(trace.estimates)[:, :2], at)[0]
+    return ate(aligned(np.array(trace.estimates)[:, :2], at), at)[0]
+
+
+def aligned(points: Array, others: Array) -> Array:
+    """(N, 2) points after the rigid motion that brings them nearest to others (Arun, Huang and Blostein 1987)."""
+    centred, other_centred = points - points.mean(axis=0), others - others.mean(axis=0)
+    u, _, vt = np.linalg.svd(centred.T @ other_centred)
+    turn = np.diag([1.0, np.linalg.det(u @ vt)])
+    return centred @ u @ turn @ vt + others.mean(axis=0)
 
 
 def pose_delays(node: Node, live: subprocess.Popen[str]) -> Array:
@@ -93,7 +104,7 @@ def pose_delays(node: Node, live: subprocess.Popen[str]) -> Array:
 def replay_cpu(folder: Path) -> Array:
     """Processor milliseconds from one scan to the next in a replay of the record, at all scans."""
     times = [time.process_time()]
-    ss.replay(folder, lambda tick, _: times.append(time.process_time()) if tick.scan is not None else None)
+    ss.replay(folder, on_tick=lambda tick, _: times.append(time.process_time()) if tick.scan is not None else None)
     return 1e3 * np.diff(times)[1:]
 
 

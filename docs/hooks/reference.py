@@ -57,8 +57,8 @@ This page is generated from the classes when the site is built.
 """.splitlines()
 _COMMANDS_INTRO = """\
 Exit codes: 0 done (also "explored in part"); 1 the robot failed (stuck, lost, collided, goal unreachable, out of time);
-2 bad input, reported in one line; 130 interrupted. `run`, `replay`, `calibrate` and `campaign` accept every field of
-the [configuration](configuration.md) as an option in addition to those below.
+2 bad input, reported in one line; 130 interrupted. All commands but `report` and `scenes` accept every field of the
+[configuration](configuration.md) as an option in addition to those below.
 """.splitlines()
 
 
@@ -87,12 +87,14 @@ def configuration() -> str:
 def command_line() -> str:
     """Return the page of the commands and their options, without the fields of the configuration."""
     from sixthsense.cli.calibrate import Calibrate
+    from sixthsense.cli.live import Live
     from sixthsense.cli.replay import Replay
     from sixthsense.cli.run import Run
+    from sixthsense.cli.simulate import Simulate
 
     lines = ["# Command line", "", "```text", _printed("--help"), "```", ""]
     lines += [*_COMMANDS_INTRO, ""]
-    own = {"run": Run, "replay": Replay, "calibrate": Calibrate}
+    own = {"run": Run, "replay": Replay, "live": Live, "simulate": Simulate, "calibrate": Calibrate}
     for name in COMMANDS:
         lines += [f"## {name}", ""]
         if name in own:

@@ -193,7 +193,7 @@ def test_an_interface_that_this_machine_has_not_is_named(interface):
 
 @pytest.mark.parametrize("name", ["", "/", "scan//x", "../etc", "a b", "1scan", "<b>", "x" * 300])
 def test_a_name_of_a_topic_that_is_not_allowed_is_named(name):
-    with pytest.raises(InputError, match="--scan: found .*, allowed: a name such as /scan"):
+    with pytest.raises(InputError, match=r"--scan: found .*, allowed: a name such as /scan"):
         checked_topic("--scan", name)
 
 

@@ -1,5 +1,7 @@
 """A pilot that steers ahead of the estimate commands what one that is never late commands."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -66,5 +68,5 @@ def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_i
         pilot.steer(slam.take(tick))
     speeds = [pilot.ahead(Pose(x, 0.0, 0.0), k).speed for k, x in enumerate(np.linspace(0.0, 1.85, 60))]
     assert speeds[0] == 0.5 and speeds[-1] == 0.0
-    assert all(b <= a + 1e-9 for a, b in zip(speeds, speeds[1:], strict=False))
+    assert all(b <= a + 1e-9 for a, b in itertools.pairwise(speeds))
     assert pilot.ahead(Pose(), 99).speed == 0.5  # and knows when the robot is back

@@ -1,0 +1,182 @@
+"""The commands `live` and `simulate` with each other: two processes, in real time, on this machine's network."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sixthsense as ss
+from sixthsense.cli import main
+from sixthsense.record.contents import has_record, reason_not_a_run
+from sixthsense.running.warmup import warm_up, warm_up_scans
+
+needs_dds = pytest.mark.skipif(
+    find_spec("cyclonedds") is None, reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'"
+)
+PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
+DOMAIN = str(20 + os.getpid() % 80)
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def _compiled() -> None:
+    warm_up()
+    warm_up_scans()
+
+
+def listen() -> None:
+    """In the child: Ctrl-C is not ignored, as it is in what a shell runs in the background."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
+def process(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A command on the tests' domain, killed at the end of the block if it still runs."""
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
+    started = subprocess.Popen([sys.executable, "-c", PROGRAM, *words, "--domain", DOMAIN], **piped)
+    try:
+        yield started
+    finally:
+        started.kill()
+        started.communicate()
+
+
+def wait_until(is_so: Callable[[], object]) -> None:
+    deadline = time.monotonic() + 120.0
+    while not is_so():
+        assert time.monotonic() < deadline, "nothing happened"
+        time.sleep(0.02)
+
+
+def truth_of(file: Path) -> np.ndarray:
+    lines = file.read_text().splitlines(keepends=True) if file.exists() else []
+    rows = [list(map(float, line.split())) for line in lines if line.endswith("\n")]
+    return np.array(rows).reshape(-1, 8)
+
+
+@needs_dds
+def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays_it(here, _compiled):
+    disturbed = ("--late", "0.2", "--lost", "0.05", "--twice", "0.1", "--truth", "truth.tum")
+    with (
+        process("simulate", "rectangle", "--task", "tour", "--seed", "1", "--max-time", "300", *disturbed),
+        process("live", "--out", "x", "--max-time", "8") as live,
+    ):
+        out, err = live.communicate(timeout=240)
+    assert live.returncode == 0 and "written to x/" in out
+    assert "dropped: " in err and "scan twice" in err
+    trace = ss.load(here / "x").trace
+    assert trace.outcome == "time is up" and len(trace.stamps_ns) > 40
+    truth = truth_of(here / "truth.tum")
+    rows = truth[np.searchsorted(truth[:, 0], np.array(trace.stamps_ns) / 1e9 - 1e-3)]
+    true_poses = [ss.Pose(x, y, 2.0 * np.arctan2(z, w)) for _, x, y, _, _, _, z, w in rows]
+    # The map begins as the frame of the odometry, which has been drifting since the robot drives.
+    T_truth_map = true_poses[0] @ ss.Pose(*trace.estimates[0]).inverse()
+    found = [T_truth_map @ ss.Pose(*row) for row in trace.estimates]
+    assert max(np.hypot(*(a.position - b.position)) for a, b in zip(found, true_poses, strict=True)) < 0.1
+    again = ss.replay("x", progress=False)
+    np.testing.assert_array_equal(np.array(again.trace.estimates), np.array(trace.estimates))
+
+
+@needs_dds
+@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
+def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, here, _compiled):
+    task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
+    with (
+        process("simulate", "rectangle", "--truth", "truth.tum") as robot,
+        process("live", "--out", "x", *task) as live,
+    ):
+        wait_until(lambda: has_record(here / "x.partial"))
+        wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1])) > 5)
+        live.send_signal(getattr(signal, name))
+        out, _ = live.communicate(timeout=120)
+        assert live.returncode == code and out.endswith("written to x/\n")
+        time.sleep(0.5)
+        standing = truth_of(here / "truth.tum")[-1, 1:]
+        time.sleep(0.5)
+        np.testing.assert_array_equal(truth_of(here / "truth.tum")[-1, 1:], standing)
+        robot.terminate()
+        said, _ = robot.communicate(timeout=60)
+        assert robot.returncode == 143 and "collisions: 0" in said
+    assert reason_not_a_run(here / "x") == ""
+    assert json.loads((here / "x" / "metrics.json").read_text())["outcome"] == "interrupted"
+
+
+@needs_dds
+def test_a_robot_whose_driver_is_killed_stands_within_its_timeout(here, _compiled):
+    task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
+    with (
+        process("simulate", "rectangle", "--truth", "truth.tum"),
+        process("live", "--out", "x", *task) as live,
+    ):
+        wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1])) > 5)
+        live.kill()
+        killed_s = time.time()
+        time.sleep(1.5)
+    truth = truth_of(here / "truth.tum")
+    moves = np.any(np.diff(truth[:, 1:], axis=0) != 0.0, axis=1)
+    assert truth[1:, 0][moves].max() - killed_s < 0.5
+
+
+@needs_dds
+def test_waiting_for_a_robot_ends_with_a_signal_and_leaves_nothing(here, _compiled):
+    with process("live", "--out", "x") as live:
+        assert live.stderr is not None
+        lines = iter(live.stderr.readline, "")
+        assert any(line.startswith("waiting for /scan and /odom") for line in lines)
+        live.terminate()
+        assert live.wait(timeout=60) == 143
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("live", "x"), "arguments: found 'x', allowed: options alone"),
+        (("live", "--domain", "x"), "--domain: found 'x', allowed: a whole number"),
+        (("live", "--domain", "300"), "--domain: found 300, allowed: 0 to 232"),
+        (("live", "--scan", "a b"), "--scan: found 'a b', allowed: a name such as /scan"),
+        (("live", "--drive"), "--region: missing, allowed: x0 y0 x1 y1, metres, in the frame of the map"),
+        (("live", "--drive", "--task", "goal"), "--goal: missing, allowed: x y, metres, in the frame of the map"),
+        (("live", "--laser.beams", "7"), "--laser.beams: found on a robot, which describes its laser"),
+        (("simulate", "nowhere"), "scene: found 'nowhere'"),
+        (("simulate", "--late", "2"), "--late: found 2.0, allowed: 0 to 1"),
+        (("simulate", "--timeout", "x"), "--timeout: found x, allowed: 0 to 60"),
+        (("simulate", "--out", "x"), "--out: found on a simulated robot"),
+    ],
+)
+def test_what_is_not_allowed_is_one_line_and_2(words, message, capsys):
+    if find_spec("cyclonedds") is None and words[0] == "live":
+        pytest.skip("needs Cyclone DDS")
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [("live",), ("simulate", "rectangle")])
+def test_without_the_extra_one_line_says_how_to_install_it(words, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    for name in [name for name in sys.modules if name.startswith("cyclonedds.")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert 'pip install "sixthsense[ros2]"' in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["live", "simulate"])
+def test_help_lists_the_options_of_the_network(command, capsys):
+    assert main((command, "--help")) == 0
+    assert "--interface" in capsys.readouterr().out
