@@ -79,8 +79,8 @@ def command(args: list[str]) -> int:
             live_view(options) as hooks,
         ):
             run = run_live(session, options.drive, folder, Watch(hooks, say=announce), prior)
-            if summary := session.notices.summary():
-                announce(summary)
+            for line in session.notices.summary():
+                announce(line)
             return show_end(run)
 
 

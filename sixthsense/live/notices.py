@@ -1,4 +1,4 @@
-"""What a live run has to say of its messages: each kind of fault once, and their numbers at the end."""
+"""What a live run has to say of its messages: each kind of fault once, events as they come, numbers at the end."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 
 _MOST_KINDS = 50
+_AGAIN_NS = 10_000_000_000  # from one line of an event to the next of its kind
 
 
 class Notices:
@@ -13,10 +14,20 @@ class Notices:
 
     def __init__(self, say: Callable[[str], object]) -> None:
         """`say` prints a line."""
-        self.say = say
+        self._say = say
         self.dropped: Counter[str] = Counter()
         """number of messages by what was wrong with them"""
+        self.events: Counter[str] = Counter()
+        """number of events by kind"""
         self._said: set[str] = set()
+        self._said_ns: dict[str, int] = {}
+
+    def event(self, kind: str, text: str, now_ns: int) -> None:
+        """Count an event, and say it unless another of its kind has been said within ten seconds."""
+        self.events[kind] += 1
+        if now_ns - self._said_ns.get(kind, -_AGAIN_NS) >= _AGAIN_NS:
+            self._said_ns[kind] = now_ns
+            self._say(text)
 
     def unusable(self, topic: str, error: ValueError) -> None:
         """Count a message of a topic that cannot be used; one line for each that is not allowed for another reason."""
@@ -25,16 +36,16 @@ class Notices:
         kind = text.partition("allowed:")[2] or text
         if kind not in self._said and len(self._said) < _MOST_KINDS:
             self._said.add(kind)
-            self.say(f"{topic}: {text}; dropped")
+            self._say(f"{topic}: {text}; dropped")
 
     def take(self, dropped: Mapping[str, int]) -> None:
         """Take in the present numbers of another counter."""
         for kind, count in dropped.items():
             if kind not in self.dropped:
-                self.say(f"dropped: {kind}")
+                self._say(f"dropped: {kind}")
             self.dropped[kind] = count
 
-    def summary(self) -> str:
-        """The numbers in one line; empty if nothing was dropped."""
-        counts = ", ".join(f"{kind} {count}" for kind, count in sorted(self.dropped.items()))
-        return f"dropped: {counts}" if counts else ""
+    def summary(self) -> list[str]:
+        """The numbers of what was dropped and of what happened, a line each if there was any."""
+        both = (("dropped", self.dropped), ("events", self.events))
+        return [f"{name}: {', '.join(f'{k} {n}' for k, n in sorted(c.items()))}" for name, c in both if c]

@@ -12,19 +12,15 @@ class Presence:
     def __init__(self, name: str, now_ns: int) -> None:
         """The sensor of this name has last been heard now."""
         self.is_silent = False
-        self._name, self._heard_ns = name, now_ns
+        self.name, self._heard_ns = name, now_ns
 
-    def heard(self, now_ns: int) -> str | None:
-        """Take in a message; a note if the sensor had been silent."""
+    def heard(self, now_ns: int) -> float | None:
+        """Take in a message; how long the sensor had been silent, seconds, if it had been."""
         silent_s, self._heard_ns = 1e-9 * (now_ns - self._heard_ns), now_ns
-        if not self.is_silent:
-            return None
-        self.is_silent = False
-        return f"{self._name} sends again, after {silent_s:.1f} s"
+        was_silent, self.is_silent = self.is_silent, False
+        return silent_s if was_silent else None
 
-    def check(self, now_ns: int) -> str | None:
-        """A note if the sensor has fallen silent since the last call."""
-        if self.is_silent or now_ns - self._heard_ns <= SILENT_NS:
-            return None
-        self.is_silent = True
-        return f"{self._name} is silent"
+    def falls_silent(self, now_ns: int) -> bool:
+        """Whether the sensor has fallen silent since the last call."""
+        was_silent, self.is_silent = self.is_silent, now_ns - self._heard_ns > SILENT_NS
+        return self.is_silent and not was_silent

@@ -46,27 +46,41 @@ class LiveRobot:
         self.odom_frame = "odom"
         self._receive, self._now_ns = receive, now_ns
         self._reader, self._laser, self._notices, self._steering = reader, laser, notices, steering
-        self._scans, self._odometry = Presence("the laser", now_ns()), Presence("odometry", now_ns())
+        self._scans, self._odometry = Presence("laser", now_ns()), Presence("odometry", now_ns())
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
         self._newest: tuple[int, Pose] | None = None  # odometry that the robot has not been steered by
 
     def step(self, command: Command) -> Tick | None:
         """Wait for the next tick; None when the command line is to end. The robot is steered meanwhile."""
-        while not self._due:
-            if is_command_ended():
-                return None
-            self._take_messages()
-            self._due.extend(self.joiner.ticks(self._now_ns()))
-            self._tell()
-            self._steer()
+        if not self._wait():
+            return None
         self._last = self._due.popleft()
         return self._last
+
+    def begin(self) -> Pose | None:
+        """Wait for the first tick; the odometry of it, None when the command line is to end."""
+        return self._due[0].odometry if self._wait() else None
 
     def odom_in_map(self, tick: Tick, T_map_robot: Pose) -> Pose:
         """The frame of odometry in that of the map, by the robot's pose at a tick."""
         T_odom_robot = self.joiner.T_old_odom.inverse() @ tick.odometry
         return T_map_robot @ T_odom_robot.inverse()
+
+    def _wait(self) -> bool:
+        """Wait for a tick; false when the command line is to end."""
+        while not self._due:
+            if is_command_ended():
+                return False
+            self._turn()
+        return True
+
+    def _turn(self) -> None:
+        """Take what has arrived, and steer by it."""
+        self._take_messages()
+        self._due.extend(self.joiner.ticks(self._now_ns()))
+        self._tell()
+        self._steer()
 
     def _take_messages(self) -> None:
         for is_scan, data in self._receive(_WAIT_S):
@@ -80,7 +94,9 @@ class LiveRobot:
             except ValueError as error:
                 self._notices.unusable("scan" if is_scan else "odometry", error)
                 continue
-            self._say((self._scans if is_scan else self._odometry).heard(arrival_ns))
+            sensor = self._scans if is_scan else self._odometry
+            if (silent_s := sensor.heard(arrival_ns)) is not None:
+                self._say(f"{sensor.name} again", f"{sensor.name} sends again, after {silent_s:.1f} s")
 
     def _take_odometry(self, data: bytes, arrival_ns: int) -> None:
         message = self._reader.odometry(data)
@@ -89,17 +105,17 @@ class LiveRobot:
             self.odom_frame = message.frame or "odom"
             self._newest = self.joiner.newest
         if self.joiner.clock.jumps > jumps:
-            self._say("the robot's clock has jumped; the map goes on")
+            self._say("clock jumped", "the robot's clock has jumped; the map goes on")
         if self.joiner.restarts > restarts:
-            self._say("odometry has begun anew elsewhere; the robot is taken to stand where it was")
+            self._say("odometry anew", "odometry has begun anew elsewhere; the robot is taken to stand where it was")
 
     def _tell(self) -> None:
         self._notices.take(self.joiner.dropped)
         now_ns = self._now_ns()
         for sensor in (self._scans, self._odometry):
-            if (note := sensor.check(now_ns)) is not None:
+            if sensor.falls_silent(now_ns):
                 stopped = "" if self._steering is None else "; the robot is stopped"
-                self._say(note + stopped)
+                self._say(f"{sensor.name} silent", f"{sensor.name} is silent{stopped}")
                 self._stop()
 
     def _steer(self) -> None:
@@ -117,6 +133,5 @@ class LiveRobot:
         if self._steering is not None:
             self._steering.send(Command())
 
-    def _say(self, note: str | None) -> None:
-        if note is not None:
-            self._notices.say(note)
+    def _say(self, kind: str, text: str) -> None:
+        self._notices.event(kind, text, self._now_ns())

@@ -36,6 +36,7 @@ from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
 
 _WAIT_S = 0.05
+_HINT_S = 10.0  # without a message, until the user is told where else to look
 _FRAMES_S = 1.0  # static transforms have come by then, or there are none
 _PERIODS = 5  # between scans, that the laser's rate is measured by
 _RESPONSE_S = 0.1  # within which a robot follows a command: the time between two control ticks of a real one
@@ -81,7 +82,7 @@ class Session:
         `stated` names the fields of `config.laser` that take precedence over the robot's messages.
         """
         laser = self.config.laser
-        mount = Pose(*laser.mount) if "mount" in stated else None
+        mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
         self._say(f"waiting for {self._topics.scan} and {self._topics.odom} ...")
         stamps, self._robot, found = self._first_messages()
@@ -100,7 +101,7 @@ class Session:
 
     def run(self, drive: bool, hook: OnTick | None = None, prior: PriorStart | None = None) -> Trace:
         """Run the loop until the task is over, or until the command is ended; the robot is then stopped."""
-        config, start = self.config, self._robot.T_odom_robot
+        config = self.config
         radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         guard = Guard(config, radius_m)
         trace = Trace(config, None, radius_m, name="live")
@@ -108,7 +109,7 @@ class Session:
             pilot: Pilot = Pilot(_listening(), guard)
             steering = None
             if drive:
-                believed = start if prior is None or prior.pose is None else prior.pose
+                believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
                 pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
                 writer = self._node.writer(Topic(self._topics.cmd_vel, TWIST, RELIABLE))
                 steering = Steering(ahead, stack.enter_context(Commands(writer)).send)
@@ -121,11 +122,18 @@ class Session:
                     hook(tick, trace)
 
             self._discard()
+            if (start := robot.begin()) is None:
+                raise KeyboardInterrupt
             return recorded_drive(robot, start, pilot, trace, on_tick, prior)
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
         self._node.wait(timeout_s)
+        for data in self._transforms.take():
+            try:
+                self._frames.add(data)
+            except ValueError as error:
+                self.notices.unusable("/tf_static", error)
         for data in self._odometry.take():
             yield False, data
         for data in self._scans.take():
@@ -141,9 +149,15 @@ class Session:
         stamps: list[int] = []
         odometry: RobotPose | None = None
         last = b""
+        hint_s = time.monotonic() + _HINT_S
         while len(stamps) <= _PERIODS or odometry is None:
             if is_command_ended():
                 raise KeyboardInterrupt
+            if time.monotonic() > hint_s:
+                hint_s = math.inf
+                heard = {self._topics.scan: bool(stamps), self._topics.odom: odometry is not None}
+                missing = " and ".join(topic for topic, is_heard in heard.items() if not is_heard)
+                self._say(f"nothing on {missing} yet; other networks: --interface, --domain, --peers")
             for is_scan, data in self._received(_WAIT_S):
                 try:
                     if is_scan:
@@ -159,11 +173,6 @@ class Session:
         """The mount of the laser on the robot and whether it is upside down, by static transforms if there are any."""
         until_s = time.monotonic() + _FRAMES_S
         while True:
-            for data in self._transforms.take():
-                try:
-                    self._frames.add(data)
-                except ValueError as error:
-                    self.notices.unusable("/tf_static", error)
             try:
                 found = self._frames.mount(self._robot.robot, self._laser.frame)
             except ValueError as error:
@@ -174,7 +183,8 @@ class Session:
                 frames = f"{shown_name(self._robot.robot)} to {shown_name(self._laser.frame)}"
                 self._say(f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames}")
                 return Pose(), False
-            self._node.wait(_WAIT_S)
+            for _ in self._received(_WAIT_S):
+                pass
 
 
 def check_drive(config: Config) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.record.contents import has_record, reason_not_a_run
 from sixthsense.running.warmup import warm_up, warm_up_scans
+from sixthsense.sources.logs.ros_messages import stamp_ns
 
 needs_dds = pytest.mark.skipif(
     find_spec("cyclonedds") is None, reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'"
@@ -68,6 +70,39 @@ def truth_of(file: Path) -> np.ndarray:
     return np.array(rows).reshape(-1, 8)
 
 
+def heard(live: subprocess.Popen[str]) -> dict[str, list[Any]]:
+    """What a live run publishes until it ends, by topic."""
+    from sixthsense.live.network import Network, Node
+    from sixthsense.live.publishing import MAP, POSE, TF
+    from sixthsense.record.messages import Messages
+
+    store, found = Messages().store, {topic.name: [] for topic in (MAP, POSE, TF)}
+    with Node(Network(int(DOMAIN))) as node:
+        readers = [(topic, node.reader(topic)) for topic in (MAP, POSE, TF)]
+        while live.poll() is None:
+            node.wait(0.05)
+            for topic, reader in readers:
+                found[topic.name] += [store.deserialize_cdr(data, topic.type) for data in reader.take()]
+    return found
+
+
+def check_published(published: dict[str, list[Any]], trace: Any) -> None:
+    """Poses are those of the record at the stamps of the scans; map and transform have the right frames."""
+    by_stamp = dict(zip(trace.stamps_ns, trace.estimates, strict=True))
+    assert len(published["/pose"]) > 20
+    for message in published["/pose"]:
+        assert message.header.frame_id == "map"
+        x, y, _ = by_stamp[stamp_ns(message)]
+        assert (message.pose.pose.position.x, message.pose.pose.position.y) == (x, y)
+        cov = message.pose.covariance.reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+        assert np.linalg.eigvalsh(cov).min() > -1e-12
+    (link,) = published["/tf"][-1].transforms
+    assert (link.header.frame_id, link.child_frame_id) == ("map", "odom")
+    world = published["/map"][-1]
+    assert world.header.frame_id == "map" and len(world.data) == world.info.width * world.info.height
+    assert set(np.unique(world.data)) == {-1, 0, 100}
+
+
 @needs_dds
 def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays_it(here, _compiled):
     disturbed = ("--late", "0.2", "--lost", "0.05", "--twice", "0.1", "--truth", "truth.tum")
@@ -75,10 +110,12 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
         process("simulate", "rectangle", "--task", "tour", "--seed", "1", "--max-time", "300", *disturbed),
         process("live", "--out", "x", "--max-time", "8") as live,
     ):
+        published = heard(live)
         out, err = live.communicate(timeout=240)
     assert live.returncode == 0 and "written to x/" in out
     assert "dropped: " in err and "scan twice" in err
     trace = ss.load(here / "x").trace
+    check_published(published, trace)
     assert trace.outcome == "time is up" and len(trace.stamps_ns) > 40
     truth = truth_of(here / "truth.tum")
     rows = truth[np.searchsorted(truth[:, 0], np.array(trace.stamps_ns) / 1e9 - 1e-3)]

@@ -89,13 +89,10 @@ def test_a_sensor_that_stops_stops_the_robot_within_half_a_second(bench, sensor)
     bench.run(1000)
     setattr(bench, sensor, False)
     off_ms = bench.now_ms
-    name = "the laser" if sensor == "has_scans" else "odometry"
+    name = "laser" if sensor == "has_scans" else "odometry"
     said = f"{name} is silent; the robot is stopped"
     while said not in bench.lines:  # not by `step`, which waits for a tick: none follows without odometry
-        bench.robot._take_messages()
-        bench.robot._due.extend(bench.robot.joiner.ticks(bench.now_ms * MS))
-        bench.robot._tell()
-        bench.robot._steer()
+        bench.robot._turn()
         assert bench.now_ms < off_ms + 1000
     assert bench.sent[-1][1] == Command()
     stopped_ms = max(ms for ms, command in bench.sent if command != Command()) - off_ms
@@ -108,8 +105,8 @@ def test_a_laser_that_is_back_is_named_and_the_robot_drives_on(bench):
     bench.run(4000)
     bench.has_scans = True
     bench.run(6000)
-    assert bench.lines[0] == "the laser is silent; the robot is stopped"
-    assert bench.lines[1].startswith("the laser sends again, after 3.")
+    assert bench.lines[0] == "laser is silent; the robot is stopped"
+    assert bench.lines[1].startswith("laser sends again, after 3.")
     assert bench.sent[-1][1] == Command(0.2, 0.0)
     assert not any(command != Command() for ms, command in bench.sent if 1500 < ms < 4000)
 
@@ -139,3 +136,12 @@ def test_the_frame_of_odometry_lies_where_the_pose_says(bench):
     tick = bench.robot.step(Command())
     pose = Pose(1.0, 2.0, 0.3)
     np.testing.assert_allclose((bench.robot.odom_in_map(tick, pose) @ tick.odometry).array(), pose.array(), atol=1e-12)
+
+
+def test_an_event_that_comes_again_and_again_is_said_now_and_then_and_counted(bench):
+    for second in range(40):
+        bench.has_scans = second % 2 == 0
+        bench.run(1000 * second + 1000)
+    assert bench.robot._notices.events["laser silent"] == 20
+    assert sum(line.startswith("laser is silent") for line in bench.lines) == 4
+    assert bench.robot._notices.summary()[-1] == "events: laser again 19, laser silent 20"
