@@ -12,7 +12,7 @@ from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.joining import ScanJoiner
 from sixthsense.live.notices import Notices
-from sixthsense.live.presence import Presence
+from sixthsense.live.presence import LONG_SILENT_NS, SILENT_NS, Presence
 from sixthsense.live.reading import LaserReader, MessageReader
 from sixthsense.navigation.pilot import AheadPilot
 
@@ -46,7 +46,8 @@ class LiveRobot:
         self.odom_frame = "odom"
         self._receive, self._now_ns = receive, now_ns
         self._reader, self._laser, self._notices, self._steering = reader, laser, notices, steering
-        self._scans, self._odometry = Presence("laser", now_ns()), Presence("odometry", now_ns())
+        silent_ns = LONG_SILENT_NS if steering is None else SILENT_NS
+        self._scans, self._odometry = (Presence(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
         self._newest: tuple[int, Pose] | None = None  # odometry that the robot has not been steered by

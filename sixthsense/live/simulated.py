@@ -89,7 +89,7 @@ class SimulatedRobot:
             begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
             data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)
             self._late += [(now_s + delay_s, data) for delay_s in self._disturbance.delays(self._rng)]
-            self._write_truth(stamp_ns, tick)
+        self._write_truth(stamp_ns, tick)
         due = [data for due_s, data in self._late if due_s <= now_s]
         self._late = [entry for entry in self._late if entry[0] > now_s]
         for data in due:

@@ -25,7 +25,7 @@ needs_dds = pytest.mark.skipif(
     find_spec("cyclonedds") is None, reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'"
 )
 PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
-DOMAIN = str(20 + os.getpid() % 80)
+DOMAIN = str(20 + os.getpid() % 40)
 
 
 @pytest.fixture(autouse=True)

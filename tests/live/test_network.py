@@ -34,7 +34,7 @@ needs_dds = pytest.mark.skipif(
 @pytest.fixture
 def domain() -> int:
     """One for each process of tests, as they must not hear each other."""
-    return 100 + os.getpid() % 100
+    return 60 + os.getpid() % 40
 
 
 def a_scan(beams: int = 360) -> Scan:
