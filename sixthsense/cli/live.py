@@ -53,7 +53,9 @@ def command(args: list[str]) -> int:
     """Run SLAM on a robot."""
     if wants_help(args):
         return show_help(Live, "live", "log")
-    options, flags = parse_command(Live, "", lambda _: _base("--drive" in args), args)
+    options, flags = parse_command(
+        Live, "", lambda _: _base(any(word.partition("=")[0] == "--drive" for word in args)), args
+    )
     network = options.network()
     from sixthsense.api import with_task
     from sixthsense.live.session import Session, Topics, check_drive

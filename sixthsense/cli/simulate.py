@@ -42,8 +42,8 @@ def command(args: list[str]) -> int:
         return show_help(Simulate, "simulate", "default")
     options, flags = parse_command(Simulate, "scene", "default", args)
     _check_numbers(options)
-    for name in ("out", "view"):
-        if getattr(options, name) is not None:
+    for name in ("out", "overwrite", "view", "bind"):
+        if getattr(options, name):
             raise UsageError(f"--{name}: found on a simulated robot, which keeps no record, allowed: with live")
     config = options.settings
     if options.scene is not None and "scene" in flags:
