@@ -15,7 +15,7 @@ from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Source, Tick
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.navigator import Navigator, ReplayNavigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch

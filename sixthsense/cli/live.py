@@ -52,7 +52,7 @@ class Live(OnNetwork, WithPriorMap):
 def command(args: list[str]) -> int:
     """Run SLAM on a robot."""
     if wants_help(args):
-        return show_help(Live, "live", "log")
+        return show_help(Live, "live", "log", args)
     options, flags = parse_command(
         Live, "", lambda _: _base(any(word.partition("=")[0] == "--drive" for word in args)), args
     )

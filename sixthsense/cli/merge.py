@@ -11,6 +11,7 @@ from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
 from sixthsense.cli.view import live_view
 from sixthsense.config import ConfigError
+from sixthsense.config.names import OF_THE_ROBOT
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Merge(Common):
 def command(args: list[str]) -> int:
     """Merge two runs."""
     if wants_help(args):
-        return show_help(Merge, "merge", "log")
+        return show_help(Merge, "merge", "log", args, OF_THE_ROBOT)
     from sixthsense.sources.logs import is_run_folder
     from sixthsense.sources.replay_input import base_of, check_options, check_out
 

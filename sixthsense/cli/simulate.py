@@ -39,7 +39,7 @@ class Simulate(OnNetwork, Common):
 def command(args: list[str]) -> int:
     """Simulate a robot."""
     if wants_help(args):
-        return show_help(Simulate, "simulate", "default")
+        return show_help(Simulate, "simulate", "default", args)
     options, flags = parse_command(Simulate, "scene", "default", args)
     _check_numbers(options)
     for name in ("out", "overwrite", "view", "bind"):
