@@ -74,7 +74,7 @@ def show_help(
 ) -> int:
     """Print a command's options with their default values: on one page, or of the section that `args` name.
 
-    `base` is the default preset; `hidden` are fields and sections of the configuration that the command refuses.
+    `base` is the default preset; `hidden` are options, fields and sections that the command refuses.
     """
     print(help_text(command, name, preset(base), help_topic(args) or "", hidden))
     return DONE

@@ -74,10 +74,11 @@ def help_topic(args: Sequence[str]) -> str | None:
 def help_text(command: type, name: str, settings: Config, topic: str = "", hidden: Collection[str] = ()) -> str:
     """The help of a command on a topic, at most 80 columns wide.
 
-    `command` is the dataclass of its options, `settings` the configuration without options, `hidden` the top-level
-    fields and sections that the command refuses. Raises UsageError for an unknown topic.
+    `command` is the dataclass of its options, `settings` the configuration without options, `hidden` the options,
+    top-level fields and sections that the command refuses. Raises UsageError for an unknown topic.
     """
-    own = sorted(own_options(command), key=lambda option: not option.is_positional)
+    used = (option for option in own_options(command) if option.name not in hidden)
+    own = sorted(used, key=lambda option: not option.is_positional)
     sections = {
         path: (section, list(_section_options(section, path, value)))
         for path, section, value in _sections(settings)

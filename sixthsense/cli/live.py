@@ -21,7 +21,7 @@ class OnNetwork:
     domain: Annotated[int | None, arg(metavar="N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
     interface: Annotated[str, arg(metavar="NAME|ADDRESS")] = LOOPBACK
-    """Network interface to join; by default that of this machine alone, 127.0.0.1."""
+    """Network interface to join. By default that of this machine alone."""
     peers: Annotated[str | None, arg(metavar="ADDRESS[,ADDRESS]")] = None
     """Hosts of the robot, for networks without multicast."""
 
@@ -40,22 +40,28 @@ class Live(OnNetwork, WithPriorMap):
     """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
 
     scan: Annotated[str, arg(metavar="TOPIC")] = "/scan"
-    """Topic of the laser, sensor_msgs/LaserScan."""
+    """Topic of the laser. Messages sensor_msgs/LaserScan."""
     odom: Annotated[str, arg(metavar="TOPIC")] = "/odom"
-    """Topic of the wheels' odometry, nav_msgs/Odometry."""
+    """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
     drive: bool = False
-    """Drive the robot: it explores --region, or drives to --goal. Keep an emergency stop at hand."""
+    """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, arg(metavar="TOPIC")] = "/cmd_vel"
-    """With --drive: topic of the commands, geometry_msgs/Twist."""
+    """With --drive: topic of the commands. Messages geometry_msgs/Twist."""
+
+
+_OF_A_SIMULATION = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
 
 
 def command(args: list[str]) -> int:
     """Run SLAM on a robot."""
     if wants_help(args):
-        return show_help(Live, "live", "log", args)
+        return show_help(Live, "live", "log", args, _OF_A_SIMULATION)
     options, flags = parse_command(
         Live, "", lambda _: _base(any(word.partition("=")[0] == "--drive" for word in args)), args
     )
+    for name in _OF_A_SIMULATION:
+        if name in flags or (name == "lost" and options.lost):
+            raise UsageError(f"--{name.replace('_', '-')}: found on a robot, allowed: with run")
     network = options.network()
     from sixthsense.api import with_task
     from sixthsense.live.session import Session, Topics, check_drive

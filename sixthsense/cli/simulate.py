@@ -33,16 +33,19 @@ class Simulate(OnNetwork, Common):
     twice: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are sent twice."""
     truth: Annotated[Path | None, arg(metavar="FILE")] = None
-    """Write the true trajectory, TUM format, with the stamps of the messages."""
+    """Write the true trajectory. TUM format, with the stamps of the messages."""
+
+
+_OF_A_RECORD = ("out", "overwrite", "view", "bind")
 
 
 def command(args: list[str]) -> int:
     """Simulate a robot."""
     if wants_help(args):
-        return show_help(Simulate, "simulate", "default", args)
+        return show_help(Simulate, "simulate", "default", args, _OF_A_RECORD)
     options, flags = parse_command(Simulate, "scene", "default", args)
     _check_numbers(options)
-    for name in ("out", "overwrite", "view", "bind"):
+    for name in _OF_A_RECORD:
         if getattr(options, name):
             raise UsageError(f"--{name}: found on a simulated robot, which keeps no record, allowed: with live")
     config = options.settings

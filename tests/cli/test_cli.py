@@ -57,10 +57,16 @@ def metrics(folder: Path) -> dict[str, object]:
 
 
 BAD_LINES = [
-    ("rn", "command: found 'rn', allowed: run, replay, calibrate, campaign, report, scenes"),
-    ("--versions", "command: found '--versions', allowed: run, replay, calibrate, campaign, report, scenes"),
+    (
+        "rn",
+        "command: found 'rn', allowed: run, replay, live, simulate, merge, calibrate, campaign, ",
+    ),
+    (
+        "--versions",
+        "command: found '--versions', allowed: run, replay, live, simulate, merge, calibrate, campaign, ",
+    ),
     ("scenes extra", "scenes: found 'extra', allowed: no arguments"),
-    ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, loop, office, rectangle, or a file"),
+    ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, campus, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),
     ("run missing.yaml", "missing.yaml: cannot be read (No such file or directory)"),
     ("run apartment office", "scene: found 'apartment' and 'office', allowed: one"),
