@@ -8,7 +8,7 @@ is a folder written by `sixthsense run`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.metrics import full_rank_from, nees_band, nees_world
+from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.figures.plot import CYCLE, new_figure, save
 from sixthsense.record.trace import Trace
 from sixthsense.running.warmup import warm_up
@@ -82,32 +82,56 @@ def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
 
 
 def draw(traces: Mapping[str, Sequence[Trace]], title: str) -> Any:
-    """Draw error, NEES and processing time over time, in bins of 10 s over all runs, one line per estimator."""
-    figure = new_figure(11.0, 8.0)
-    axes = figure.subplots(3, 1, sharex=True)
-    count = max(len(runs) for runs in traces.values())
-    low, high = nees_band(count)
-    axes[1].axhspan(low, high, color="#BBBBBB", alpha=0.5, linewidth=0, label=f"95 % band, mean of {count}")
-    for (name, runs), color in zip(traces.items(), CYCLE, strict=False):
-        rows = [np.concatenate(columns) for columns in zip(*map(over_time, runs), strict=True)]
-        t, error, nees, ms = rows
-        which = (t // BIN_S).astype(int)
-        bins = np.unique(which)
-        for ax, values, reduce in zip(axes, (1e3 * error, nees, ms), (_rms, np.nanmean, np.median), strict=True):
-            with np.errstate(invalid="ignore"):
-                line = [reduce(values[which == b]) if np.isfinite(values[which == b]).any() else np.nan for b in bins]
-            ax.plot((bins + 0.5) * BIN_S, line, color=color, linewidth=1.2, label=name)
-    axes[0].set_ylabel("position RMSE [mm]")
-    axes[1].set_ylabel("pose NEES, world [1]")
-    axes[2].set_ylabel("key scan, median [ms]")
-    axes[2].set_xlabel("time [s]")
-    axes[0].legend(ncols=5, fontsize=8, loc="upper left")
-    axes[1].legend(ncols=6, fontsize=8, loc="upper left")
-    for ax in axes:
-        ax.margins(x=0.0)
-        ax.set_ylim(bottom=0.0)
+    """Draw error, NEES and processing time over time: a column per estimator, the first one's medians in grey in each.
+
+    In bins of 10 s, the line is the median over the runs, the band is from the smallest to the largest of them.
+    """
+    figure = new_figure(13.0, 7.0)
+    axes = figure.subplots(3, len(traces), sharex=True, sharey="row", squeeze=False)
+    quantities = (
+        ("position RMSE [mm]", 1e3, _rms),
+        ("pose NEES, world [1]", 1.0, np.mean),
+        ("key scan [ms]", 1.0, np.median),
+    )
+    for row, (label, factor, reduce) in enumerate(quantities):
+        axes[row, 0].set_ylabel(label)
+        reference: tuple[Array, Array] | None = None
+        for ax, (name, runs), color in zip(axes[row], traces.items(), CYCLE, strict=False):
+            series = [over_time(trace) for trace in runs]
+            middle, values = binned(
+                [found[0] for found in series], [factor * found[row + 1] for found in series], reduce
+            )
+            median = np.median(values, axis=0)
+            reference = reference or (middle, median)
+            ax.fill_between(middle, values.min(axis=0), values.max(axis=0), color=color, alpha=0.25, linewidth=0)
+            ax.plot(*reference, color="#999999", linewidth=1.0)
+            ax.plot(middle, median, color=color, linewidth=1.4)
+            ax.set_ylim(bottom=0.0)
+            ax.margins(x=0.0)
+            if row == 0:
+                ax.set_title(name)
+            if row == 1:
+                ax.axhline(3.0, color="black", linewidth=0.8, linestyle=":")
+            if row == 2:
+                ax.set_xlabel("time [s]")
     figure.suptitle(title)
     return figure
+
+
+def binned(
+    times_s: Sequence[Array], values: Sequence[Array], reduce: Callable[[Array], Any], share: float = 0.5
+) -> tuple[Array, Array]:
+    """The middles (B,) of bins of `BIN_S` seconds, and what `reduce` makes of the finite values in each, (runs, B).
+
+    A bin in which any run has less than `share` of the usual number of them is left out: the last one of a tour would
+    show a key scan or two.
+    """
+    edges = np.arange(0.0, max(float(t[-1]) for t in times_s) + 2.0 * BIN_S, BIN_S)
+    finite = [(t[np.isfinite(found)], found[np.isfinite(found)]) for t, found in zip(times_s, values, strict=True)]
+    counts = np.array([np.histogram(t, edges)[0] for t, _ in finite])
+    full = np.flatnonzero((counts >= max(1.0, share * np.median(counts[counts > 0]))).all(axis=0))
+    rows = [[reduce(found[t // BIN_S == k]) for k in full] for t, found in finite]
+    return (full + 0.5) * BIN_S, np.array(rows)
 
 
 def _rms(values: Array) -> float:

@@ -257,3 +257,15 @@ def test_an_option_below_its_bound_ends_the_program_with_one_line(script, capsys
     with pytest.raises(SystemExit):
         script.check_at_least(parser, parser.parse_args(["--max-time", "0.5"]), max_time=1.0)
     assert "--max-time: found 0.5, allowed: at least 1" in capsys.readouterr().err
+
+
+@of("shared_evidence")
+def test_a_bin_with_few_key_scans_is_left_out_of_the_figure(script):
+    tour = np.arange(0.0, 31.5)  # 10 key scans in each of three bins, and two in the last one
+    other = np.delete(tour, np.arange(11, 18))  # few in the second
+    middles, rows = script.binned([tour, tour], [tour, 2.0 * tour], np.mean)
+    assert middles.tolist() == [5.0, 15.0, 25.0]
+    assert rows.tolist() == [[4.5, 14.5, 24.5], [9.0, 29.0, 49.0]]
+    assert script.binned([tour, other], [tour, other], np.mean)[0].tolist() == [5.0, 25.0]
+    gaps = np.where(tour < 10.0, np.nan, tour)
+    assert script.binned([gaps], [gaps], np.mean)[0].tolist() == [15.0, 25.0]
