@@ -64,6 +64,9 @@ def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
     return by_pose, Pose(theta=heading).adjoint()
 
 
+_CARRIED_M = 0.25  # sigma of the position of one motion, beyond which no wheel has measured it
+
+
 @dataclass(frozen=True, slots=True)
 class Odometry:
     """An increment of motion in the robot's frame, with its covariance."""
@@ -78,6 +81,10 @@ class Odometry:
     def is_standstill(self) -> bool:
         """Whether the motion is zero without uncertainty, for any parameters of the wheels."""
         return self.motion == STANDSTILL.motion and self.wheels is None and not np.any(self.cov)
+
+    def is_carried(self) -> bool:
+        """Whether no wheel has measured the motion: its position is known to some decimetres only."""
+        return bool(max(self.cov[0, 0], self.cov[1, 1]) > _CARRIED_M**2)
 
     def cov_after(self) -> Array:
         """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -124,16 +125,17 @@ def draw_map(ax: Any, trace: Trace) -> None:
             else {"linewidth": 0.4, "alpha": 0.25}
         )
         ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
-    odometry = np.array(trace.odometry).reshape(-1, 3)
+    odometry = _as_path(trace.odometry, trace)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
     has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a key scan before every scan
     estimates = trace.scan_poses() if has_final else np.array(trace.estimates).reshape(-1, 3)
     if trace.truths:
-        truth = np.array(trace.truths)
+        truth = _as_path(trace.truths, trace)
         ax.plot(
             truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="true path", zorder=6
         )
-    ax.plot(estimates[:, 0], estimates[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=5)
+    path = _as_path(estimates, trace)
+    ax.plot(path[:, 0], path[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=5)
     landmarks = trace.final.landmarks[~trace.final.walls]
     if len(trace.final.ids):
         draw_landmarks(ax, trace)
@@ -143,6 +145,12 @@ def draw_map(ax: Any, trace: Trace) -> None:
         ax.plot(*estimates[-1, :2], marker="s", label="end", **style)
     label_plane(ax)
     _frame(ax, [estimates[:, :2], landmarks, *(() if trace.scene is None else trace.scene.walls)])
+
+
+def _as_path(poses: ArrayLike, trace: Trace) -> Array:
+    """(S + gaps, 3) poses of scans, with a gap where the robot was carried."""
+    rows = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    return np.insert(rows, trace.carried_scans(), np.nan, axis=0)
 
 
 def _frame(ax: Any, points: list[Array]) -> None:

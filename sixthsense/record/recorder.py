@@ -30,7 +30,7 @@ class Recorder:
         if key_scan is not None:
             trace.live.features = key_scan.features or trace.live.features
             trace.add_key_scan(tick, key_scan)
-        trace.add_tick(tick, step.dead_reckoned)
+        trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
         if tick.scan is not None or tick.sightings is not None:
             trace.add_scan(tick, step)
 

@@ -116,10 +116,13 @@ class Trace:
     last_position: Array | None = None
     """(2,) position of the robot at the last tick, world frame: true, or by odometry for a log"""
 
-    def add_tick(self, tick: Tick, odometry: Pose) -> None:
-        """Add the distance driven since the last tick; `odometry` is the dead-reckoned pose in the world frame."""
+    def add_tick(self, tick: Tick, odometry: Pose, is_carried: bool = False) -> None:
+        """Add the distance driven since the last tick, if the robot was not carried.
+
+        `odometry` is the dead-reckoned pose in the world frame.
+        """
         position = (tick.truth or odometry).position
-        if self.last_position is not None:
+        if self.last_position is not None and not is_carried:
             self.path_length_m += float(np.hypot(*(position - self.last_position)))
         self.last_position = position
 
@@ -143,6 +146,11 @@ class Trace:
             self.key_truths.append(tick.truth.array())
         self.associations.append(key_scan.association)
         self.walls_found.append(key_scan.walls_robot)
+
+    def carried_scans(self) -> list[int]:
+        """Indices of the scans before which the robot was carried: no path leads there."""
+        keys = [k for k, motion in enumerate(self.key_odometry) if k and motion.is_carried()]
+        return [self.last_key.index(k) for k in keys if k in self.last_key]
 
     def scan_poses(self) -> Array:
         """(S, 3) final pose of every scan: that of its last key scan, composed with the odometry since then."""

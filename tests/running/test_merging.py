@@ -48,6 +48,9 @@ def test_both_runs_are_in_one_frame_and_the_folder_is_that_of_a_run(runs, here, 
     both, monday, tuesday = ss.load("both"), ss.load(runs / "monday"), ss.load(runs / "tuesday")
     assert len(both.trace.stamps_ns) == len(monday.trace.stamps_ns) + len(tuesday.trace.stamps_ns)
     assert both.trace.stamps_ns == sorted(both.trace.stamps_ns)
+    driven = [run.metrics["path_length_m"] for run in (both, monday, tuesday)]
+    assert driven[0] == pytest.approx(driven[1] + driven[2], abs=1e-6)
+    assert both.trace.carried_scans() == [len(monday.trace.estimates)] and monday.trace.carried_scans() == []
     errors = np.array(both.trace.trajectory)[:, :2] - np.array(both.trace.key_truths)[:, :2]
     assert np.hypot(*errors.T).max() < 0.05
     again = ss.replay("both", progress=False)

@@ -28,7 +28,6 @@ from sixthsense.slam.scans.tracking import Tracked, Views, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
-_CARRIED_M, _CARRIED_RAD = 0.15, 0.3  # sigmas of one stated motion, beyond which no wheel has measured it
 _RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
 
 
@@ -89,7 +88,7 @@ class ScanFrontEnd:
         if increment is not None:
             self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
             self._pose = self._pose @ increment.motion
-            self._is_carried |= _was_carried(increment)
+            self._is_carried |= increment.is_carried()
         if scan is None:
             return None
         if scan.T_robot_laser is not self._mount.T_robot_laser:
@@ -200,8 +199,3 @@ class ScanFrontEnd:
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
         return estimate
-
-
-def _was_carried(increment: Odometry) -> bool:
-    sigmas = np.sqrt(np.diag(increment.cov))
-    return bool(max(sigmas[0], sigmas[1]) > _CARRIED_M or sigmas[2] > _CARRIED_RAD)
