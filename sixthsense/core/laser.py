@@ -107,6 +107,8 @@ def sweep_times(beams: int, increment: np.float32) -> Array:
 
 def sweep_ns(beams: int, increment: np.float32) -> int:
     """Nanoseconds, at most 0, of the earliest beam relative to the latest one."""
+    if increment == 0.0:
+        return 0
     return round(1e9 * float(sweep_times(beams, increment).min()))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import time
 from collections import Counter
@@ -11,10 +12,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import sweep_ns
+from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.record.message_form import MessageForm, quaternion
+from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.sighting_cloud import CLOUD
@@ -74,6 +78,7 @@ class BagWriter:
         self._names = dict(TOPICS)
         self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
         self._odometry_form = self._make_odometry_form()
+        self._scan_form: tuple[tuple[Any, ...], ArrayForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
         self._pending = self._key_scans = self._plans = 0
@@ -136,10 +141,7 @@ class BagWriter:
         if tick.truth is not None:
             self._write("/truth", stamp, make.pose_stamped(stamp, tick.truth))
         if tick.scan is not None:
-            scan = tick.scan
-            begin = max(stamp + sweep_ns(len(scan.ranges), scan.time_increment), 0)
-            header_ns = begin if tick.log_stamp_s is None else round(Fraction(tick.log_stamp_s) * 1_000_000_000)
-            self._write("/scan", stamp, make.scan(header_ns, scan))
+            self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.sightings is not None:
             if SIGHTINGS not in self._channels:
                 self._names[SIGHTINGS] = CLOUD
@@ -180,6 +182,22 @@ class BagWriter:
             return self._messages.serialized(message, TOPICS["/odom"])
 
         return MessageForm(4, serialized)
+
+    def _scan(self, stamp_ns: int, scan: Scan, log_stamp_s: float | None) -> bytes:
+        """A scan's message: of those from one laser only stamps and ranges differ."""
+        begin = max(stamp_ns + sweep_ns(len(scan.ranges), scan.time_increment), 0)
+        header_ns = begin if log_stamp_s is None else round(Fraction(log_stamp_s) * 1_000_000_000)
+        laser = (scan.angle_min, scan.angle_increment, scan.time_increment, scan.max_range, len(scan.ranges))
+        if self._scan_form is None or laser != self._scan_form[0]:
+            self._scan_form = laser, self._make_scan_form(scan)
+        return self._scan_form[1].fill(*seconds_and_nanoseconds(header_ns), scan.ranges)
+
+    def _make_scan_form(self, scan: Scan) -> ArrayForm:
+        def serialized(ranges: NDArray[np.float32]) -> bytes:
+            message = self._messages.scan(0, dataclasses.replace(scan, ranges=ranges))
+            return self._messages.serialized(message, TOPICS["/scan"])
+
+        return ArrayForm(len(scan.ranges), serialized)
 
     def _write_metadata(self) -> None:
         import yaml

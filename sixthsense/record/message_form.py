@@ -8,6 +8,9 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 _STAMP_AT = 4  # the header comes first, behind four bytes that say how numbers are encoded
 _STAMP, _NUMBER = struct.Struct("<iI"), struct.Struct("<d")
 _ULP_OFFSETS = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in ulp
@@ -29,6 +32,24 @@ class MessageForm:
         _STAMP.pack_into(data, _STAMP_AT, seconds, nanoseconds)
         for place, number in zip(self._places, numbers, strict=True):
             _NUMBER.pack_into(data, place, number)
+        return bytes(data)
+
+
+class ArrayForm:
+    """A message with a header, in whose serialized form the stamp and an array of float32 numbers are replaced."""
+
+    def __init__(self, count: int, serialized: Callable[[NDArray[np.float32]], Any]) -> None:
+        """Take the form of `serialized(numbers)`, little-endian CDR of a message with these `count` numbers."""
+        marks = np.linspace(-2.345e30, -1.234e30, count, dtype="<f4")  # numbers that stand nowhere else
+        self._data = bytes(serialized(marks))
+        self._place = self._data.index(marks.tobytes())
+        self._end = self._place + marks.nbytes
+
+    def fill(self, seconds: int, nanoseconds: int, numbers: NDArray[np.float32]) -> bytes:
+        """The message with this stamp in its header, and these numbers."""
+        data = bytearray(self._data)
+        _STAMP.pack_into(data, _STAMP_AT, seconds, nanoseconds)
+        data[self._place : self._end] = np.asarray(numbers, dtype="<f4").tobytes()
         return bytes(data)
 
 

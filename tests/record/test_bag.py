@@ -12,7 +12,7 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay, run
 from sixthsense.record.bag import BagWriter
-from sixthsense.record.message_form import MessageForm, quaternion
+from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
@@ -72,6 +72,25 @@ def test_a_filled_form_is_the_message_with_its_numbers():
     form = MessageForm(2, lambda numbers: serialized((0, 0), *numbers))
     for stamp, x, y in (((0, 0), 0.0, -0.0), ((2**31 - 1, 999_999_999), math.pi, math.inf), ((7, 5), 1e-300, -2.5)):
         assert form.fill(*stamp, (x, y)) == serialized(stamp, x, y)
+
+
+@pytest.mark.parametrize("beams", [0, 1, 181])
+def test_a_form_of_scans_gives_the_bytes_of_a_message(beams):
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+
+    def serialized(stamp, ranges):
+        content = (-1.5, 1.5, 0.01, 0.0, 0, 0, 30.0, ranges, np.zeros(0, dtype=np.float32))
+        message = store.types["sensor_msgs/msg/LaserScan"](header(time(*stamp), "laser"), *content)
+        return bytes(store.serialize_cdr(message, "sensor_msgs/msg/LaserScan"))
+
+    form = ArrayForm(beams, lambda ranges: serialized((0, 0), ranges))
+    for stamp in ((0, 0), (2**31 - 1, 999_999_999)):
+        ranges = np.linspace(0.0, 40.0, beams, dtype=np.float32)
+        ranges[::3] = np.inf
+        assert form.fill(*stamp, ranges) == serialized(stamp, ranges)
 
 
 def test_messages_say_what_the_run_believed_and_planned(recorded):
