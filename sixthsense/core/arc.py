@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sinc(angle: float) -> float:
+    return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle
 
 
 def arc(motion: Pose) -> tuple[float, float]:
@@ -16,6 +22,7 @@ def arc(motion: Pose) -> tuple[float, float]:
     return chord / _sinc(half), motion.theta
 
 
+@numba.njit(cache=True, error_model="numpy")
 def arc_jacobian(distance: float, turn: float) -> Array:
     """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
     half = 0.5 * turn
@@ -28,7 +35,3 @@ def arc_jacobian(distance: float, turn: float) -> Array:
             [0.0, 1.0],
         ]
     )
-
-
-def _sinc(angle: float) -> float:
-    return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arc import arc, arc_jacobian
+from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
 
@@ -88,17 +90,22 @@ class Odometry:
 
     def cov_after(self) -> Array:
         """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""
-        turn = Pose(theta=-self.motion.theta).adjoint()
-        cov = turn @ self.cov @ turn.T
-        return np.asarray(0.5 * (cov + cov.T))
+        return np.asarray(turned_covariance(self.cov, -self.motion.theta))
 
     def then(self, later: Odometry) -> Odometry:
         """Compose two increments with independent errors: `self` first, then `later`."""
+        if later is STANDSTILL:
+            return self
+        if self is STANDSTILL:
+            return later
         first = self if later.wheels is None else self.with_wheels(later.wheels.values)
-        by_first, by_later = compose_jacobians(first.motion.theta, later.motion)
-        cov = by_first @ first.cov @ by_first.T + by_later @ later.cov @ by_later.T
+        motion = later.motion
+        cov = composed_covariance(first.cov, later.cov, first.motion.theta, motion.x, motion.y)
+        if first.wheels is None and later.wheels is None:
+            return Odometry(first.motion @ motion, cov)
+        by_first, by_later = compose_jacobians(first.motion.theta, motion)
         terms = _composed_terms(first.wheels, later.wheels, by_first, by_later)
-        return Odometry(first.motion @ later.motion, cov, terms)
+        return Odometry(first.motion @ motion, cov, terms)
 
     def with_wheels(self, values: Wheels) -> Odometry:
         """The same increment for other parameters of the wheels, to first order."""
@@ -162,12 +169,25 @@ def _covariance(motion: Pose, assumed: AssumedConfig) -> Array:
     """(3, 3) of a motion's error by the assumed noise."""
     distance, turn = arc(motion)
     noise = assumed.motion
-    g = arc_jacobian(distance, turn)
-    q = np.array(
-        [variance(noise.distribution, noise.speed * distance), variance(noise.distribution, noise.turn_rate * turn)]
-    )
     position, heading = slip_variances(noise, distance, turn)
     share = max(abs(distance) / _FLOOR_PER_M, abs(turn) / _FLOOR_PER_RAD)
     position += assumed.floor_m**2 * share
     heading += assumed.floor_rad**2 * share
-    return np.asarray((g * q) @ g.T + np.diag([position, position, heading]))
+    by_distance = variance(noise.distribution, noise.speed * distance)
+    by_turn = variance(noise.distribution, noise.turn_rate * turn)
+    return np.asarray(_arc_covariance(distance, turn, (by_distance, by_turn), position, heading))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _arc_covariance(
+    distance: float, turn: float, of_arc: tuple[float, float], position: float, heading: float
+) -> Array:
+    """(3, 3) of an arc's end; variances of its length and turn, and of position (each axis) and heading beside them."""
+    g, cov = arc_jacobian(distance, turn), np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            cov[i, j] = g[i, 0] * of_arc[0] * g[j, 0] + g[i, 1] * of_arc[1] * g[j, 1]
+    cov[0, 0] += position
+    cov[1, 1] += position
+    cov[2, 2] += heading
+    return cov

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -121,10 +122,11 @@ class Trace:
 
         `odometry` is the dead-reckoned pose in the world frame.
         """
-        position = (tick.truth or odometry).position
+        here = tick.truth or odometry
         if self.last_position is not None and not is_carried:
-            self.path_length_m += float(np.hypot(*(position - self.last_position)))
-        self.last_position = position
+            x, y = self.last_position.tolist()
+            self.path_length_m += math.hypot(here.x - x, here.y - y)
+        self.last_position = here.position
 
     def add_scan(self, tick: Tick, step: Step) -> None:
         """Record a scan after it was processed."""

@@ -186,7 +186,8 @@ class ISAM2:
         for k in updates:
             if not 0 <= k < self._poses:
                 raise KeyError(f"updates: found {k}, allowed: 0 to {self._poses - 1}")
-        return np.array([self._pose_at(k).array() for k in updates]).reshape(-1, 3)
+        poses = [self._pose_at(k) for k in updates]
+        return np.array([(pose.x, pose.y, pose.theta) for pose in poses], dtype=np.float64).reshape(-1, 3)
 
     def graph_error(self) -> float:
         """Half the sum of squared whitened residuals of all factors at the present estimate (GTSAM's convention)."""

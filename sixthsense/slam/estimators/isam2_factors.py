@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import gtsam
@@ -13,6 +14,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.base import Link
 
 _FLOOR = 1e-6  # smallest sigma (m, rad) of a pose's factor: a certain motion or start would make the system singular
+_FLOOR_COV = _FLOOR**2 * np.eye(3)
 
 
 def to_pose(pose: gtsam.Pose2) -> Pose:
@@ -27,7 +29,7 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
 
 def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
     """The noise of a motion, in the axes of the frame after, as GTSAM has it."""
-    return noise_of(motion.cov_after() + _FLOOR**2 * np.eye(3))
+    return noise_of(motion.cov_after() + _FLOOR_COV)
 
 
 def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
@@ -49,6 +51,11 @@ def link_factor(before: int, after: int, link: Link) -> gtsam.NonlinearFactor:
     """The factor of a link between the variables with these keys."""
     noise: gtsam.noiseModel.Base = gaussian(link.relative)
     if math.isfinite(link.loss_scale):
-        loss = gtsam.noiseModel.mEstimator.Cauchy.Create(link.loss_scale)
-        noise = gtsam.noiseModel.Robust.Create(loss, noise)
+        noise = gtsam.noiseModel.Robust.Create(_cauchy(link.loss_scale), noise)
     return gtsam.BetweenFactorPose2(before, after, to_pose2(link.relative.motion), noise)
+
+
+@functools.lru_cache(maxsize=16)
+def _cauchy(scale: float) -> gtsam.noiseModel.mEstimator.Base:
+    """The loss of many links: there are two scales, and a loss has no state."""
+    return gtsam.noiseModel.mEstimator.Cauchy.Create(scale)

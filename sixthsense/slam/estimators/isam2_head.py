@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import block_diag
 
+from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
@@ -46,11 +47,16 @@ class Head:
     def cov(self) -> Array:
         """(3, 3) of the pose, or (7, 7) with the wheels' parameters, world frame."""
         if not self._has_cov:
-            solver, to_world = self._solver, self.to_world()
-            cov = solver.covariance(self._last) if self.wheels is None else solver.joint_covariance(self.keys())
-            cov = to_world @ cov @ to_world.T
-            self._cov, self._has_cov = 0.5 * (cov + cov.T), True
+            self._cov, self._has_cov = self._read_cov(), True
         return self._cov
+
+    def _read_cov(self) -> Array:
+        if self.wheels is None:
+            cov = np.ascontiguousarray(self._solver.covariance(self._last))
+            return np.asarray(turned_covariance(cov, self.pose.theta))
+        to_world = self.to_world()
+        cov = to_world @ self._solver.joint_covariance(self.keys()) @ to_world.T
+        return np.asarray(0.5 * (cov + cov.T))
 
     @property
     def is_solved(self) -> bool:
@@ -75,6 +81,8 @@ class Head:
 
         `joint` (n + 2k, n + 2k) is that of the head's n values and the landmarks.
         """
+        if len(joint) == 3:
+            return self._propagated_pose(joint, pending)
         head = len(self._cov)
         kept = np.concatenate([np.arange(3), np.arange(head, len(joint))])
         if pending is STANDSTILL:
@@ -90,4 +98,11 @@ class Head:
         moved[:, :3] = moved[:, :head] @ by_head.T
         moved[:3, :3] += by_motion @ motion.cov @ by_motion.T
         moved = moved[np.ix_(kept, kept)]
+        return np.asarray(0.5 * (moved + moved.T))
+
+    def _propagated_pose(self, cov: Array, pending: Odometry) -> Array:
+        """As `propagated`, of the pose (3, 3) alone."""
+        if pending is STANDSTILL:
+            return cov.copy()
+        moved = composed_covariance(cov, pending.cov, self.pose.theta, pending.motion.x, pending.motion.y)
         return np.asarray(0.5 * (moved + moved.T))

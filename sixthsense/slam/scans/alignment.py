@@ -158,13 +158,33 @@ def add_both_ways(returns: Returns, target: int, source: int, pose: Array, loss:
     back, reverse = np.zeros(SUMS), inverse(pose)
     add_one_way(returns, source, target, reverse, loss, back)
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    # Jacobian of the inverse pose by the pose.
-    jacobian = np.array([[-c, -s, reverse[1]], [s, -c, -reverse[0]], [0.0, 0.0, -1.0]])
-    sums[GRADIENT : GRADIENT + 3] += jacobian.T @ back[GRADIENT : GRADIENT + 3].copy()
+    # The Jacobian of the inverse pose by the pose is [[-c, -s, u], [s, -c, v], [0, 0, -1]].
+    u, v = reverse[1], -reverse[0]
+    gx, gy = back[GRADIENT], back[GRADIENT + 1]
+    sums[GRADIENT] += s * gy - c * gx
+    sums[GRADIENT + 1] -= s * gx + c * gy
+    sums[GRADIENT + 2] += u * gx + v * gy - back[GRADIENT + 2]
     for at in (HESSIAN, SPREAD):
-        add_matrix(sums, at, jacobian.T @ matrix(back, at) @ jacobian)
+        _add_reversed(sums, at, back, (c, s, u, v))
     for k in (WEIGHT, HITS, SQUARES):
         sums[k] += back[k]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_reversed(sums: Array, at: int, back: Array, jacobian: tuple[float, float, float, float]) -> None:
+    """Add the symmetric matrix at a place of `back`, by the inverse pose, to that of `sums`, by the pose."""
+    c, s, u, v = jacobian
+    xx, xy, xt, yy, yt, tt = back[at], back[at + 1], back[at + 2], back[at + 3], back[at + 4], back[at + 5]
+    # Columns of the matrix times the Jacobian.
+    ax, ay = s * xy - c * xx, s * yy - c * xy
+    bx, by = -s * xx - c * xy, -s * xy - c * yy
+    tx, ty, t = u * xx + v * xy - xt, u * xy + v * yy - yt, u * xt + v * yt - tt
+    sums[at] += s * ay - c * ax
+    sums[at + 1] += s * by - c * bx
+    sums[at + 2] += s * ty - c * tx
+    sums[at + 3] -= s * bx + c * by
+    sums[at + 4] -= s * tx + c * ty
+    sums[at + 5] += u * tx + v * ty - t
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -211,13 +231,3 @@ def solved(a: Array, b: Array) -> Array:
     x2 = y2 / l22
     x1 = (y1 - l21 * x2) / l11
     return np.array([(y0 - l10 * x1 - l20 * x2) / l00, x1, x2])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def add_matrix(sums: Array, at: int, value: Array) -> None:
-    """Add a symmetric (3, 3) matrix at a place of the sums."""
-    k = at
-    for i in range(3):
-        for j in range(i, 3):
-            sums[k] += value[i, j]
-            k += 1

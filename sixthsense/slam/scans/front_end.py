@@ -144,7 +144,7 @@ class ScanFrontEnd:
         before = Pose.from_array(last.pose)
         # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
         motions = (last.motion, step, Pose()) if self._doubts_wheels else (step, last.motion, Pose())
-        starts = np.array([(before @ motion).array() for motion in motions])
+        starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
         trusted = prior.doubted() if self._doubts_wheels else prior
         tracked = track(Views(self._store.returns, row, self._references(), poses), trusted, starts, self._support)
         tracked = tracked.judged_by(prior)

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.alignment import (
     GRADIENT,
     HESSIAN,
@@ -24,6 +24,7 @@ from sixthsense.slam.scans.alignment import (
     next_step,
     solved,
 )
+from sixthsense.slam.scans.poses import wrapped
 from sixthsense.slam.scans.scan_store import Returns
 from sixthsense.slam.scans.see_through import compare_views
 
@@ -106,10 +107,23 @@ def align_pairs(
     """Align pairs of scans from the relative poses `starts` (m, 3), and compare their views."""
     m = len(targets)
     poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
-    for k in range(m):
-        _align(returns, int(targets[k]), int(sources[k]), gates_m, poses[k], sums[k], views[k])
-    poses[:, 2] = wrap_angle(poses[:, 2])
+    _align_all(returns, targets, sources, gates_m, poses, sums, views)
     return Alignments(targets, sources, poses, sums, views)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _align_all(
+    returns: Returns,
+    targets: NDArray[np.int64],
+    sources: NDArray[np.int64],
+    gates_m: Array,
+    poses: Array,
+    sums: Array,
+    views: NDArray[np.int64],
+) -> None:
+    for k in range(len(targets)):
+        _align(returns, targets[k], sources[k], gates_m, poses[k], sums[k], views[k])
+        poses[k, 2] = wrapped(poses[k, 2])
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -124,8 +138,11 @@ def _align(
         add_both_ways(returns, target, source, pose, Loss(gates_m[step], _SCALE_M), sums)
         if sums[HITS] < _LEAST_HITS:
             return
-        hessian = matrix(sums, HESSIAN) + _ANCHOR * np.eye(3)
-        move = solved(hessian, -(sums[GRADIENT : GRADIENT + 3] + _ANCHOR * (pose - start)))
+        hessian, gradient = matrix(sums, HESSIAN), np.empty(3)
+        for i in range(3):
+            hessian[i, i] += _ANCHOR
+            gradient[i] = -(sums[GRADIENT + i] + _ANCHOR * (pose[i] - start[i]))
+        move = solved(hessian, gradient)
         pose += move
         shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
         if gates_m[step] == gates_m[-1] and shift < _STEP_M and turn < _STEP_RAD:

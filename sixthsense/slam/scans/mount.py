@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.covariance import transformed
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.scans.poses import compose
+
+_ORIGIN = Pose()
 
 
 def seen_from(T_a_b: Pose, motion: Odometry) -> Odometry:
@@ -14,14 +17,14 @@ def seen_from(T_a_b: Pose, motion: Odometry) -> Odometry:
 
     The covariance is of the error of (x, y, theta), in the axes of the frame before the motion.
     """
-    if T_a_b == Pose():
+    if T_a_b == _ORIGIN:
         return motion
-    T_b_a = T_a_b.inverse()
-    jacobian = np.eye(3)
-    jacobian[:2, :2] = rotation(T_a_b.theta)
-    lever = rotation(T_a_b.theta + motion.motion.theta) @ T_b_a.position
-    jacobian[:2, 2] = (-lever[1], lever[0])
-    return Odometry(T_a_b @ motion.motion @ T_b_a, jacobian @ motion.cov @ jacobian.T)
+    T_b_a, heading = T_a_b.inverse(), T_a_b.theta + motion.motion.theta
+    c, s = math.cos(heading), math.sin(heading)
+    # What the motion's turn moves: a, as seen from b, in the axes before the motion.
+    lever_x, lever_y = c * T_b_a.x - s * T_b_a.y, s * T_b_a.x + c * T_b_a.y
+    cov = transformed(motion.cov, math.cos(T_a_b.theta), math.sin(T_a_b.theta), -lever_y, lever_x)
+    return Odometry(T_a_b @ motion.motion @ T_b_a, cov)
 
 
 class Mount:
@@ -29,6 +32,7 @@ class Mount:
 
     def __init__(self, T_robot_laser: Pose) -> None:
         self.T_robot_laser, self.T_laser_robot = T_robot_laser, T_robot_laser.inverse()
+        self._robot_laser, self._laser_robot = self.T_robot_laser.array(), self.T_laser_robot.array()
 
     def laser_motion(self, motion: Pose) -> Pose:
         """The laser's motion of the robot's."""
@@ -36,11 +40,11 @@ class Mount:
 
     def laser_motions(self, motions: Array) -> Array:
         """(m, 3) motions of the laser of the robot's (m, 3)."""
-        return compose(compose(self.T_laser_robot.array(), motions), self.T_robot_laser.array())
+        return compose(compose(self._laser_robot, motions), self._robot_laser)
 
     def robot_motions(self, motions: Array) -> Array:
         """(m, 3) motions of the robot of the laser's (m, 3)."""
-        return compose(compose(self.T_robot_laser.array(), motions), self.T_laser_robot.array())
+        return compose(compose(self._robot_laser, motions), self._laser_robot)
 
     def robot_pose(self, T_world_laser: Array) -> Pose:
         """`T_world_robot` of `T_world_laser` (3,)."""
@@ -56,4 +60,4 @@ class Mount:
 
     def laser_poses(self, trajectory: Array) -> Array:
         """(K, 3) `T_world_laser` of the robot's poses (K, 3)."""
-        return compose(trajectory, self.T_robot_laser.array())
+        return compose(trajectory, self._robot_laser)

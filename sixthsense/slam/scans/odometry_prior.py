@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 
+from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Prior
@@ -45,7 +47,22 @@ def prior_of(key_pose: Array, odometry: Odometry) -> Prior:
 
 def informations_in_world(key_poses: Array, covs: Array) -> Array:
     """(m, 3, 3) informations, world axes, of motions with covariances (m, 3, 3), axes of the key poses (m, 3)."""
-    c, s = np.cos(key_poses[:, 2]), np.sin(key_poses[:, 2])
-    turn = np.zeros((len(key_poses), 3, 3))
-    turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1], turn[:, 2, 2] = c, -s, s, c, 1.0
-    return np.asarray(np.linalg.inv(turn @ covs @ turn.transpose(0, 2, 1)))
+    return np.asarray(_informations(np.ascontiguousarray(key_poses), covs))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _informations(key_poses: Array, covs: Array) -> Array:
+    out = np.empty((len(covs), 3, 3))
+    for k in range(len(covs)):
+        a = turned_covariance(covs[k], key_poses[k, 2])
+        # By its cofactors: for matrices of this size a call of LAPACK takes longer.
+        xx, xy = a[1, 1] * a[2, 2] - a[1, 2] ** 2, a[0, 2] * a[1, 2] - a[0, 1] * a[2, 2]
+        xt = a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]
+        yy, yt = a[0, 0] * a[2, 2] - a[0, 2] ** 2, a[0, 1] * a[0, 2] - a[0, 0] * a[1, 2]
+        tt = a[0, 0] * a[1, 1] - a[0, 1] ** 2
+        per_determinant = 1.0 / (a[0, 0] * xx + a[0, 1] * xy + a[0, 2] * xt)
+        out[k, 0, 0], out[k, 0, 1], out[k, 0, 2] = xx, xy, xt
+        out[k, 1, 0], out[k, 1, 1], out[k, 1, 2] = xy, yy, yt
+        out[k, 2, 0], out[k, 2, 1], out[k, 2, 2] = xt, yt, tt
+        out[k] *= per_determinant
+    return out

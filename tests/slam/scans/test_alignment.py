@@ -12,6 +12,7 @@ from sixthsense.slam.scans.alignment import (
     GRADIENT,
     HESSIAN,
     HITS,
+    SPREAD,
     SQUARES,
     SUMS,
     WEIGHT,
@@ -90,6 +91,23 @@ def test_the_gradient_is_that_of_the_squares(laser, add):
         if ahead[HITS] == behind[HITS]:
             slope = 0.5 * (ahead[SQUARES] - behind[SQUARES]) / 2e-7
             assert slope == pytest.approx(here[GRADIENT + k], rel=0.02, abs=0.02)
+
+
+@LASERS
+def test_the_sums_both_ways_are_those_of_either_way_by_one_pose(laser):
+    returns, true = pair(laser, np.random.default_rng(3))
+    loss, pose = Loss(0.1, 0.05), true + np.array([0.02, -0.01, 0.01])
+    both, there, back = np.zeros(SUMS), np.zeros(SUMS), np.zeros(SUMS)
+    add_both_ways(returns, 0, 1, pose, loss, both)
+    add_one_way(returns, 0, 1, pose, loss, there)
+    add_one_way(returns, 1, 0, inverse(pose), loss, back)
+    steps = 1e-6 * np.eye(3)
+    jacobian = np.column_stack([(inverse(pose + h) - inverse(pose - h)) / 2e-6 for h in steps])
+    for at in (HESSIAN, SPREAD):
+        assert np.allclose(matrix(both, at), matrix(there, at) + jacobian.T @ matrix(back, at) @ jacobian)
+    gradient = slice(GRADIENT, GRADIENT + 3)
+    assert np.allclose(both[gradient], there[gradient] + jacobian.T @ back[gradient])
+    assert np.allclose(both[[WEIGHT, HITS, SQUARES]], (there + back)[[WEIGHT, HITS, SQUARES]])
 
 
 def test_a_direction_is_that_of_atan2_to_a_thousandth_of_a_beam():

@@ -1,0 +1,56 @@
+"""Covariances under motions of the plane: the kernels agree with products of matrices."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import AssumedConfig, MotionNoise
+from sixthsense.core.arc import arc, arc_jacobian
+from sixthsense.core.covariance import composed_covariance, transformed, turned_covariance
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, slip_variances, variance
+
+RNG = np.random.default_rng(0)
+
+
+def covariance() -> Array:
+    factor = RNG.normal(size=(3, 3))
+    return factor @ factor.T
+
+
+def test_a_covariance_is_transformed_by_the_jacobian():
+    for _ in range(20):
+        cov, angle, (u, v) = covariance(), RNG.uniform(-4, 4), RNG.normal(size=2)
+        c, s = math.cos(angle), math.sin(angle)
+        jacobian = np.array([[c, -s, u], [s, c, v], [0.0, 0.0, 1.0]])
+        assert np.allclose(transformed(cov, c, s, u, v), jacobian @ cov @ jacobian.T)
+        turned = turned_covariance(cov, angle)
+        assert np.array_equal(turned, turned.T)
+        turn = Pose(theta=angle).adjoint()
+        assert np.allclose(turned, turn @ cov @ turn.T)
+
+
+def test_covariances_of_motions_in_a_row_are_composed_by_their_jacobians():
+    for _ in range(20):
+        first, later, heading, motion = covariance(), covariance(), RNG.uniform(-3, 3), Pose(*RNG.normal(size=3))
+        by_first, by_later = compose_jacobians(heading, motion)
+        found = composed_covariance(first, later, heading, motion.x, motion.y)
+        assert np.allclose(found, by_first @ first @ by_first.T + by_later @ later @ by_later.T)
+
+
+def test_a_standstill_before_or_after_a_motion_leaves_it_as_it_is():
+    motion = Odometry(Pose(0.3, -0.1, 0.2), covariance())
+    assert motion.then(STANDSTILL) is motion and STANDSTILL.then(motion) is motion
+
+
+@pytest.mark.parametrize("motion", [Pose(0.2, 0.01, 0.1), Pose(-0.3, 0.0, 0.0), Pose(0.0, 0.0, -0.4)])
+def test_the_covariance_of_an_increment_is_that_of_its_arc_and_of_slip(motion):
+    assumed = AssumedConfig(motion=MotionNoise(slip_position_per_sqrt_m=0.02), floor_m=0.0, floor_rad=0.0)
+    (distance, turn), noise = arc(motion), assumed.motion
+    g = arc_jacobian(distance, turn)
+    scales = (noise.speed * distance, noise.turn_rate * turn)
+    q = np.diag([variance(noise.distribution, scale) for scale in scales])
+    position, heading = slip_variances(noise, distance, turn)
+    expected = g @ q @ g.T + np.diag([position, position, heading])
+    assert np.allclose(odometry(Pose(), motion, assumed).cov, expected, rtol=1e-12)
