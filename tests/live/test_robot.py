@@ -1,5 +1,8 @@
 """A live robot without a network and without a clock: what it makes of messages, and when it stops."""
 
+import gc
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -145,3 +148,21 @@ def test_an_event_that_comes_again_and_again_is_said_now_and_then_and_counted(be
     assert bench.robot._notices.events["laser silent"] == 20
     assert sum(line.startswith("laser is silent") for line in bench.lines) == 4
     assert bench.robot._notices.summary()[-1] == "events: laser again 19, laser silent 20"
+
+
+def test_the_source_keeps_nothing_of_what_has_passed(bench):
+    """What grows with time is the record, and the map with the way driven."""
+
+    def memory_after(until_ms: int) -> int:
+        while bench.now_ms < until_ms:
+            bench.robot.step(Command())
+        gc.collect()
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    try:
+        before = memory_after(30_000)
+        bench.sent.clear()
+        assert memory_after(120_000) - before < 100_000
+    finally:
+        tracemalloc.stop()
