@@ -24,7 +24,7 @@ from sixthsense.live.notices import Notices
 from sixthsense.live.publishing import Publisher
 from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
-from sixthsense.live.topics import LATCHED, RELIABLE, SENSOR, Topic, checked_topic
+from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
 from sixthsense.loop import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
@@ -67,7 +67,7 @@ class Session:
         self._reader = MessageReader()
         self._frames = FrameReader(self._reader)
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
-        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, SENSOR))
+        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, FAST_SENSOR))
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
 
     def __enter__(self) -> Self:

@@ -35,6 +35,8 @@ class Quality(NamedTuple):
 
 SENSOR = Quality(is_reliable=False, depth=50)
 """of a reader of sensor data, which takes it from reliable writers and others"""
+FAST_SENSOR = SENSOR._replace(depth=500)
+"""of odometry, which comes more often: a program that is held up for some seconds loses none"""
 RELIABLE = Quality(is_reliable=True)
 LATCHED = Quality(is_reliable=True, is_latched=True, depth=1)
 

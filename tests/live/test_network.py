@@ -53,7 +53,7 @@ MESSAGES = {
 
 
 def wait_for(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0
     while not is_so():
         assert time.monotonic() < deadline, "nothing happened"
         time.sleep(0.01)
