@@ -7,7 +7,7 @@ import pytest
 from sixthsense.slam.estimators import ESTIMATORS, keeps_poses
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing import check_estimator
-from sixthsense.testing.check import LAWS, LINK_LAWS, WHEEL_LAWS
+from sixthsense.testing.check import LAWS, LINK_LAWS, PRIOR_MAP_LAWS, WHEEL_LAWS
 from sixthsense.testing.estimation import CONVERGED, make
 
 KEEPING = [name for name in ESTIMATORS if keeps_poses(make(name))]
@@ -49,7 +49,10 @@ class Overconfident(ISAM2):
 @pytest.mark.slow
 def test_an_estimator_that_keeps_removed_links_is_found():
     verdicts = check_estimator(Forgetful, "forgetful")
-    assert len(verdicts) == len(LAWS) + len(LINK_LAWS) + len(WHEEL_LAWS) and verdicts["removed_links_leave_no_trace"]
+    assert (
+        len(verdicts) == len(LAWS) + len(LINK_LAWS) + len(WHEEL_LAWS) + len(PRIOR_MAP_LAWS)
+        and verdicts["removed_links_leave_no_trace"]
+    )
 
 
 def test_links_of_another_weight_are_found():
