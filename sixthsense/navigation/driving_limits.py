@@ -11,6 +11,7 @@ from scipy import ndimage
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch import FarCells
 from sixthsense.navigation.map_window import Region
+from sixthsense.slam.mapping.changes import Changes
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
@@ -40,14 +41,19 @@ class DrivingLimits:
             slices.append(slice(min(max(first, 0), count), min(max(past, 0), count)))
         return slices[0], slices[1]
 
-    def blocked(self, space: FreeSpace, far_cells: FarCells) -> Bools:
+    def blocked(self, space: FreeSpace, far_cells: FarCells, changes: Changes) -> Bools:
         """(H, W) the blocked cells of a space, all cells outside the limits, and those far into the unknown.
 
-        `far_cells` tells those farther than `UNKNOWN_M` from all that was seen.
+        `far_cells` tells those farther than `UNKNOWN_M` from all that was seen; `changes` are those of the map.
         """
         inside = self.rows_and_cols(space)
         blocked = np.ones(space.blocked.shape, dtype=np.bool_)
-        np.logical_or(space.blocked[inside], far_cells.of(space.seen[inside]), out=blocked[inside])
+        first = (
+            round(space.origin[1] / space.cell_m) + inside[0].start,
+            round(space.origin[0] / space.cell_m) + inside[1].start,
+        )
+        far = far_cells.of(space.seen[inside], first, changes)
+        np.logical_or(space.blocked[inside], far, out=blocked[inside])
         return blocked
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch import path_to_nearest
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _CLEARANCE_LIMIT_M = 2.0  # longest path out of a place where only the clearance is missing
@@ -22,7 +22,7 @@ def escape_path(grid: Grid, space: FreeSpace, start: Array, clearance_m: float) 
     short path through anything but obstacles: noise has put the robot inside the disc around an obstacle.
     """
     for less_m, limit_m in ((clearance_m, _CLEARANCE_LIMIT_M), (math.inf, _OVERLAP_LIMIT_M)):
-        inner = grid.free_space(start, margin_m=-less_m)
+        inner = grid.free_space(start, margin_m=-less_m, within=Ellipse(start, start, 2.0 * limit_m))
         path = _path_between(inner, space, start, limit_m)
         if path is not None:
             return path

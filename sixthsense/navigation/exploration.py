@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.navigation.closed_walls import ClosedWalls
 from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.gridsearch import Costs, FarCells, cell_before_gap, geodesic_distances
+from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells, cell_before_gap
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
@@ -27,7 +28,7 @@ from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_planner import ViewPlanner, distances_without_clearance
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
@@ -54,6 +55,8 @@ class Exploration:
         self._failed_views = FailedViewCounts()
         self._hidden_cells = HiddenCells(task.sensor.reach)
         self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
+        self._reachable_cells = ReachableCells()
+        self._closed_walls = ClosedWalls()
         self._history = PoseHistory(task.config.explore)
         self._widening = 0  # index into _OUTSIDE_M
         self._gap_approaches = 0
@@ -63,7 +66,7 @@ class Exploration:
         self._has_seen_more = True  # since the last revisit: else one revisit could follow another for ever
         self._map = self._driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
-        self._window = self._window_of_map()
+        self._drawn_window: MapWindow | None = None
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
@@ -75,7 +78,7 @@ class Exploration:
             self._react("pose certain", pose)
         elif self._history.needs_revisit and (self._has_seen_more or self._history.is_much_less_certain):
             self._react("pose uncertain", pose)
-        if self._target_is_seen():
+        if self._target.unknown_cells(grid) <= _SEEN_FRACTION * len(self._target.cells):
             self._has_seen_more |= self._target is not NO_TARGET
             if self._react("target seen", pose):
                 return
@@ -154,16 +157,15 @@ class Exploration:
 
     def _mark_unreachable(self, pose: Pose) -> State:
         """Give the target up until a path leads to it, then choose another view."""
-        window = self._window
-        self._failed_views.mark_unreachable(window, self._target.mask(window) & window.unknown)
+        self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
         return self._choose_view(pose)
 
     def _revisit(self, pose: Pose) -> State:
         """Head for the nearest place where the pose was certain, if one can be reached."""
         self._history.postpone_revisit()
         places = self._history.well_known_places()
-        cost = self._distances(pose)
-        costs = np.array([cost[self._window.cell(place)] for place in places])
+        distances = self._distances(pose)
+        costs = np.array([distances.to(*self._window.cell(place)) for place in places])
         if not np.isfinite(costs).any():
             return self.state
         self._target, self._has_seen_more = NO_TARGET, False
@@ -176,9 +178,9 @@ class Exploration:
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
         """Without a path home: look at the gap that only the clearance closes, else drive back as the robot came."""
-        cost = self._distances(pose)
-        without_clearance = distances_without_clearance(self._window, pose, self._task.radius_m)
-        gap = cell_before_gap(cost, without_clearance, *self._window.cell(self._task.home))
+        reachable = self._distances(pose).reachable
+        without_clearance = distances_without_clearance(self._window, pose, self._task.radius_m).to_all()
+        gap = cell_before_gap(reachable, without_clearance, *self._window.cell(self._task.home))
         if gap is not None and self._gap_approaches < self._task.config.explore.tries:
             self._gap_approaches += 1
             self.driver.head_for(self._window.point(*gap), pose)
@@ -232,29 +234,29 @@ class Exploration:
 
     def _make_view_planner(self, pose: Pose) -> ViewPlanner:
         """Close the walls of the map window, and make the view planner for it."""
-        self._window = self._window.with_closed_walls(self._map.grid)
-        task, failed_views = self._task, self._failed_views.within(self._window)
-        cost, sigma_m = self._distances(pose), self._history.sigma_m
-        self._hidden_cells.update(self._window, np.isfinite(cost))
+        window, edge = self._closed_walls.close(self._window, self._map.grid)
+        self._drawn_window = window
+        task, failed_views = self._task, self._failed_views.within(window)
+        distances, sigma_m = self._distances(pose), self._history.sigma_m
+        self._hidden_cells.update(window, distances.reachable)
         rest = task.radius_m, task.sensor, task.config, self._hidden_cells
-        return ViewPlanner(self._window, failed_views, pose, sigma_m, cost, *rest)
+        return ViewPlanner(window, edge, failed_views, pose, sigma_m, distances, *rest)
 
-    def _target_is_seen(self) -> bool:
-        return self._target.unknown_cells(self._window) <= _SEEN_FRACTION * len(self._target.cells)
-
-    def _distances(self, pose: Pose) -> Costs:
-        """(H, W) distances from the robot over cells that were seen and are not blocked."""
+    def _distances(self, pose: Pose) -> Distances:
+        """Distances from the robot over cells that were seen and are not blocked."""
         window = self._window
         free = self.driver.space.nearest_free(pose.position, 0.5)
         here = window.cell(pose.position if free is None else free)
-        return geodesic_distances(window.seen & ~window.blocked, window.blocked, *here)
+        passable, blocked = window.seen & ~window.blocked, np.array(window.blocked)
+        reachable = self._reachable_cells.of(passable, blocked, window.first, here)
+        return Distances(passable, blocked, *here, reachable)
 
     # The map within the limits.
 
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
-        def free_space(margin_m: float, places: Array) -> FreeSpace:
-            space = grid.free_space(*places, margin_m=margin_m)
-            blocked = self._limits().blocked(space, self._far_cells)
+        def free_space(margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
+            space = grid.free_space(*places, margin_m=margin_m, within=within)
+            blocked = self._limits().blocked(space, self._far_cells, grid.changes)
             if self._retracing and margin_m == 0.0:
                 blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
             blocked.flags.writeable = False
@@ -264,11 +266,15 @@ class Exploration:
 
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)
-        self._window = self._window_of_map()
+        self._drawn_window = None
 
-    def _window_of_map(self) -> MapWindow:
-        space = self.driver.space
-        return MapWindow.of(self._map.grid, space, self._limits().rows_and_cols(space), self._task.region)
+    @property
+    def _window(self) -> MapWindow:
+        """The map window, drawn when somebody looks at it."""
+        if self._drawn_window is None:
+            grid, space = self._map.grid, self.driver.space
+            self._drawn_window = MapWindow.of(grid, space, self._limits().rows_and_cols(space), self._task.region)
+        return self._drawn_window
 
     def _limits(self) -> DrivingLimits:
         margin = self._task.config.explore.margin_m

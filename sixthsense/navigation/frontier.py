@@ -5,28 +5,15 @@ Masks are (H, W), indexed [row = y, col = x]. Lengths are in cells.
 
 from __future__ import annotations
 
+import math
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.regions import Cells, are_beside, frontier_cells, joined, small_regions
 from sixthsense.slam.mapping.freespace import Bools
-
-Cells = NDArray[np.int64]
-
-_EIGHT = np.ones((3, 3), dtype=np.bool_)
-
-
-def frontier_cells(free: Bools, unseen: Bools) -> Bools:
-    """The cells of `free` that share an edge with one of `unseen`."""
-    beside = np.zeros_like(free)
-    beside[1:] |= unseen[:-1]
-    beside[:-1] |= unseen[1:]
-    beside[:, 1:] |= unseen[:, :-1]
-    beside[:, :-1] |= unseen[:, 1:]
-    beside &= free
-    return beside
 
 
 def frontier_points(
@@ -67,31 +54,34 @@ def _eroded(mask: Bools) -> Bools:
     return ~_dilated(~mask)
 
 
-def drop_small_regions(unseen: Bools, edge: Bools, max_cells: float) -> tuple[Bools, Bools]:
-    """`unseen` without its smallest regions, up to `max_cells` in all, and the part of `edge` beside the rest.
+def drop_small_regions(unseen: Bools, edge: Cells, max_cells: float) -> tuple[Bools, Cells]:
+    """`unseen` without its smallest regions, up to `max_cells` in all, and the cells of `edge` (N, 2) beside the rest.
 
     Regions are connected edge to edge. A region without a cell of `edge` beside it is not visible and is kept.
     """
-    labels, count = ndimage.label(unseen)
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    beside = np.unique(labels[frontier_cells(unseen, edge)])
-    order = beside[np.argsort(sizes[beside], kind="stable")]
-    dropped = np.zeros(count + 1, dtype=np.bool_)
-    dropped[order[np.cumsum(sizes[order]) <= max_cells]] = True
-    rest = unseen & ~dropped[labels]
-    return rest, frontier_cells(edge, rest)
+    rest = unseen.copy()
+    left = max_cells
+    for region in small_regions(unseen, edge, math.floor(max_cells)):
+        left -= len(region)
+        if left < 0:
+            break
+        rest.ravel()[region] = False
+    return rest, edge[are_beside(rest, edge)]
 
 
-def frontier_clusters(frontier: Bools, tile: int) -> list[Cells]:
-    """The cells (N, 2), row and col, of each connected part of `frontier` within each square of `tile` cells."""
-    labels, _ = ndimage.label(frontier, _EIGHT)
-    cells = np.argwhere(frontier)
-    squares = cells // tile
-    keys = np.stack([labels[frontier], squares[:, 0], squares[:, 1]], axis=1)
+def frontier_clusters(edge: Cells, tile: int) -> list[Cells]:
+    """The cells (N, 2) of each connected part of a frontier within each square of `tile` cells.
+
+    `edge` (M, 2), row by row, are the cells of the frontier.
+    """
+    if len(edge) == 0:
+        return []
+    squares = edge // tile
+    keys = np.stack([joined(edge), squares[:, 0], squares[:, 1]], axis=1)
     order = np.lexsort(keys.T)
-    keys, cells = keys[order], cells[order]
+    keys, cells = keys[order], edge[order]
     starts = np.flatnonzero((np.diff(keys, axis=0) != 0).any(axis=1)) + 1
-    return [cells[a:b] for a, b in zip([0, *starts], [*starts, len(cells)], strict=True)] if len(cells) else []
+    return [cells[a:b] for a, b in zip([0, *starts], [*starts, len(cells)], strict=True)]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -110,6 +100,25 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
     out = np.empty((len(once), 2), dtype=np.int64)
     out[:, 0], out[:, 1] = once // width, once % width
     return out
+
+
+def centre_cells(clusters: list[Cells]) -> Cells:
+    """(K, 2) the `centre_cell` of each cluster."""
+    if not clusters:
+        return np.zeros((0, 2), dtype=np.int64)
+    ends = np.cumsum([len(cells) for cells in clusters])
+    return np.asarray(_centre_cells(np.concatenate(clusters), ends))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _centre_cells(cells: Cells, ends: NDArray[np.int64]) -> Cells:
+    """As `centre_cells`, of clusters one after the other, each up to its end."""
+    centres = np.empty((len(ends), 2), dtype=np.int64)
+    first = 0
+    for k in range(len(ends)):
+        centres[k, 0], centres[k, 1] = _centre_cell(cells[first : ends[k]])
+        first = ends[k]
+    return centres
 
 
 def centre_cell(cells: Cells) -> tuple[int, int]:

@@ -16,7 +16,7 @@ from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners import Planner
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 
@@ -60,8 +60,8 @@ class GoalNavigator:
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Plan again if the path crosses an obstacle now, or if there is no path."""
 
-        def free_space(margin_m: float, places: Array) -> FreeSpace:
-            return grid.free_space(*places, margin_m=margin_m)
+        def free_space(margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
+            return grid.free_space(*places, margin_m=margin_m, within=within)
 
         pose = estimate.pose
         map_ = DrivingMap(grid, free_space, margin_m(estimate.pose_cov, self._config))

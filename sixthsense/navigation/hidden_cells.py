@@ -7,6 +7,9 @@ import numpy as np
 from sixthsense.navigation.map_window import MapWindow
 from sixthsense.slam.mapping.freespace import Bools
 
+_TILE = 8
+"""cells; changes are kept by squares of so many"""
+
 
 class HiddenCells:
     """Remembers cells that a search has found to be hidden: far from the robot little changes between two searches."""
@@ -16,23 +19,37 @@ class HiddenCells:
         self._span = int(reach)
         self._cells: set[tuple[int, int]] = set()
         self._first = (0, 0)
-        self._latest = np.zeros((2, 0, 0), dtype=np.bool_)
+        none = np.zeros((0, 0), dtype=np.bool_)
+        self._latest = none, none
 
     def update(self, window: MapWindow, reachable: Bools) -> None:
         """Take in another map, of which the cells `reachable` (H, W) can be reached; forget the cells near changes."""
-        latest = np.stack([reachable, window.obstacles])
-        if window.first != self._first or latest.shape != self._latest.shape:
+        changed = self._changed(window, reachable)
+        if changed is None:
             self._cells.clear()
-        elif self._cells:
-            changed = (latest != self._latest).any(axis=0)
-            rows, cols = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
-            if len(rows):
-                low = rows[0] - self._span, cols[0] - self._span
-                high = rows[-1] + self._span, cols[-1] + self._span
-                self._cells = {
-                    cell for cell in self._cells if not (low[0] <= cell[0] <= high[0] and low[1] <= cell[1] <= high[1])
-                }
-        self._first, self._latest = window.first, latest
+        elif self._cells and changed.any():
+            # A search looks at the square of `span` cells around a cell.
+            cells = np.array(list(self._cells))
+            low = np.maximum(cells - self._span, 0) // _TILE
+            past = np.minimum((cells + self._span) // _TILE + 1, changed.shape)
+            count = np.pad(changed.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+            (top, left), (bottom, right) = low.T, past.T
+            near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
+            self._cells = set(map(tuple, cells[~near].tolist()))
+
+    def _changed(self, window: MapWindow, reachable: Bools) -> Bools | None:
+        """(H, W) the squares of `_TILE` cells with a change; None if the window is another one."""
+        first, latest, before = window.first, (reachable, window.obstacles), self._latest
+        self._first, self._latest, same = first, latest, first == self._first and reachable.shape == before[0].shape
+        if not same:
+            return None
+        changed = np.zeros(np.add(reachable.shape, _TILE - 1) // _TILE, dtype=np.bool_)
+        for now, then in zip(latest, before, strict=True):
+            differs = now != then
+            rows = np.flatnonzero(differs.any(axis=1))
+            where, cols = np.nonzero(differs[rows])
+            changed[rows[where] // _TILE, cols // _TILE] = True
+        return changed
 
     def add(self, row: int, col: int) -> None:
         """Remember a cell of the latest map."""

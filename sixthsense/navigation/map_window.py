@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.frontier import Cells, close_gaps
+from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 Region = tuple[float, float, float, float]
 """x0, y0, x1, y1, world frame, metres."""
 
+NOWHERE = 0, 0, 0, 0
+"""No rows and columns."""
+
 UNREACHABLE = 255
 """Failed-view count of a cell that no path led to; counting stops below it."""
-
-_WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +39,8 @@ class MapWindow:
     """inflated"""
     unseen: Bools
     """within the region, and neither seen nor an obstacle"""
+    inside: tuple[int, int, int, int] = NOWHERE
+    """first row, past row, first col, past col of the region"""
 
     @classmethod
     def of(cls, grid: Grid, space: FreeSpace, limits: tuple[slice, slice], region: Region) -> MapWindow:
@@ -55,9 +58,9 @@ class MapWindow:
         x = (np.arange(limits[1].start, limits[1].stop) + first[1] + 0.5) * cell_m
         seen, obstacles = space.seen[limits], obstacles[limits]
         unseen = ~(seen | obstacles)
-        unseen[(y <= y0) | (y >= y1)] = False
-        unseen[:, (x <= x0) | (x >= x1)] = False
-        return cls(corner, cell_m, seen, obstacles, space.blocked[limits], unseen)
+        (top, below), (left, right) = _between(y, y0, y1), _between(x, x0, x1)
+        unseen[:top], unseen[below:], unseen[:, :left], unseen[:, right:] = False, False, False, False
+        return cls(corner, cell_m, seen, obstacles, space.blocked[limits], unseen, (top, below, left, right))
 
     @property
     def free(self) -> Bools:
@@ -80,19 +83,11 @@ class MapWindow:
         """(2,) centre of a cell, world frame."""
         return np.array([(self.first[1] + col + 0.5) * self.cell_m, (self.first[0] + row + 0.5) * self.cell_m])
 
-    def with_closed_walls(self, grid: Grid) -> MapWindow:
-        """The same with walls that grazing beams have erased, and gaps of one or two cells, counted as obstacles."""
-        hits, passes = grid.hits, grid.passes
-        height, width = self.seen.shape
-        row, col = round(grid.origin[1] / self.cell_m), round(grid.origin[0] / self.cell_m)
-        wall = np.zeros((height, width), dtype=np.bool_)
-        r0, c0 = row - self.first[0], col - self.first[1]  # the grid's corner in the window
-        rows = slice(max(r0, 0), max(min(r0 + hits.shape[0], height), 0))
-        cols = slice(max(c0, 0), max(min(c0 + hits.shape[1], width), 0))
-        part = slice(rows.start - r0, rows.stop - r0), slice(cols.start - c0, cols.stop - c0)
-        wall[rows, cols] = (hits[part] >= _WALL_HITS) & (passes[part] <= _WALL_PASSES * hits[part])
-        obstacles = close_gaps(self.obstacles | wall)
-        return replace(self, obstacles=obstacles, unseen=self.unseen & ~obstacles)
+
+def _between(ascending: Array, low: float, high: float) -> tuple[int, int]:
+    """First index and index past the last of the numbers between `low` and `high`, exclusive."""
+    first = int(np.searchsorted(ascending, low, side="right"))
+    return first, max(int(np.searchsorted(ascending, high, side="left")), first)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,10 +112,9 @@ class Target:
         mask[cells[:, 0], cells[:, 1]] = True
         return mask
 
-    def unknown_cells(self, window: MapWindow) -> int:
+    def unknown_cells(self, grid: Grid) -> int:
         """How many of its cells are still unknown."""
-        cells = self.cells - window.first
-        return int(np.count_nonzero(window.unknown[cells[:, 0], cells[:, 1]]))
+        return int(np.count_nonzero(grid.unknown(self.cells)))
 
 
 NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0), False)

@@ -93,7 +93,7 @@ class PathDriver:
     def update_map(self, map_: DrivingMap, pose: Pose) -> None:
         """Take in another map."""
         self._map = map_
-        self.space = map_.free_space(0.0, np.array([pose.position, self.goal]))
+        self.space = map_.free_space(0.0, np.array([pose.position, self.goal]), None)
         """where the robot may drive, without a margin"""
 
     def head_for(self, goal: Array, pose: Pose) -> None:

@@ -23,10 +23,10 @@ from sixthsense.navigation.guard import latency_s, stopping_distance
 from sixthsense.navigation.planners import Plan
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 
-FreeSpaceFunction = Callable[[float, Array], FreeSpace]
-"""The free space with a margin, metres, that is reduced to the inflation around (K, 2) places."""
+FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
+"""The free space with a margin, metres, that is reduced to the inflation around (K, 2) places, within an ellipse."""
 
 
 def margin_m(pose_cov: Array, config: Config) -> float:
@@ -53,32 +53,29 @@ def plan_with_margin(
     second planner plans with margins and the first without: each reuses its last search, in a similar space.
     """
     ends = np.array([start, goal])
-    widest = free_space(0.0, ends)
+    widest = free_space(0.0, ends, None)
     shortest = planners[0].plan(widest, start, goal)
     if not shortest.found or wanted_m <= 0.0:
         return shortest, widest, 0.0
 
     longest = detour * shortest.cost
-
-    def with_margin(margin_m: float, places: Array) -> FreeSpace:
-        # Cells that cannot be part of so short a path are not searched.
-        return free_space(margin_m, places).between(start, goal, longest)
+    near = Ellipse(start, goal, longest)  # cells that cannot be part of so short a path are not searched
 
     def within(space: FreeSpace) -> Plan | None:
         plan = shortest if path_is_free(space, shortest.path_world) else planners[1].plan(space, start, goal)
         return plan if plan.cost <= longest else None
 
-    whole = with_margin(wanted_m, ends)
+    whole = free_space(wanted_m, ends, near)
     plan = within(whole)
     if plan is not None:
         return plan, whole, wanted_m
-    half = with_margin(0.5 * wanted_m, ends)
+    half = free_space(0.5 * wanted_m, ends, near)
     plan = within(half)
     if plan is not None:
         return plan, half, 0.5 * wanted_m
     gaps = _gaps(whole, shortest.path_world, 0.5 * wanted_m)
     if len(gaps):
-        about = with_margin(wanted_m, np.vstack([ends, gaps]))
+        about = free_space(wanted_m, np.vstack([ends, gaps]), near)
         plan = within(about)
         if plan is not None:
             return plan, about, 0.0
@@ -90,10 +87,17 @@ def _gaps(space: FreeSpace, path_world: Array, spacing_m: float) -> Array:
 
     They are at most `spacing_m` apart.
     """
-    parts, _ = ndimage.label(~space.blocked)
     # Consecutive points of the path lie in neighbouring cells or in one cell.
     cells = np.array([space.cell_of(point) for point in path_world])
-    part = parts[cells[:, 0], cells[:, 1]]
+    free = ~space.blocked
+    rows, cols = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+    first = np.array([rows[0], cols[0]]) if len(rows) else np.zeros(2, dtype=np.int64)
+    part = np.zeros(len(cells), dtype=np.int64)
+    if len(rows):
+        parts, _ = ndimage.label(free[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1])
+        row, col = (cells - first).T
+        inside = (row >= 0) & (row < parts.shape[0]) & (col >= 0) & (col < parts.shape[1])
+        part[inside] = parts[row[inside], col[inside]]
     inside = np.flatnonzero(part)
     leaves = np.flatnonzero((np.diff(inside) > 1) & (np.diff(part[inside]) != 0))
     step = max(1, math.floor(spacing_m / (math.sqrt(2.0) * space.cell_m)))

@@ -8,9 +8,10 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import ndimage
 
-from sixthsense.navigation.frontier import Cells, centre_cell, frontier_cells, frontier_clusters
+from sixthsense.navigation.frontier import centre_cell, frontier_clusters
+from sixthsense.navigation.regions import Cells, frontier_cells
 from sixthsense.navigation.view_planner import ViewPlanner
-from sixthsense.navigation.visibility import nearest_viewpoint, visible_cells
+from sixthsense.navigation.visibility import mark_visible, nearest_viewpoint
 from sixthsense.slam.mapping.freespace import Bools
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
@@ -50,19 +51,24 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     edge = frontier_cells(window.free, given_up)
     if not edge.any():
         return []
-    without_clearance = planner.cost_without_clearance()
+    without_clearance = planner.distances_without_clearance().reachable
     labels, _ = ndimage.label(window.unseen)
+    boxes = ndimage.find_objects(labels)
+    reachable, obstacles = planner.distances.reachable, window.obstacles
     places = []
-    for label in np.unique(labels[given_up & frontier_cells(window.unseen, edge)]):
-        beside = np.argwhere(edge & frontier_cells(edge, labels == label))
+    for label in np.unique(labels[given_up & frontier_cells(window.unseen, edge)]).tolist():
+        part = tuple(slice(max(span.start - 1, 0), span.stop + 1) for span in boxes[label - 1])
+        corner = part[0].start, part[1].start
+        region = labels[part] == label
+        beside = np.argwhere(edge[part] & frontier_cells(edge[part], region)) + np.array(corner)
         row, col = centre_cell(beside)
-        reason: Reason = "unreachable"
-        area = _visible_area(planner, beside, labels == label)
-        if nearest_viewpoint(planner.cost, window.obstacles, row, col, reach) >= 0:
-            reason = "gave up"
-            area = int(np.count_nonzero(given_up & (labels == label)))
-        elif nearest_viewpoint(without_clearance, window.obstacles, row, col, reach) >= 0:
-            reason = "cut off by inflation only"
+        if nearest_viewpoint(reachable, obstacles, row, col, reach) >= 0:
+            reason: Reason = "gave up"
+            area = int(np.count_nonzero(given_up[part] & region))
+        else:
+            is_near = nearest_viewpoint(without_clearance, obstacles, row, col, reach) >= 0
+            reason = "cut off by inflation only" if is_near else "unreachable"
+            area = _visible_area(planner, beside, corner, region)
         x, y = window.point(row, col)
         places.append(UnseenPlace(float(x), float(y), float(area) * window.cell_m**2, reason))
     places.sort(key=lambda place: -place.area_m2)
@@ -72,14 +78,16 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     return [place for place in places if place.area_m2 >= explore.least_area_m2]
 
 
-def _visible_area(planner: ViewPlanner, beside: Cells, unseen: Bools) -> int:
-    """How many of the `unseen` cells (H, W) are visible from the cells (N, 2) beside them.
+def _visible_area(planner: ViewPlanner, beside: Cells, corner: tuple[int, int], unseen: Bools) -> int:
+    """How many of the `unseen` cells are visible from the cells (N, 2) beside them.
 
-    The inside of a wall is unseen, too, and a hole in its face connects it to all other walls' insides.
+    `unseen` (H, W) is the part of the window from `corner` on that holds them all. The inside of a wall is unseen, too,
+    and a hole in its face connects it to all other walls' insides.
     """
-    window, visible = planner.window, np.zeros_like(unseen)
-    edge = np.zeros_like(unseen)
-    edge[tuple(beside.T)] = True
-    for cells in frontier_clusters(edge, planner.tile):
-        visible |= visible_cells(window.obstacles, unseen, *centre_cell(cells), planner.sensor.reach)
+    row, col = corner
+    obstacles = planner.window.obstacles[row : row + unseen.shape[0], col : col + unseen.shape[1]].copy()
+    visible = np.zeros_like(unseen)
+    for cells in frontier_clusters(beside, planner.tile):
+        at = centre_cell(cells)
+        mark_visible(visible, obstacles, unseen, at[0] - row, at[1] - col, planner.sensor.reach)
     return int(np.count_nonzero(visible))

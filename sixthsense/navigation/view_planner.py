@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,22 +17,24 @@ from sixthsense.config import Config, LaserConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.frontier import (
-    Cells,
     adjacent_cells,
     centre_cell,
+    centre_cells,
     drop_small_regions,
-    frontier_cells,
     frontier_clusters,
 )
-from sixthsense.navigation.gridsearch import Costs, cell_before_gap, geodesic_distances
+from sixthsense.navigation.gridsearch import Distances, cell_before_gap
 from sixthsense.navigation.hidden_cells import HiddenCells
-from sixthsense.navigation.map_window import UNREACHABLE, MapWindow, Target
+from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
+from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
 from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.inflation import stamped
 
 _TILE_M = 1.0  # longer frontiers are split
 _GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
+_FIRST_RADIUS, _LARGER_RADIUS = 20.0, 1.25  # cells; how far the distances to views are searched, step by step
 _MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
 
 
@@ -71,20 +74,59 @@ class Candidates:
     """frontier cells beside them, (N, 2) each, row and col in the window"""
 
 
+class _View(NamedTuple):
+    """A target, and what its utility follows from but for the way."""
+
+    target: Target
+    row: int
+    """of the viewpoint in the window"""
+    col: int
+    """likewise"""
+    value: float
+    """of what is seen from it"""
+    turn_s: float
+    """time to turn towards it"""
+
+
+def best_view(views: list[_View], distances: Distances, seconds_per_cell: float, overhead_s: float) -> int | None:
+    """The index of the view with the largest value per time, the first of several; None without a view.
+
+    Distances are searched only as far as a view could still be better than the best that was reached.
+    """
+    radius = _FIRST_RADIUS
+    while views:
+        best, most, others = 0, -math.inf, -math.inf
+        for k, view in enumerate(views):
+            length = distances.known(view.row, view.col)
+            nearest = distances.radius if length is None else length
+            utility = view.value / (seconds_per_cell * nearest + view.turn_s + overhead_s)
+            if length is None:
+                others = max(others, utility)
+            elif utility > most:
+                best, most = k, utility
+        if others < most:
+            return best
+        distances.search(radius)
+        radius *= _LARGER_RADIUS
+    return None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewPlanner:
     """Chooses the next view from the map and the robot's pose."""
 
     window: MapWindow
     """the map within the driving limits, with closed walls"""
+    edge: Cells
+    """(N, 2) its free cells beside unknown ones, row by row"""
     failed_views: NDArray[np.uint8]
     """(H, W) how often each cell was not seen from a viewpoint chosen for it"""
     pose: Pose
     """the robot's"""
     sigma_m: float
     """largest standard deviation of its position"""
-    cost: Costs
-    """(H, W) distances from the robot over free space, in cells"""
+    distances: Distances
+    """from the robot over free space, in cells"""
     radius_m: float
     """the robot's"""
     sensor: SensorModel
@@ -111,26 +153,25 @@ class ViewPlanner:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
         window, explore = self.window, self.config.explore
         few = self.failed_views < explore.tries
+        unknown = window.unknown
         # Cells that were looked at and not seen are no reason to drive farther outside.
         sought = window.unseen & (few | (self.failed_views == UNREACHABLE)) if widened else window.unseen
-        iterations = max(1, round(outside_m / window.cell_m))
-        wanted = ndimage.binary_dilation(sought, iterations=iterations, mask=window.unknown) & few
-        edge = frontier_cells(self._open_cells(), wanted)
+        steps = max(1, round(outside_m / window.cell_m))
+        wanted = spread(sought, unknown, steps, NOWHERE if widened else window.inside) & few
+        edge = self.edge[are_beside(wanted, self.edge)]
+        edge = edge[in_large_regions(window.free, edge, self._glimpsed_cells(), window.cell(self.pose.position))]
         wanted, edge = drop_small_regions(wanted, edge, explore.dust * np.count_nonzero(window.seen))
         return Candidates(wanted, frontier_clusters(edge, self.tile))
 
-    def _open_cells(self) -> Bools:
-        """(H, W) free cells connected to the robot, and places that were glimpsed.
+    def _glimpsed_cells(self) -> int:
+        """Fewest free cells of a place that counts though it is not connected to the robot's.
 
         A room that was seen through a door which the map has closed since, after an error of the pose perhaps, is none
         that nobody need look at.
         """
-        window = self.window
-        labels, count = ndimage.label(window.free)
-        kept = np.bincount(labels.ravel(), minlength=count + 1) * window.cell_m**2 >= _GLIMPSED_M2
-        kept[labels[window.cell(self.pose.position)]] = True
-        kept[0] = False
-        return np.asarray(kept[labels])
+        cell_m2 = self.window.cell_m**2
+        cells = math.ceil(_GLIMPSED_M2 / cell_m2)
+        return cells - 1 if (cells - 1) * cell_m2 >= _GLIMPSED_M2 else cells
 
     def best(self, candidates: Candidates) -> Target | None:
         """The visible target with the largest gain per time; None if no cluster is visible from a reachable cell."""
@@ -139,16 +180,14 @@ class ViewPlanner:
         # An uncertain robot prefers near targets.
         seconds_per_cell = (1.0 + self.sigma_m / explore.revisit_sigma_m) * window.cell_m / robot.speed
         here = window.cell(self.pose.position)
-        best: tuple[float, Target] | None = None
-        compared = 0
-        away = [math.dist(here, centre_cell(cells)) for cells in candidates.clusters]
+        views: list[_View] = []
+        away = [math.dist(here, centre) for centre in centre_cells(candidates.clusters).tolist()]
         for k in np.argsort(away, kind="stable").tolist():
-            if compared == _MAX_VIEWS:
+            if len(views) == _MAX_VIEWS:
                 break
             target = self.target_beside(candidates.wanted, candidates.clusters[k])
             if target is None:
                 continue
-            compared += 1
             row, col = target.viewpoint_in(window)
             gain = expected_gain(
                 window.obstacles, candidates.wanted, row, col, self.sensor.rays, self.sensor.reach, depth
@@ -156,11 +195,9 @@ class ViewPlanner:
             area = max(gain, len(target.cells)) * window.cell_m**2
             ahead = window.point(row, col) - self.pose.position
             turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
-            seconds = seconds_per_cell * float(self.cost[row, col]) + turn / robot.turn_rate
-            utility = area**explore.gain_exponent / (seconds + explore.overhead_s)
-            if best is None or utility > best[0]:
-                best = utility, target
-        return best[1] if best is not None else None
+            views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate))
+        best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
+        return None if best is None else views[best].target
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""
@@ -184,7 +221,7 @@ class ViewPlanner:
         centre = centre_cell(cells)
         if self.hidden.has(*centre):
             return None
-        index = nearest_viewpoint(self.cost, self.window.obstacles, *centre, self.sensor.reach)
+        index = nearest_viewpoint(self.distances.reachable, self.window.obstacles, *centre, self.sensor.reach)
         if index < 0:
             self.hidden.add(*centre)
             return None
@@ -198,20 +235,21 @@ class ViewPlanner:
         The viewpoint is the last reachable cell before a gap that only the clearance closes, a door perhaps, else the
         reachable cell nearest to the cluster. There must be a cluster.
         """
-        without_clearance = self.cost_without_clearance()
-        reachable = np.argwhere(np.isfinite(self.cost))
+        without_clearance = self.distances_without_clearance()
+        reachable = np.argwhere(self.distances.reachable)
         targets = [
             self._occluded_target(candidates.wanted, cells, without_clearance, reachable)
             for cells in candidates.clusters
         ]
-        return min(targets, key=lambda target: float(self.cost[target.viewpoint_in(self.window)]))
+        return min(targets, key=lambda target: self.distances.to(*target.viewpoint_in(self.window)))
 
-    def _occluded_target(self, wanted: Bools, cells: Cells, cost_without_clearance: Costs, reachable: Cells) -> Target:
+    def _occluded_target(self, wanted: Bools, cells: Cells, without_clearance: Distances, reachable: Cells) -> Target:
         window = self.window
         centre = centre_cell(cells)
-        beyond = nearest_viewpoint(cost_without_clearance, window.obstacles, *centre, self.sensor.reach)
+        beyond = nearest_viewpoint(without_clearance.reachable, window.obstacles, *centre, self.sensor.reach)
         gap = divmod(beyond, wanted.shape[1])
-        cell = cell_before_gap(self.cost, cost_without_clearance, *gap) if beyond >= 0 else None
+        cost = without_clearance.to_all()
+        cell = cell_before_gap(self.distances.reachable, cost, *gap) if beyond >= 0 else None
         if cell is None:
             nearest = int(np.argmin(((reachable - centre) ** 2).sum(axis=1)))
             cell = int(reachable[nearest, 0]), int(reachable[nearest, 1])
@@ -224,13 +262,17 @@ class ViewPlanner:
         unreachable = window.unseen & (self.failed_views == UNREACHABLE)
         labels, _ = ndimage.label(unreachable)
         visible: set[int] = set()
-        for cells in frontier_clusters(frontier_cells(window.free, unreachable), self.tile):
-            if nearest_viewpoint(self.cost, window.obstacles, *centre_cell(cells), self.sensor.reach) >= 0:
+        edge = self.edge[are_beside(unreachable, self.edge)]
+        for cells in frontier_clusters(edge, self.tile):
+            if (
+                nearest_viewpoint(self.distances.reachable, window.obstacles, *centre_cell(cells), self.sensor.reach)
+                >= 0
+            ):
                 visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
         return np.isin(labels, list(visible))
 
-    def cost_without_clearance(self) -> Costs:
-        """(H, W) distances from the robot if it may come as near to an obstacle cell's centre as its radius."""
+    def distances_without_clearance(self) -> Distances:
+        """Distances from the robot if it may come as near to an obstacle cell's centre as its radius."""
         return distances_without_clearance(self.window, self.pose, self.radius_m)
 
     @property
@@ -239,10 +281,12 @@ class ViewPlanner:
         return max(1, round(_TILE_M / self.window.cell_m))
 
 
-def distances_without_clearance(window: MapWindow, pose: Pose, radius_m: float) -> Costs:
-    """(H, W) distances from a robot that may come as near to an obstacle cell's centre as its radius."""
-    distance: NDArray[np.float64] = ndimage.distance_transform_edt(~window.obstacles)
-    blocked = distance * window.cell_m < radius_m
+def distances_without_clearance(window: MapWindow, pose: Pose, radius_m: float) -> Distances:
+    """Distances, in cells, from a robot that may come as near to an obstacle cell's centre as its radius."""
+    reach = math.floor(radius_m / window.cell_m) + 1
+    offsets = np.arange(-reach, reach + 1)
+    away_m = np.sqrt(offsets[:, None] ** 2 + offsets[None, :] ** 2) * window.cell_m
+    blocked = stamped(window.obstacles, np.argwhere(away_m < radius_m) - reach)
     here = window.cell(pose.position)
     blocked[here] = False
-    return geodesic_distances(window.seen & ~blocked, blocked, *here)
+    return Distances(window.seen & ~blocked, blocked, *here)

@@ -10,7 +10,6 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.navigation.gridsearch import Costs
 from sixthsense.slam.mapping.freespace import Bools
 
 _DIRECTIONS = 8192
@@ -44,25 +43,25 @@ def line_of_sight(obstacles: Bools, row: int, col: int, to_row: int, to_col: int
 
 
 @numba.njit(cache=True, error_model="numpy")
-def nearest_viewpoint(cost: Costs, obstacles: Bools, row: int, col: int, reach: float) -> int:
-    """The flat index of the nearest cell with finite `cost` from which a cell is visible within `reach`; -1 if none.
+def nearest_viewpoint(reachable: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
+    """The flat index of the nearest `reachable` cell from which a cell is visible within `reach`; -1 if none.
 
     Squares around the cell are searched outwards until no cell further out can be nearer. Cells in the shadow of an
     obstacle of a smaller square are left out.
     """
-    found = _nearest_viewpoint(cost, obstacles, row, col, min(reach, _NEAR))
-    return found if found >= 0 or reach <= _NEAR else _nearest_viewpoint(cost, obstacles, row, col, reach)
+    found = _nearest_viewpoint(reachable, obstacles, row, col, min(reach, _NEAR))
+    return found if found >= 0 or reach <= _NEAR else _nearest_viewpoint(reachable, obstacles, row, col, reach)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _nearest_viewpoint(cost: Costs, obstacles: Bools, row: int, col: int, reach: float) -> int:
-    span, width = int(reach), cost.shape[1]
+def _nearest_viewpoint(reachable: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
+    span, width = int(reach), reachable.shape[1]
     # A copy of the surroundings, since a square crosses a row at every step.
     top, left = max(row - span, 0), max(col - span, 0)
     kinds = np.zeros((2 * span + 1, 2 * span + 1), dtype=np.uint8)
-    for r in range(top, min(row + span + 1, cost.shape[0])):
+    for r in range(top, min(row + span + 1, reachable.shape[0])):
         for c in range(left, min(col + span + 1, width)):
-            kinds[r - row + span, c - col + span] = (cost[r, c] < np.inf) * _REACHABLE + obstacles[r, c] * _OBSTACLE
+            kinds[r - row + span, c - col + span] = reachable[r, c] * _REACHABLE + obstacles[r, c] * _OBSTACLE
     shadow = np.zeros(_DIRECTIONS, dtype=np.bool_)
     hiding = np.empty((8 * span + 1, 2), dtype=np.int64)
     best, found = reach + 1e-9, -1
@@ -118,7 +117,8 @@ def expected_gain(obstacles: Bools, unseen: Bools, row: int, col: int, rays: int
     A ray ends at an obstacle and after `depth` unseen cells: cells deep in unknown space are probably occluded.
     """
     height, width = obstacles.shape
-    counted = np.zeros((height, width), dtype=np.bool_)
+    span = int(reach) + 2
+    counted = np.zeros((2 * span + 1, 2 * span + 1), dtype=np.bool_)  # the surroundings of the cell
     count = 0
     for i in range(rays):
         angle = 2.0 * math.pi * i / rays
@@ -141,23 +141,28 @@ def expected_gain(obstacles: Bools, unseen: Bools, row: int, col: int, rays: int
                 break
             if unseen[r, c]:
                 left -= 1
-                if not counted[r, c]:
-                    counted[r, c] = True
+                if not counted[r - row + span, c - col + span]:
+                    counted[r - row + span, c - col + span] = True
                     count += 1
     return count
 
 
-@numba.njit(cache=True, error_model="numpy")
 def visible_cells(obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> Bools:
     """(H, W) the cells of `mask` that are visible from a cell within `reach`."""
+    visible = np.zeros(mask.shape, dtype=np.bool_)
+    mark_visible(visible, obstacles, mask, row, col, reach)
+    return visible
+
+
+@numba.njit(cache=True, error_model="numpy")
+def mark_visible(visible: Bools, obstacles: Bools, mask: Bools, row: int, col: int, reach: float) -> None:
+    """Add to `visible` (H, W) the cells of `mask` that are visible from a cell within `reach`."""
     height, width = mask.shape
-    visible = np.zeros((height, width), dtype=np.bool_)
     span = int(reach)
     for r in range(max(row - span, 0), min(row + span + 1, height)):
         for c in range(max(col - span, 0), min(col + span + 1, width)):
-            if mask[r, c] and math.hypot(r - row, c - col) <= reach:
+            if mask[r, c] and not visible[r, c] and math.hypot(r - row, c - col) <= reach:
                 visible[r, c] = line_of_sight(obstacles, row, col, r, c)
-    return visible
 
 
 def gapless_reach(spacing_rad: float, max_range_cells: float) -> float:

@@ -20,12 +20,15 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.exploration_navigator import ExplorationNavigator
 from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.gridsearch import ReachableCells
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.visibility import mark_visible
 from sixthsense.record.trace import Trace
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.deskew import Deskewer
+from sixthsense.slam.mapping.freespace import Ellipse
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import Scene
@@ -94,8 +97,19 @@ def warm_up() -> None:
     extract(deskew(tick.scan), config.assumed, config.features, rng)
     mapper = Mapper(config.grid, 0.2)
     mapper.add(lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
-    mapper.grid.free_space(margin_m=0.1).between((0.0, 0.0), (1.0, 0.0), 1.0)
+    mapper.grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
+    _warm_up_choice()
     _keep_imports()
+
+
+def _warm_up_choice() -> None:
+    """What a choice of a view needs later than the first one: cells that change, and views that are hidden."""
+    passable, here, reachable = np.ones((60, 60), dtype=np.bool_), (30, 30), ReachableCells()
+    for _ in range(2):
+        found = reachable.of(passable, ~passable, (0, 0), here)
+        passable = passable.copy()
+        passable[10, 10] = False
+    mark_visible(found.copy(), ~found, found.copy(), *here, 3.0)
 
 
 def _keep_imports() -> None:

@@ -1,8 +1,10 @@
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from sixthsense.navigation import frontier
+from sixthsense.navigation.regions import frontier_cells
 
 Mask = NDArray[np.bool_]
 
@@ -15,7 +17,7 @@ def scattered(seed: int, share: float, shape: tuple[int, int] = (23, 31)) -> Mas
 def test_a_frontier_is_a_free_cell_that_shares_an_edge_with_an_unseen_one(seed: int) -> None:
     unseen = scattered(seed, 0.2)
     free = ~unseen & scattered(seed + 50, 0.7)
-    found = frontier.frontier_cells(free, unseen)
+    found = frontier_cells(free, unseen)
     for r, c in np.ndindex(*free.shape):
         around = [(r + 1, c), (r - 1, c), (r, c + 1), (r, c - 1)]
         inside = [unseen[p, q] for p, q in around if 0 <= p < free.shape[0] and 0 <= q < free.shape[1]]
@@ -25,7 +27,7 @@ def test_a_frontier_is_a_free_cell_that_shares_an_edge_with_an_unseen_one(seed: 
 @pytest.mark.parametrize("seed", range(10))
 def test_clusters_hold_every_frontier_cell_once_and_none_is_larger_than_a_tile(seed: int) -> None:
     edge = scattered(seed, 0.3)
-    pieces = frontier.frontier_clusters(edge, 6)
+    pieces = frontier.frontier_clusters(np.argwhere(edge), 6)
     together = np.concatenate(pieces)
     assert len(together) == np.count_nonzero(edge)
     assert edge[together[:, 0], together[:, 1]].all() and len(np.unique(together, axis=0)) == len(together)
@@ -33,7 +35,7 @@ def test_clusters_hold_every_frontier_cell_once_and_none_is_larger_than_a_tile(s
 
 
 def test_no_frontier_has_no_cluster() -> None:
-    assert frontier.frontier_clusters(np.zeros((4, 5), dtype=np.bool_), 6) == []
+    assert frontier.frontier_clusters(np.zeros((0, 2), dtype=np.int64), 6) == []
 
 
 def test_gaps_of_two_cells_in_a_wall_are_closed_and_a_door_is_not() -> None:
@@ -48,8 +50,45 @@ def test_gaps_of_two_cells_in_a_wall_are_closed_and_a_door_is_not() -> None:
 def test_small_regions_are_dropped_the_smallest_first_up_to_the_area_allowed() -> None:
     unseen = np.zeros((10, 20), dtype=np.bool_)
     unseen[2, 2] = unseen[5, 5:7] = unseen[8, 10:20] = True
-    edge = frontier.frontier_cells(~unseen, unseen)
+    edge = np.argwhere(frontier_cells(~unseen, unseen))
     rest, left = frontier.drop_small_regions(unseen, edge, 2.0)
     assert not rest[2, 2] and rest[5, 5:7].all() and rest[8, 10:20].all()
     rest, left = frontier.drop_small_regions(unseen, edge, 3.0)
-    assert rest.sum() == 10 and (left == frontier.frontier_cells(edge, rest)).all()
+    assert rest.sum() == 10 and np.array_equal(left, np.argwhere(frontier_cells(~unseen, rest)))
+
+
+def plain_drop(unseen: Mask, edge: Mask, max_cells: float) -> tuple[Mask, Mask]:
+    """`drop_small_regions` by labels of the whole mask."""
+    labels, count = ndimage.label(unseen)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    beside = np.unique(labels[frontier_cells(unseen, edge)])
+    order = beside[np.argsort(sizes[beside], kind="stable")]
+    dropped = np.zeros(count + 1, dtype=np.bool_)
+    dropped[order[np.cumsum(sizes[order]) <= max_cells]] = True
+    rest = unseen & ~dropped[labels]
+    return rest, frontier_cells(edge, rest)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("share", [0.3, 0.55])
+def test_dropped_regions_are_those_that_labels_of_the_whole_map_say(seed: int, share: float) -> None:
+    unseen = scattered(seed, share)
+    edge = frontier_cells(~unseen & scattered(seed + 50, 0.6), unseen)
+    for most in (0.0, 0.9, 3.5, 12.0, 40.0, 1000.0):
+        rest, left = frontier.drop_small_regions(unseen, np.argwhere(edge), most)
+        plain_rest, plain_left = plain_drop(unseen, edge, most)
+        assert np.array_equal(rest, plain_rest) and np.array_equal(left, np.argwhere(plain_left))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_clusters_come_in_the_order_of_labels_of_the_whole_map(seed: int) -> None:
+    edge = scattered(seed, 0.3)
+    labels, _ = ndimage.label(edge, np.ones((3, 3)))
+    cells = np.argwhere(edge)
+    keys = np.column_stack([labels[edge], cells // 6])
+    order = np.lexsort(keys.T)
+    starts = np.flatnonzero((np.diff(keys[order], axis=0) != 0).any(axis=1)) + 1
+    clusters = frontier.frontier_clusters(cells, 6)
+    assert all(np.array_equal(a, b) for a, b in zip(clusters, np.split(cells[order], starts), strict=True))
+    centres = frontier.centre_cells(clusters)
+    assert centres.tolist() == [list(frontier.centre_cell(cluster)) for cluster in clusters]

@@ -9,13 +9,16 @@ from scipy.ndimage import label
 from test_planners import WORLDS
 
 from sixthsense.navigation.gridsearch import (
+    Distances,
     FarCells,
+    ReachableCells,
     cell_before_gap,
     far_from,
     geodesic_distances,
     path_to_nearest,
     reachable_cells,
 )
+from sixthsense.slam.mapping.changes import Box, Changes
 
 Mask = NDArray[np.bool_]
 
@@ -55,6 +58,41 @@ def test_geodesic_distances_are_those_of_a_plain_search(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
+def test_distances_searched_step_by_step_are_those_searched_at_once(seed: int) -> None:
+    blocked, unseen = scattered(seed, 0.25), scattered(seed + 100, 0.1)
+    blocked[5, 7] = False
+    passable = ~blocked & ~unseen
+    cost, distances = geodesic_distances(passable, blocked, 5, 7), Distances(passable, blocked, 5, 7)
+    assert np.array_equal(distances.reachable, np.isfinite(cost))
+    for row, col in np.random.default_rng(seed).integers((23, 31), size=(30, 2)).tolist():
+        known = distances.known(row, col)
+        assert known is None or known == cost[row, col]
+        if known is None:
+            assert distances.radius <= cost[row, col]
+        distances.search(distances.radius + 1.0)
+    assert all(distances.to(row, col) == cost[row, col] for row, col in np.ndindex(*cost.shape))
+    assert np.array_equal(distances.to_all(), cost)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("share", [0.2, 0.38])
+def test_reachable_cells_that_are_kept_are_those_of_a_flood_from_scratch(seed: int, share: float) -> None:
+    rng, reachable = np.random.default_rng(seed), ReachableCells()
+    blocked, unseen = scattered(seed, share, (60, 70)), scattered(seed + 100, 0.05, (60, 70))
+    here = 30, 35
+    for k in range(60):
+        row, col = int(rng.integers(58)), int(rng.integers(66))
+        mask = unseen if rng.random() < 0.2 else blocked
+        mask[row : row + 7, col : col + 5] = rng.random(mask[row : row + 7, col : col + 5].shape) < rng.choice(
+            [share, 0.9]
+        )
+        here = int(np.clip(here[0] + rng.integers(-2, 3), 0, 59)), int(np.clip(here[1] + rng.integers(-2, 3), 0, 69))
+        passable = ~blocked & ~unseen
+        found = reachable.of(passable, blocked.copy(), (0, k // 20), here)
+        assert np.array_equal(found, Distances(passable, blocked, *here).reachable)
+
+
+@pytest.mark.parametrize("seed", range(20))
 def test_the_path_to_the_nearest_cell_is_as_short_as_a_plain_search_finds(seed: int) -> None:
     free, wanted = ~scattered(seed, 0.3, (21, 21)), scattered(seed + 100, 0.05, (21, 21))
     free[10, 10] = True
@@ -89,12 +127,12 @@ def test_the_cell_before_a_gap_is_the_last_reachable_one_on_the_path_through_it(
     closed[1:4, 5:8] = True  # for a robot that keeps its clearance
     without_clearance = geodesic_distances(~wall, wall, 7, 1)
     cost = geodesic_distances(~closed, closed, 7, 1)
-    cell = cell_before_gap(cost, without_clearance, 7, 10)
+    cell = cell_before_gap(np.isfinite(cost), without_clearance, 7, 10)
     assert cell is not None
     row, col = cell
     assert np.isfinite(cost[row, col]) and math.hypot(row - 2, col - 6) < 3.0
-    assert cell_before_gap(cost, without_clearance, 5, 2) is None  # reached by both
-    assert cell_before_gap(cost, cost, 7, 10) is None  # reached by neither
+    assert cell_before_gap(np.isfinite(cost), without_clearance, 5, 2) is None  # reached by both
+    assert cell_before_gap(np.isfinite(cost), cost, 7, 10) is None  # reached by neither
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -108,13 +146,17 @@ def test_far_cells_are_beyond_a_square_around_every_marked_one(seed: int, reach:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_cells_far_from_changing_marks_are_those_of_a_computation_from_scratch(seed: int) -> None:
-    rng, cells = np.random.default_rng(seed), FarCells(3)
-    marked = {shape: scattered(seed, 0.01, shape) for shape in ((40, 50), (44, 54), (5, 3))}
-    for _ in range(40):
-        shape = list(marked)[rng.integers(3)]
-        mask = marked[shape].copy()
-        row, col = (int(rng.integers(n)) for n in shape)
-        mask[row : row + 4, col : col + 3] = rng.random() < 0.6
-        marked[shape] = mask
-        assert np.array_equal(cells.of(mask), far_from(mask, 3))
-        assert np.array_equal(cells.of(mask), far_from(mask, 3))
+    rng, cells, changes = np.random.default_rng(seed), FarCells(3), Changes()
+    marked = {first: scattered(seed, 0.01, shape) for first, shape in (((0, 0), (40, 50)), ((-2, -2), (44, 54)))}
+    for k in range(40):
+        row, col = int(rng.integers(40)), int(rng.integers(50))
+        value = rng.random() < 0.6
+        for first, mask in marked.items():
+            mask[row - first[0] : row - first[0] + 4, col - first[1] : col - first[1] + 3] = value
+        changes.add(Box(row, col, row + 4, col + 3))
+        if k % 17 == 16:
+            marked[0, 0][:] = scattered(k, 0.01, (40, 50))
+            changes.add_all()
+        first = list(marked)[rng.integers(2)]
+        assert np.array_equal(cells.of(marked[first], first, changes), far_from(marked[first], 3))
+        assert np.array_equal(cells.of(marked[first], first, changes), far_from(marked[first], 3))

@@ -13,7 +13,7 @@ from sixthsense.navigation.guard import latency_s, stopping_distance
 from sixthsense.navigation.path_margin import margin_m, plan_with_margin
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 CONFIG = Config()
@@ -36,8 +36,8 @@ def gap_m(grid: Grid, path: Array) -> float:
 
 
 def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: float = 1.2):
-    def free_space(margin: float, places: Array) -> FreeSpace:
-        return grid.free_space(*places, margin_m=margin)
+    def free_space(margin: float, places: Array, within: Ellipse | None) -> FreeSpace:
+        return grid.free_space(*places, margin_m=margin, within=within)
 
     plan, space, kept = plan_with_margin((AStar(), AStar()), free_space, start, goal, wanted, detour)
     assert not plan.found or path_is_free(space, plan.path_world)
@@ -140,9 +140,25 @@ def test_an_enclosed_goal_is_unreachable_with_any_margin() -> None:
 
 def test_exactly_the_cells_that_no_path_of_a_length_can_reach_are_blocked() -> None:
     space = grid_of((1.0, -1.0, 1.0, 2.0)).free_space()
-    a, b, length = (-1.0, 0.5), (2.0, 0.2), 3.5
-    between = space.between(a, b, length)
+    a, b, length = np.array([-1.0, 0.5]), np.array([2.0, 0.2]), 3.5
+    between = space.between(Ellipse(a, b, length))
     rows, cols = np.indices(space.blocked.shape)
     x, y = space.origin[0] + (cols + 0.5) * 0.05, space.origin[1] + (rows + 0.5) * 0.05
     length_via = np.hypot(x - a[0], y - a[1]) + np.hypot(x - b[0], y - b[1])
     assert np.array_equal(between.blocked, space.blocked | (length_via > length + 0.1))
+
+
+@pytest.mark.parametrize("margin", [-0.2, 0.0, 0.13, 0.3])
+def test_an_inflation_within_an_ellipse_is_that_of_the_whole_map_there(margin: float) -> None:
+    walls = [(1.0, -1.0, 1.0, 2.0), (-2.0, 0.5, -1.0, 1.3), (0.3, -1.7, 0.31, -1.7), (-4.0, -3.0, 4.0, -3.0)]
+    grid = grid_of(*walls)
+    for a, b, length in (
+        ((-1.0, 0.5), (2.0, 0.2), 3.5),
+        ((1.1, 0.0), (-3.0, -2.0), 5.0),
+        ((9.0, 9.0), (0.0, 0.0), 14.0),
+    ):
+        ellipse, ends = Ellipse(np.array(a), np.array(b), length), (a, b)
+        space = grid.free_space(*ends, margin_m=margin, within=ellipse)
+        whole = grid.free_space(*ends, margin_m=margin).between(ellipse)
+        assert space.origin == whole.origin and np.array_equal(space.seen, whole.seen)
+        assert np.array_equal(space.blocked, whole.blocked)

@@ -44,7 +44,7 @@ def test_a_viewpoint_is_the_nearest_reachable_cell_with_a_line_of_sight(seed: in
         ),
         default=math.inf,
     )
-    found = nearest_viewpoint(cost, obstacles, 11, 13, 8.0)
+    found = nearest_viewpoint(np.isfinite(cost), obstacles, 11, 13, 8.0)
     if best > 8.0:
         assert found == -1
     else:
@@ -69,7 +69,7 @@ def test_shadows_change_no_viewpoint(seed: int) -> None:
     obstacles = scattered(seed, 0.02 + 0.01 * seed, (41, 37))
     cost = np.where(scattered(seed + 100, 0.02, (41, 37)), 1.0, np.inf).astype(np.float32)
     for row, col in np.random.default_rng(seed).integers(37, size=(10, 2)).tolist():
-        found = nearest_viewpoint(cost, obstacles, row, col, 30.0)
+        found = nearest_viewpoint(np.isfinite(cost), obstacles, row, col, 30.0)
         assert found == viewpoint_without_shadows(cost, obstacles, row, col, 30.0)
 
 

@@ -21,7 +21,7 @@ from sixthsense.slam.mapping.freespace import Bools
 Nodes = NDArray[np.int32]
 """Flat indices of cells, a border of blocked cells included."""
 Steps = NDArray[np.uint8]
-"""Per cell: the step that led to it, an index into `MOVES`, and the flags `EXPANDED` and `LISTED`."""
+"""Per cell: the step that led to it, an index into `MOVES`, and the flags `EXPANDED`, `LISTED` and `BLOCKED`."""
 
 SQRT2 = math.sqrt(2.0)
 BUCKET = 0.25
@@ -30,7 +30,9 @@ BUCKETS = 16
 """Buckets in the ring: one step raises f by at most 2 sqrt 2."""
 TIE = 1e-9
 """Costs that differ by less are equal: sums of the same steps in another order differ by rounding alone."""
-STEP, EXPANDED, LISTED = np.uint8(7), np.uint8(8), np.uint8(16)
+STEP, EXPANDED, LISTED, BLOCKED = np.uint8(7), np.uint8(8), np.uint8(16), np.uint8(32)
+ROOT = 1e-300
+"""Cost of the goal, instead of 0; added to the length of a step it makes no difference."""
 MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 """(row, col) of the eight steps, straight ones first."""
 
@@ -59,12 +61,12 @@ class CostTree:
         self.goal = goal
         self._stride = blocked.shape[1] + 2
         self._root = self._node(goal)
-        # inf where not reached, -1 where blocked, so that no step improves it.
-        self._cost = np.full((blocked.shape[0] + 2, self._stride), -1.0)
-        self._cost[1:-1, 1:-1] = np.where(blocked, -1.0, np.inf)
-        self._cost = self._cost.ravel()
-        self._cost[self._root] = 0.0
-        self._steps = np.zeros(self._cost.size, dtype=np.uint8)
+        steps = np.full((blocked.shape[0] + 2, self._stride), BLOCKED)
+        np.multiply(blocked, BLOCKED, out=steps[1:-1, 1:-1])
+        self._steps = steps.ravel()
+        # 0 where not reached: pages of memory that are never written to cost nothing.
+        self._cost = np.zeros(self._steps.size)
+        self._cost[self._root] = ROOT
         self._waiting = np.array([self._root], dtype=np.int32)
 
     def update(self, blocked: Bools, max_changes: int) -> bool:
@@ -87,7 +89,8 @@ class CostTree:
         """Cost in cells from `start` (row, col), a free cell, inf without a path; and the cells expanded for it."""
         node = self._node(start)
         expanded, self._waiting = _grow(self._cost, self._steps, self._stride, self._waiting, node)
-        return float(self._cost[node]), expanded
+        cost = 0.0 if node == self._root else float(self._cost[node]) or math.inf
+        return cost, expanded
 
     def path(self, start: tuple[int, int]) -> NDArray[np.int64]:
         """The cells (N, 2) of a shortest path from `start`, which `reach` has reached, to the goal, both included."""
@@ -101,7 +104,7 @@ class CostTree:
 def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -> tuple[int, Nodes]:
     """Expand `waiting` and the cells they lead to until no cell is left by which `target` could cost less.
 
-    `cost` (inf: not reached, negative: blocked) and `steps` are flat, with a border of blocked cells, and are updated.
+    `cost` (0: not reached) and `steps` are flat, with a border of blocked cells, and are updated.
     Returns the number of expansions and the cells that wait for the next search. Each
     stack of the queue holds one bucket of f. The order within a stack is arbitrary, so a cell that improves after its
     expansion is expanded again.
@@ -117,7 +120,8 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
     while queued > 0 or taken < count:
         if queued == 0:
             bucket = max(bucket, int((f_seeds[taken] - lowest) / BUCKET))
-        if lowest + bucket * BUCKET >= cost[target]:
+        so_far = cost[target] if cost[target] > 0.0 else np.inf
+        if lowest + bucket * BUCKET >= so_far:
             break
         slot = bucket % BUCKETS
         while taken < count and f_seeds[taken] < lowest + (bucket + 1) * BUCKET:
@@ -134,7 +138,7 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
             continue
         row, col = node // stride, node % stride
         g = cost[node]
-        if g + _octile(row - target_row, col - target_col) > cost[target] - TIE:
+        if g + _octile(row - target_row, col - target_col) > so_far - TIE:
             left, kept = _append(left, kept, node)
             continue
         steps[node] |= EXPANDED
@@ -143,9 +147,9 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
             d_row, d_col = MOVES[k]
             to = node + d_row * stride + d_col
             g_to = g + (1.0 if k < 4 else SQRT2)
-            if g_to > cost[to] - TIE:
+            if steps[to] & BLOCKED or (cost[to] > 0.0 and g_to > cost[to] - TIE):
                 continue
-            if k >= 4 and (cost[node + d_row * stride] < 0.0 or cost[node + d_col] < 0.0):
+            if k >= 4 and (steps[node + d_row * stride] | steps[node + d_col]) & BLOCKED:
                 continue
             cost[to] = g_to
             steps[to] = k
@@ -162,7 +166,7 @@ def _sorted_seeds(cost: Array, steps: Steps, stride: int, waiting: Nodes, target
     count = 0
     for i in range(len(waiting)):
         node = int(waiting[i])
-        if 0.0 <= cost[node] < np.inf and not steps[node] & EXPANDED:
+        if cost[node] > 0.0 and not steps[node] & EXPANDED:
             seeds[count] = node
             f_seeds[count] = cost[node] + _octile(node // stride - target // stride, node % stride - target % stride)
             count += 1
@@ -214,9 +218,9 @@ def _repair(cost: Array, steps: Steps, stride: int, root: int, closed: Nodes, op
                 removed, count = _remove(cost, steps, removed, count, to)
         i += 1
     for node in closed:
-        cost[node] = -1.0
+        steps[node] |= BLOCKED
     for node in opened:
-        cost[node] = np.inf
+        steps[node] = 0
     reopened = np.empty(1024, dtype=np.int32)
     size = 0
     for node in np.concatenate((removed[:count], opened)):
@@ -231,9 +235,9 @@ def _repair(cost: Array, steps: Steps, stride: int, root: int, closed: Nodes, op
 @numba.njit(cache=True, error_model="numpy")
 def _remove(cost: Array, steps: Steps, removed: Nodes, count: int, node: int) -> tuple[Nodes, int]:
     """Make `node` unreached and append it to the first `count` of `removed`, if it was reached."""
-    if not 0.0 <= cost[node] < np.inf:
+    if cost[node] == 0.0:
         return removed, count
-    cost[node] = np.inf
+    cost[node] = 0.0
     steps[node] = 0
     return _append(removed, count, node)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sixthsense.slam.mapping.changes import Changes, Revision
 from sixthsense.slam.mapping.freespace import Bools
 
 _SHAPES = 4
@@ -39,37 +39,41 @@ def far_from(marked: Bools, reach: int) -> Bools:
 class FarCells:
     """`far_from` of masks that change in a few places from one call to the next.
 
-    The cost of a call follows the rectangle that holds all changes. Masks of several shapes are kept apart.
+    The cost of a call follows the box that holds all changes. Masks of several shapes are kept apart.
     """
 
     def __init__(self, reach: int) -> None:
         """Tell the cells more than `reach` rows or columns away from every marked cell."""
         self._reach = reach
-        self._latest: dict[tuple[int, ...], tuple[Bools, Bools]] = {}
+        self._latest: dict[tuple[tuple[int, int], tuple[int, ...]], tuple[Revision, Bools]] = {}
 
-    def of(self, marked: Bools) -> Bools:
-        """(H, W) `far_from` of `marked`, which must not change afterwards; valid until the next call."""
-        before = self._latest.pop(marked.shape, None)
-        if before is None:
+    def of(self, marked: Bools, first: tuple[int, int], changes: Changes) -> Bools:
+        """(H, W) `far_from` of `marked`, whose cell (0, 0) is `first` from the world's origin.
+
+        `marked` is unchanged where the map of `changes` is. The result is valid until the next call.
+        """
+        key = first, marked.shape
+        before = self._latest.pop(key, None)
+        box = changes.since(before[0]) if before is not None else None
+        if before is None or box is None:
             far = far_from(np.array(marked), self._reach)  # a copy, as below: one type of array for the kernel
         else:
             far = before[1]
-            changed = before[0] != marked
-            rows, cols = np.flatnonzero(changed.any(axis=1)), np.flatnonzero(changed.any(axis=0))
-            if len(rows):
+            rows, cols = box.within(first, marked.shape)
+            if rows.stop > rows.start and cols.stop > cols.start:
                 outer, inner = zip(
                     *(self._around(places, count) for places, count in zip((rows, cols), marked.shape, strict=True)),
                     strict=True,
                 )
                 part = tuple(slice(i.start - o.start, i.stop - o.start) for o, i in zip(outer, inner, strict=True))
                 far[inner] = far_from(np.array(marked[outer]), self._reach)[part]
-        self._latest[marked.shape] = marked, far
+        self._latest[key] = changes.revision, far
         if len(self._latest) > _SHAPES:
             del self._latest[next(iter(self._latest))]
         return far
 
-    def _around(self, places: NDArray[np.int64], count: int) -> tuple[slice, slice]:
-        """The rows or columns that decide, and those that are decided, by changes at `places`."""
-        first, past, reach = int(places[0]), int(places[-1]) + 1, self._reach
+    def _around(self, changed: slice, count: int) -> tuple[slice, slice]:
+        """The rows or columns that decide, and those that are decided, by changes in some of them."""
+        first, past, reach = changed.start, changed.stop, self._reach
         outer = slice(max(first - 2 * reach, 0), min(past + 2 * reach, count))
         return outer, slice(max(first - reach, 0), min(past + reach, count))

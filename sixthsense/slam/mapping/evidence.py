@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.tiles import ROW, SHIFT, Index, Places, slot
 
 Ints = NDArray[np.int32]
 
 
 class Cells(NamedTuple):
-    """Arrays of one shape, (H, W) or flat: what is kept of each cell."""
+    """Flat arrays, tile after tile: what is kept of each cell."""
 
     hits: Ints
     """scans that ended, or had a wall fitted, in the cell"""
@@ -31,21 +32,19 @@ class Cells(NamedTuple):
     """whether the evidence says occupied"""
 
     @classmethod
-    def empty(cls, height: int, width: int) -> Cells:
+    def empty(cls, count: int) -> Cells:
         """Cells without evidence."""
-        hits, passes, cover, stamp = (np.zeros((height, width), dtype=np.int32) for _ in range(4))
-        seen, obstacles = (np.zeros((height, width), dtype=np.bool_) for _ in range(2))
+        hits, passes, cover, stamp = (np.zeros(count, dtype=np.int32) for _ in range(4))
+        seen, obstacles = (np.zeros(count, dtype=np.bool_) for _ in range(2))
         return cls(hits, passes, cover, stamp, seen, obstacles)
 
-    def grown(self, height: int, width: int, row: int, col: int) -> Cells:
-        """A larger copy, in which cell (0, 0) of these (H, W) cells is cell (row, col)."""
-        larger = Cells.empty(height, width)
-        if self.hits.size:
-            place = slice(row, row + self.hits.shape[0]), slice(col, col + self.hits.shape[1])
-            old: NDArray[Any]
-            new: NDArray[Any]
-            for new, old in zip(larger, self, strict=True):
-                new[place] = old
+    def extended(self, count: int) -> Cells:
+        """The same with room for more cells behind them."""
+        larger = Cells.empty(count)
+        old: NDArray[Any]
+        new: NDArray[Any]
+        for new, old in zip(larger, self, strict=True):
+            new[: len(old)] = old
         return larger
 
 
@@ -66,7 +65,7 @@ def are_obstacles(hits: Ints, passes: Ints, config: GridConfig) -> Bools:
 
 
 class ScanCells(NamedTuple):
-    """The cells (row, col) that one scan touches."""
+    """The cells (row, col from the first of the index) that one scan touches."""
 
     laser: NDArray[np.int64]
     """(2,) cell of the laser"""
@@ -107,8 +106,39 @@ def _line(r0: int, c0: int, r1: int, c1: int, width: int, cells: NDArray[np.int6
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _hit(cells: Cells, cell: int, mark: int, stencil: NDArray[np.int64], rules: EvidenceRules) -> None:
-    """Count a hit, once per scan, and inflate the cell if that makes it an obstacle; all arrays flat."""
+def touched_squares(scan: ScanCells, reach: int, squares: Bools) -> None:
+    """Mark the squares (R, C) of the index that a scan passes, or that obstacles of it cover with a disc of `reach`."""
+    laser, ends, walls = scan.laser, scan.ends, scan.walls
+    for i in range(len(ends)):
+        line = _places(laser[0], laser[1], ends[i, 0], ends[i, 1])
+        for place in line:
+            squares[place >> (32 + SHIFT), (place & 0xFFFFFFFF) >> SHIFT] = True
+        if scan.returned[i]:
+            _mark_around(squares, ends[i, 0], ends[i, 1], reach)
+    for j in range(0, len(walls), 2):
+        for place in _places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
+            _mark_around(squares, place >> 32, place & 0xFFFFFFFF, reach)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _mark_around(squares: Bools, row: int, col: int, reach: int) -> None:
+    for r in range((row - reach) >> SHIFT, ((row + reach) >> SHIFT) + 1):
+        for c in range((col - reach) >> SHIFT, ((col + reach) >> SHIFT) + 1):
+            squares[r, c] = True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _places(r0: int, c0: int, r1: int, c1: int) -> Places:
+    """The places of Bresenham's line."""
+    line = np.empty(max(abs(r1 - r0), abs(c1 - c0)) + 1, dtype=np.int64)
+    _line(r0, c0, r1, c1, ROW, line)
+    return line
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _hit(cells: Cells, index: Index, place: int, mark: int, stencil: Places, rules: EvidenceRules) -> None:
+    """Count a hit, once per scan, and inflate the cell if that makes it an obstacle."""
+    cell = slot(index, place)
     if cells.stamp[cell] == mark:
         return
     cells.stamp[cell] = mark
@@ -118,32 +148,26 @@ def _hit(cells: Cells, cell: int, mark: int, stencil: NDArray[np.int64], rules: 
     if not cells.obstacles[cell] and cells.hits[cell] >= rules.min_hits:
         cells.obstacles[cell] = True
         for offset in stencil:
-            cells.cover[cell + offset] += 1
+            cells.cover[slot(index, place + offset)] += 1
 
 
 @numba.njit(cache=True, error_model="numpy")
-def count_scan(grid: Cells, scan: ScanCells, number: int, stencil: NDArray[np.int64], rules: EvidenceRules) -> None:
-    """Count one scan in the (H, W) cells of `grid`; `number` is that of the scan, `stencil` (K,) flat offsets."""
-    cells = Cells(
-        grid.hits.ravel(), grid.passes.ravel(), grid.cover.ravel(),
-        grid.stamp.ravel(), grid.seen.ravel(), grid.obstacles.ravel(),
-    )  # fmt: skip
-    height, width = grid.hits.shape
+def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil: Places, rules: EvidenceRules) -> None:
+    """Count one scan in the tiles of `index`; `number` is that of the scan, `stencil` (K,) offsets of places."""
     laser, ends, returned, walls = scan.laser, scan.ends, scan.returned, scan.walls
-    line = np.empty(max(height, width), dtype=np.int64)
     passed, hit = 2 * number, 2 * number + 1  # stamps of this scan
     for i in range(len(ends)):
-        cell = ends[i, 0] * width + ends[i, 1]
-        cells.seen[cell] = True
+        place = ends[i, 0] * ROW + ends[i, 1]
+        cells.seen[slot(index, place)] = True
         if returned[i]:
-            _hit(cells, cell, hit, stencil, rules)
+            _hit(cells, index, place, hit, stencil, rules)
     for j in range(0, len(walls), 2):
-        for k in range(_line(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1], width, line)):
-            _hit(cells, line[k], hit, stencil, rules)
+        for place in _places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
+            _hit(cells, index, place, hit, stencil, rules)
     for i in range(len(ends)):
-        count = _line(laser[0], laser[1], ends[i, 0], ends[i, 1], width, line)
-        for k in range(count - 1 if returned[i] else count):
-            cell = line[k]
+        line = _places(laser[0], laser[1], ends[i, 0], ends[i, 1])
+        for place in line[: len(line) - 1] if returned[i] else line:
+            cell = slot(index, place)
             if cells.stamp[cell] == passed:
                 continue
             cells.seen[cell] = True
@@ -154,4 +178,4 @@ def count_scan(grid: Cells, scan: ScanCells, number: int, stencil: NDArray[np.in
             if cells.obstacles[cell] and cells.passes[cell] > rules.passes_per_hit * cells.hits[cell]:
                 cells.obstacles[cell] = False
                 for offset in stencil:
-                    cells.cover[cell + offset] -= 1
+                    cells.cover[slot(index, place + offset)] -= 1

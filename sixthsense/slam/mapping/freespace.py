@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -28,6 +29,35 @@ def as_point(name: str, value: ArrayLike) -> Array:
     if not (math.isfinite(point[0]) and math.isfinite(point[1])):
         raise ValueError(f"{name}: found ({point[0]}, {point[1]}), allowed: finite numbers")
     return point
+
+
+class Ellipse(NamedTuple):
+    """Where paths of a bounded length between two points lie."""
+
+    a: Array
+    """(2,) world frame, metres"""
+    b: Array
+    """(2,) likewise"""
+    length_m: float
+    """of the longest path"""
+
+    def rows_and_cols(self, shape: tuple[int, ...], origin: tuple[float, float], cell_m: float) -> tuple[slice, slice]:
+        """The rows and columns that hold it, of cells (H, W) whose lower left corner is `origin`."""
+        middle = (0.5 * (self.a + self.b) - origin) / cell_m
+        reach = 0.5 * self.length_m / cell_m + 3.0
+        low, high = (
+            np.clip(np.nan_to_num(end), 0, shape[::-1]).astype(int) for end in (middle - reach, middle + reach)
+        )
+        return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+
+    def block_beyond(self, blocked: Bools, origin: tuple[float, float], cell_m: float) -> None:
+        """Block the cells of (H, W) `blocked` outside it; the lower left corner of the cells is `origin`."""
+        rows, cols = self.rows_and_cols(blocked.shape, origin, cell_m)
+        inside = blocked[rows, cols].copy()
+        (ax, ay), (bx, by) = (((point - origin) / cell_m).tolist() for point in (self.a, self.b))
+        _block_beyond(inside, (rows.start, cols.start), (ax, ay, bx, by), self.length_m / cell_m + 2.0)
+        blocked.fill(True)
+        blocked[rows, cols] = inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,11 +158,10 @@ class FreeSpace:
         origin = self.origin[0] + col * self.cell_m, self.origin[1] + row * self.cell_m
         return FreeSpace(blocked, seen, origin, self.cell_m)
 
-    def between(self, a_world: ArrayLike, b_world: ArrayLike, length_m: float) -> FreeSpace:
-        """The same with all cells blocked outside the ellipse of paths of `length_m` between two (2,) points."""
-        (ax, ay), (bx, by) = self._in_cells("a", a_world), self._in_cells("b", b_world)
+    def between(self, within: Ellipse) -> FreeSpace:
+        """The same with all cells blocked outside an ellipse."""
         blocked = self.blocked.copy()
-        _block_beyond(blocked, ax, ay, bx, by, length_m / self.cell_m + 2.0)
+        within.block_beyond(blocked, self.origin, self.cell_m)
         return FreeSpace(blocked, self.seen, self.origin, self.cell_m)
 
     def _in_cells(self, name: str, point_world: ArrayLike) -> tuple[float, float]:
@@ -150,29 +179,35 @@ def frozen(mask: Bools) -> Bools:
     return array
 
 
-def cell_box(low: Array, high: Array) -> tuple[tuple[int, int], tuple[int, int]]:
+def cell_box(low: Array, high: Array, most: int = MAX_CELLS) -> tuple[tuple[int, int], tuple[int, int]]:
     """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive; both whole numbers.
 
-    Raises InputError when they are more than `MAX_CELLS`, or so far out that floats no longer tell them apart.
+    Raises InputError when they are more than `most`, or so far out that floats no longer tell them apart.
     """
     height, width = high - low
-    if not (height * width <= MAX_CELLS and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
+    if not (height * width <= most and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
         raise InputError(
             f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
-            f"allowed: at most {MAX_CELLS:,} cells, within 2^48 of the origin"
+            f"allowed: at most {most:,} cells, within 2^48 of the origin"
         )
     return (int(low[0]), int(low[1])), (int(height), int(width))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _block_beyond(blocked: Bools, ax: float, ay: float, bx: float, by: float, length: float) -> None:
-    """Block the cells whose centres' distances from two points add up to more than `length`; all in cells."""
+def _block_beyond(
+    blocked: Bools, first: tuple[int, int], ends: tuple[float, float, float, float], length: float
+) -> None:
+    """Block the cells whose centres' distances from two points, `ends`, add up to more than `length`; all in cells.
+
+    `first` is the row and column of the first of the cells.
+    """
+    ax, ay, bx, by = ends
     height, width = blocked.shape
     for row in range(height):
-        down_a, down_b = row + 0.5 - ay, row + 0.5 - by
+        down_a, down_b = row + first[0] + 0.5 - ay, row + first[0] + 0.5 - by
         for col in range(width):
             if not blocked[row, col]:
-                x = col + 0.5
+                x = col + first[1] + 0.5
                 far = math.sqrt(down_a * down_a + (x - ax) ** 2) + math.sqrt(down_b * down_b + (x - bx) ** 2)
                 blocked[row, col] = far > length
 

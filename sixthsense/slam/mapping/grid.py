@@ -7,22 +7,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.config import GridConfig
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, line_cells
-from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, FreeSpace, cell_box
-from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamp_discs
+from sixthsense.slam.mapping.changes import Box, Changes, Revision
+from sixthsense.slam.mapping.evidence import (
+    Cells,
+    EvidenceRules,
+    Ints,
+    ScanCells,
+    count_scan,
+    line_cells,
+    touched_squares,
+)
+from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, Ellipse, FreeSpace, cell_box
+from sixthsense.slam.mapping.growth import grown_box
+from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, mark_obstacles, submap_of
+from sixthsense.slam.mapping.tiles import ROW, TILE, Places, Tiles
 
 __all__ = ["FreeSpace", "Grid", "line_cells"]
 
-MIN_GROWTH = 64
-"""The grid grows by at least this many cells on a side."""
+
+class _Drawn(NamedTuple):
+    """Masks of a grid, (H, W)."""
+
+    box: Box
+    revision: Revision
+    seen: Bools
+    covered: Bools
+    """by the inflation of an obstacle"""
 
 
 class Grid:
@@ -49,14 +69,18 @@ class Grid:
         """cells"""
         check_inflation(self._inflation)
         self._stencil = disc(self._inflation)
+        self._changes = Changes()
+        self._reach = int(self._stencil.max(initial=0))
+        self._offsets: Places = self._stencil[:, 0] * ROW + self._stencil[:, 1]
         self.clear()
 
     def clear(self) -> None:
         """Remove all evidence, to rebuild the grid from stored scans."""
-        self._first = (0, 0)  # row, col of the array's corner, counted from the world's origin
+        self._changes.add_all()
+        self._box = Box(0, 0, 0, 0)
         self._scans = 0
-        self._cells = Cells.empty(0, 0)
-        self._flat_stencil = np.zeros(0, dtype=np.int64)
+        self._tiles, self._cells = Tiles(), Cells.empty(0)
+        self._drawn: _Drawn | None = None
 
     def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> None:
         """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
@@ -83,15 +107,25 @@ class Grid:
         if not np.isfinite(points).all():
             raise ValueError("scan: found a pose or a wall that is not finite, allowed: finite numbers")
         cells = np.floor(points / self._config.cell_m)[:, ::-1]
+        before = self._box
         self._grow(cells)
-        local = cells.astype(np.int64) - self._first
-        self._scans += 1
+        local = cells.astype(np.int64) - self._tiles.first
+        (top, left), (bottom, right) = cells.astype(np.int64).min(axis=0), cells.astype(np.int64).max(axis=0) + 1
+        self._changes.add(Box(int(top), int(left), int(bottom), int(right)))
         touched = ScanCells(local[0], local[1 : 1 + len(ends)], returned, local[1 + len(ends) :])
-        count_scan(self._cells, touched, self._scans, self._flat_stencil, self._rules)
+        squares = np.zeros(self._tiles.index.shape, dtype=np.bool_)
+        touched_squares(touched, self._reach, squares)
+        try:
+            self._allocate(squares)
+        except InputError:
+            self._box = before
+            raise
+        self._scans += 1
+        count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
 
     def submap(self) -> Submap:
         """The evidence of this grid, to compose another one."""
-        return submap_of(self._counted(), self._first)
+        return submap_of(self._counted(), self._tiles)
 
     def compose(self, submaps: Sequence[Submap]) -> None:
         """Replace all evidence by that of submaps in the order of their scans."""
@@ -101,79 +135,152 @@ class Grid:
             return
         self._grow(corners)
         for submap in submaps:
-            add_submap(self._cells, self._first, submap, self._rules)
-        mark_obstacles(self._cells, self._flat_stencil, self._rules)
+            places = self._make_room(submap.cells, submap.hits > 0)
+            add_submap(self._cells, self._tiles.index, places, submap, self._rules)
+        mark_obstacles(self._cells, self._tiles.index, self._tiles.squares, self._offsets, self._rules)
 
     def mark_seen(self, cells: NDArray[np.int64]) -> None:
         """Mark cells (N, 2), row, col from the world's origin, as seen."""
         if len(cells):
             self._grow(np.array([cells.min(axis=0), cells.max(axis=0)], dtype=np.float64))
-            rows, cols = (cells - self._first).T
-            self._cells.seen[rows, cols] = True
+            self._changes.add_all()
+            places = self._make_room(cells, np.zeros(len(cells), dtype=np.bool_))
+            self._cells.seen[self._tiles.slots(places)] = True
 
-    def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0) -> FreeSpace:
+    def free_space(self, *points_world: ArrayLike, margin_m: float = 0.0, within: Ellipse | None = None) -> FreeSpace:
         """A snapshot that covers all that was seen, a free rim around it, and the given (2,) points.
 
         `margin_m` is added to the inflation. A negative one reduces it, down to no inflation. A positive one gives way
         within `margin_m` of the points, so that a robot that near an obstacle can leave it, and a goal there can be
-        reached. Raises ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
+        reached. All cells outside `within` are blocked; the inflation with a margin is computed inside it alone. Raises
+        ValueError for a margin of NaN or inf, InputError for an inflation of more than 1000 cells.
         """
-        cells = self._counted()
-        covered = cells.cover > 0
-        covered.flags.writeable = False
-        space = FreeSpace(covered, cells.seen, self.origin, self._config.cell_m)
+        cell_m = self._config.cell_m
+        drawn = self._draw_masks()
+        narrow = FreeSpace(drawn.covered, drawn.seen, self.origin, cell_m).covering(*points_world)
         if margin_m == 0.0:
-            return space.covering(*points_world)
+            return narrow if within is None else narrow.between(within)
         if not margin_m < math.inf:
             raise ValueError(f"margin_m: found {margin_m}, allowed: a finite number")
-        cell_m = self._config.cell_m
         inflation = max(self._inflation + margin_m / cell_m, 0.0)
         check_inflation(inflation)
         stencil = disc(inflation)
         rim = max(int(stencil.max(initial=0)) - int(self._stencil.max()), 0)
-        blocked, seen = np.pad(cells.obstacles, rim), np.pad(cells.seen, rim)
-        width = blocked.shape[1]
-        stamp_discs(np.flatnonzero(blocked), stencil[:, 0] * width + stencil[:, 1], blocked)
+        seen = np.pad(drawn.seen, rim)
+        seen.flags.writeable = False
         origin = self.origin[0] - rim * cell_m, self.origin[1] - rim * cell_m
-        wide = FreeSpace(blocked, seen, origin, cell_m).covering(*points_world)
-        if margin_m < 0.0 or not points_world:
-            return wide
-        blocked = wide.blocked.copy()
-        narrow = space.covering(*points_world)
-        for point in points_world:
-            give_way(blocked, narrow, wide, point, margin_m)
-        return FreeSpace(blocked, wide.seen, wide.origin, cell_m)
+        wide = FreeSpace(seen, seen, origin, cell_m).covering(*points_world)
+        origin, shape = wide.origin, wide.seen.shape
+        part = (
+            (slice(0, shape[0]), slice(0, shape[1])) if within is None else within.rows_and_cols(shape, origin, cell_m)
+        )
+        blocked = np.ones(shape, dtype=np.bool_)
+        first = round(origin[1] / cell_m), round(origin[0] / cell_m)
+        blocked[part] = self._inflated(stencil, first[0] + part[0].start, first[1] + part[1].start, blocked[part].shape)
+        for point in points_world if margin_m > 0.0 else ():
+            give_way(blocked, origin, narrow, point, margin_m)
+        if within is not None:
+            within.block_beyond(blocked, origin, cell_m)
+        blocked.flags.writeable = False
+        return FreeSpace(blocked, wide.seen, origin, cell_m)
+
+    def _inflated(self, stencil: NDArray[np.int64], row: int, col: int, shape: tuple[int, ...]) -> Bools:
+        """The cells from `row` and `col` on, of the world, that discs (K, 2) about obstacles cover."""
+        reach = int(stencil.max(initial=0))
+        box = Box(row, col, row + shape[0], col + shape[1]).grown(reach)
+        obstacles = self.part("obstacles", box)
+        return np.asarray(stamped(obstacles, stencil)[reach : reach + shape[0], reach : reach + shape[1]])
+
+    @property
+    def changes(self) -> Changes:
+        """Where the evidence has changed."""
+        self._counted()
+        return self._changes
+
+    def part(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"], box: Box) -> NDArray[Any]:
+        """(H, W) what is kept of the cells in a box, 0 or False outside the grid."""
+        return self._tiles.part(getattr(self._counted(), name), box)
+
+    def unknown(self, cells: NDArray[np.int64]) -> Bools:
+        """(N,) which of the cells (N, 2), row, col from the world's origin, are neither seen nor obstacles."""
+        if len(cells) == 0:
+            return np.zeros(0, dtype=np.bool_)
+        (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
+        box = Box(top, left, bottom + 1, right + 1)
+        known = self.part("seen", box) | self.part("obstacles", box)
+        return np.asarray(~known[cells[:, 0] - top, cells[:, 1] - left])
 
     @property
     def hits(self) -> Ints:
         """(H, W) scans that ended, or had a wall fitted, in the cell."""
-        return self._counted().hits.copy()
+        return self._whole("hits")
 
     @property
     def passes(self) -> Ints:
         """(H, W) scans that crossed the cell and did not hit it."""
-        return self._counted().passes.copy()
+        return self._whole("passes")
 
     @property
     def seen(self) -> Bools:
         """(H, W) whether a beam has ever crossed the cell or ended in it: the sense grid, report section 4.5."""
-        return self._counted().seen.copy()
+        return self._whole("seen")
 
     @property
     def obstacles(self) -> Bools:
         """(H, W) cells whose evidence says occupied; not inflated."""
-        return self._counted().obstacles.copy()
+        return self._whole("obstacles")
 
     @property
     def origin(self) -> tuple[float, float]:
         """World x, y of the lower left corner of cell (0, 0), metres; it moves when the grid grows."""
         self._counted()
-        return self._first[1] * self._config.cell_m, self._first[0] * self._config.cell_m
+        return self._box.left * self._config.cell_m, self._box.top * self._config.cell_m
+
+    @property
+    def cells_in_memory(self) -> int:
+        """Cells for which there is room: those of all tiles, and some for the next ones."""
+        return len(self._counted().hits)
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        cells = self._counted()
-        return np.where(cells.obstacles, 100, np.where(cells.seen, 0, -1)).astype(np.int8)
+        return np.where(self.obstacles, 100, np.where(self.seen, 0, -1)).astype(np.int8)
+
+    def _draw_masks(self) -> _Drawn:
+        """Seen cells and inflation of the whole map; kept, and drawn again where it has changed."""
+        changes, box, drawn = self.changes, self._box, self._drawn
+        since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
+        if drawn is None or since is None:
+            drawn = _Drawn(box, changes.revision, self._whole("seen"), self._whole("cover") > 0)
+        else:
+            rows, cols = since.grown(self._reach).within((box.top, box.left), drawn.seen.shape)
+            part = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
+            drawn.seen[rows, cols], drawn.covered[rows, cols] = self.part("seen", part), self.part("cover", part) > 0
+            drawn = drawn._replace(revision=changes.revision)
+        self._drawn = drawn
+        return drawn
+
+    def _whole(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"]) -> NDArray[Any]:
+        """(H, W) what is kept of all cells; InputError if they are more than 100 million."""
+        self._counted()
+        box = self._box
+        cell_box(np.array([box.top, box.left], dtype=np.float64), np.array([box.bottom, box.right], dtype=np.float64))
+        return self.part(name, box)
+
+    def _make_room(self, cells: NDArray[np.int64], hit: Bools) -> Places:
+        """(N,) the places of cells (N, 2) within the box, with tiles for them and for the inflation of those hit."""
+        places = self._tiles.places(cells)
+        self._allocate(self._tiles.around(places, 0) | self._tiles.around(places[hit], self._reach))
+        return places
+
+    def _allocate(self, squares: Bools) -> None:
+        """Make room for the cells in squares (R, C) of the index; InputError if there are too many."""
+        new = int(np.count_nonzero(squares & (self._tiles.index < 0)))
+        count = (len(self._tiles.squares) + new) * TILE * TILE
+        if count > MAX_CELLS:
+            raise InputError(f"grid: found {count:,} cells that were seen, allowed: at most {MAX_CELLS:,} cells")
+        self._tiles.allocate(squares)
+        if count > len(self._cells.hits):
+            self._cells = self._cells.extended(max(count, len(self._cells.hits) * 5 // 4))
 
     def _counted(self) -> Cells:
         """The cells for a reader; a subclass may count what is due before."""
@@ -181,23 +288,6 @@ class Grid:
 
     def _grow(self, cells: Array) -> None:
         """Make room for (N, 2) cells (row, col from the world's origin), their inflation and a rim of free cells."""
-        margin = 1.0 + float(self._stencil.max())
-        low, high = cells.min(axis=0) - margin, cells.max(axis=0) + margin + 1.0
-        old_low, old_high = np.full(2, np.inf), np.full(2, -np.inf)
-        if self._cells.hits.size:
-            old_low, old_high = np.array(self._first, dtype=np.float64), np.add(self._first, self._cells.hits.shape)
-        if (low >= old_low).all() and (high <= old_high).all():
-            return
-        # A side that must move moves by at least a quarter of the extent, so that all growth together costs O(cells).
-        all_low, all_high = np.minimum(low, old_low), np.maximum(high, old_high)
-        step = np.maximum(MIN_GROWTH, (all_high - all_low) // 4)
-        roomy_low = np.where(low < old_low, low - step, old_low)
-        roomy_high = np.where(high > old_high, high + step, old_high)
-        low, high = all_low, all_high
-        if np.prod(roomy_high - roomy_low) <= MAX_CELLS:
-            low, high = roomy_low, roomy_high
-        (row, col), (height, width) = cell_box(low, high)
-        top, left = self._first[0] - row, self._first[1] - col
-        self._cells = self._cells.grown(height, width, top, left)
-        self._first = (row, col)
-        self._flat_stencil = self._stencil[:, 0] * width + self._stencil[:, 1]
+        margin = 1.0 + float(self._reach)
+        self._box = grown_box(self._box, cells.min(axis=0) - margin, cells.max(axis=0) + margin + 1.0)
+        self._tiles.cover(self._box)

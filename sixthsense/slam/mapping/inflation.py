@@ -38,20 +38,30 @@ def stamp_discs(cells: NDArray[np.int64], stencil: NDArray[np.int64], blocked2: 
             blocked[cell + offset] = True
 
 
-def give_way(blocked: Bools, narrow: FreeSpace, wide: FreeSpace, point: ArrayLike, radius_m: float) -> None:
+def stamped(obstacles: Bools, stencil: NDArray[np.int64]) -> Bools:
+    """(H, W) the cells that the `stencil` (K, 2) of offsets about an obstacle covers."""
+    rim = int(np.abs(stencil).max(initial=0))
+    blocked = np.zeros((obstacles.shape[0] + 2 * rim, obstacles.shape[1] + 2 * rim), dtype=np.bool_)
+    rows, cols = np.nonzero(obstacles)
+    width = blocked.shape[1]
+    stamp_discs((rows + rim) * width + cols + rim, stencil[:, 0] * width + stencil[:, 1], blocked)
+    return blocked[rim : rim + obstacles.shape[0], rim : rim + obstacles.shape[1]].copy()
+
+
+def give_way(blocked: Bools, origin: tuple[float, float], narrow: FreeSpace, point: ArrayLike, radius_m: float) -> None:
     """Near a point, block only those cells of `blocked` that `narrow` blocks too.
 
-    `blocked` has the cells of `wide`; cells with centres within `radius_m` of the point change, its own cell included.
-    `narrow` has cells at the same places, `wide` may have more of them.
+    The lower left corner of `blocked` is `origin`; its cells with centres within `radius_m` of the point change, the
+    point's own cell included. `narrow` has cells at the same places, `blocked` may have more of them.
     """
-    row, col = wide.cell_of(point)
-    reach = math.ceil(radius_m / wide.cell_m) + 1
-    height, width = wide.blocked.shape
+    cell_m, at = narrow.cell_m, np.asarray(point, dtype=np.float64)
+    row, col = math.floor((at[1] - origin[1]) / cell_m), math.floor((at[0] - origin[0]) / cell_m)
+    reach = math.ceil(radius_m / cell_m) + 1
+    height, width = blocked.shape
     rows = np.arange(max(row - reach, 0), min(row + reach + 1, height))
     cols = np.arange(max(col - reach, 0), min(col + reach + 1, width))
-    x, y = wide.origin[0] + (cols + 0.5) * wide.cell_m, wide.origin[1] + (rows + 0.5) * wide.cell_m
-    at = np.asarray(point, dtype=np.float64)
-    near = np.hypot(x[None, :] - at[0], y[:, None] - at[1]) <= radius_m + wide.cell_m
-    down, across = (round((wide.origin[k] - narrow.origin[k]) / wide.cell_m) for k in (1, 0))
+    x, y = origin[0] + (cols + 0.5) * cell_m, origin[1] + (rows + 0.5) * cell_m
+    near = np.hypot(x[None, :] - at[0], y[:, None] - at[1]) <= radius_m + cell_m
+    down, across = (round((origin[k] - narrow.origin[k]) / cell_m) for k in (1, 0))
     blocked_in_narrow = narrow.window(rows + down, cols + across)
     blocked[np.ix_(rows, cols)] &= blocked_in_narrow | ~near

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
-from sixthsense.slam.mapping.evidence import Cells, are_obstacles
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.submap import mark_obstacles
 
 
 def restore_grid(
@@ -28,14 +29,13 @@ def restore_grid(
     if not np.isfinite(origin).all():
         raise ValueError(f"origin: found {origin}, allowed: finite numbers")
     grid = Grid(config, radius_m)
-    grid._first = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
-    obstacles = are_obstacles(hits, passes, config)
-    height, width = hits.shape
-    rim = int(grid._stencil.max())
-    cover = np.zeros((height + 2 * rim, width + 2 * rim), dtype=np.int32)
-    for row, col in (grid._stencil + rim).tolist():
-        cover[row : row + height, col : col + width] += obstacles
-    inner = cover[rim : rim + height, rim : rim + width].copy()
-    grid._cells = Cells(hits.copy(), passes.copy(), inner, np.zeros_like(hits), seen.copy(), obstacles)
-    grid._flat_stencil = grid._stencil[:, 0] * width + grid._stencil[:, 1]
+    row, col = round(origin[1] / config.cell_m), round(origin[0] / config.cell_m)
+    grid._box = Box(row, col, row + hits.shape[0], col + hits.shape[1])
+    grid._tiles.cover(grid._box.grown(grid._reach))
+    rows, cols = np.nonzero((hits > 0) | (passes > 0) | seen)
+    kept = rows, cols
+    places = grid._make_room(np.stack([rows + row, cols + col], axis=1), hits[kept] > 0)
+    slots, cells = grid._tiles.slots(places), grid._cells
+    cells.hits[slots], cells.passes[slots], cells.seen[slots] = hits[kept], passes[kept], seen[kept]
+    mark_obstacles(cells, grid._tiles.index, grid._tiles.squares, grid._offsets, grid._rules)
     return grid

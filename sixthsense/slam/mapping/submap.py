@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.tiles import ROW, SHIFT, TILE, Index, Places, Tiles, slot
 
 _OLD_HITS = 3
 
@@ -37,13 +38,14 @@ class Submap(NamedTuple):
         return cls(cells, hits, passes, seen, corners)
 
 
-def submap_of(cells: Cells, first: tuple[int, int]) -> Submap:
-    """The evidence in the cells (H, W) of a grid, whose cell (0, 0) is `first` from the world's origin."""
-    hits, passes, seen = cells.hits.ravel(), cells.passes.ravel(), cells.seen.ravel()
-    touched = np.flatnonzero((hits > 0) | seen)  # what is passed is seen
-    rows, cols = np.divmod(touched, cells.hits.shape[1])
-    places = np.stack([rows + first[0], cols + first[1]], axis=1)
-    return Submap.of(places, hits[touched], passes[touched], seen[touched])
+def submap_of(cells: Cells, tiles: Tiles) -> Submap:
+    """The evidence in the cells of a grid's tiles, row by row."""
+    touched = np.flatnonzero((cells.hits > 0) | cells.seen)  # what is passed is seen
+    corner = tiles.squares[touched >> (2 * SHIFT)] * TILE + np.array(tiles.first)
+    places = corner + np.stack([(touched >> SHIFT) & (TILE - 1), touched & (TILE - 1)], axis=1)
+    order = np.lexsort((places[:, 1], places[:, 0]))
+    touched = touched[order]
+    return Submap.of(places[order], cells.hits[touched], cells.passes[touched], cells.seen[touched])
 
 
 def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
@@ -61,33 +63,36 @@ def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def add_submap(grid: Cells, first: tuple[int, int], submap: Submap, rules: EvidenceRules) -> None:
-    """Add the evidence of a submap, later than all before it, to hits, passes and seen of `grid` (H, W).
+def add_submap(cells: Cells, index: Index, places: Places, submap: Submap, rules: EvidenceRules) -> None:
+    """Add the evidence of a submap at `places` (N,), later than all before it, to hits, passes and seen of the tiles.
 
     As with single scans, a hit cuts the earlier passes to the most that leave an obstacle; and a cell that is an
     obstacle by the submap alone is one in the grid, however long it was free before.
     """
-    for i in range(len(submap.cells)):
-        row, col = submap.cells[i, 0] - first[0], submap.cells[i, 1] - first[1]
-        hits, passes = grid.hits[row, col], grid.passes[row, col]
+    for i in range(len(places)):
+        cell = slot(index, places[i])
+        hits, passes = cells.hits[cell], cells.passes[cell]
         if submap.hits[i] > 0:
             hits = min(hits + submap.hits[i], rules.max_hits)
             passes = min(passes, int(rules.passes_per_hit * hits))
         passes += submap.passes[i]
         if submap.hits[i] > 0 and submap.passes[i] <= rules.passes_per_hit * submap.hits[i]:
             passes = min(passes, int(rules.passes_per_hit * hits))
-        grid.hits[row, col], grid.passes[row, col] = hits, passes
+        cells.hits[cell], cells.passes[cell] = hits, passes
         if submap.seen[i]:
-            grid.seen[row, col] = True
+            cells.seen[cell] = True
 
 
 @numba.njit(cache=True, error_model="numpy")
-def mark_obstacles(grid: Cells, stencil: NDArray[np.int64], rules: EvidenceRules) -> None:
-    """Mark the obstacles of `grid` (H, W), which has none yet, by its counts; `stencil` (K,) flat offsets to cover."""
-    hits, passes = grid.hits.ravel(), grid.passes.ravel()
-    obstacles, cover = grid.obstacles.ravel(), grid.cover.ravel()
-    for cell in range(len(hits)):
+def mark_obstacles(
+    cells: Cells, index: Index, squares: NDArray[np.int64], stencil: Places, rules: EvidenceRules
+) -> None:
+    """Mark the obstacles of tiles in (T, 2) `squares`, which have none yet; `stencil` (K,) offsets to cover."""
+    hits, passes = cells.hits, cells.passes
+    for cell in range(len(squares) << (2 * SHIFT)):
         if hits[cell] > 0 and hits[cell] >= rules.min_hits and passes[cell] <= rules.passes_per_hit * hits[cell]:
-            obstacles[cell] = True
+            cells.obstacles[cell] = True
+            square = squares[cell >> (2 * SHIFT)]
+            row, col = (square[0] << SHIFT) + ((cell >> SHIFT) & (TILE - 1)), (square[1] << SHIFT) + (cell & (TILE - 1))
             for offset in stencil:
-                cover[cell + offset] += 1
+                cells.cover[slot(index, row * ROW + col + offset)] += 1

@@ -329,9 +329,11 @@ def test_growth_beyond_the_memory_limit_is_refused_and_leaves_the_grid_unchanged
     grid = Grid(GridConfig(cell_m=0.01), 0.2)
     grid.add(Pose(), scan_of([2.0]), NO_WALLS)
     before = grid.hits
-    with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
+    with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
         grid.add(Pose(), scan_of([1e6], max_range=1e7), NO_WALLS)
     with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
+        grid.add(Pose(), scan_of([4e4], max_range=1e7), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
         grid.add(Pose(1e30, 0.0), scan_of([2.0]), NO_WALLS)
     with pytest.raises(ValueError, match="allowed: at most"):
         grid.free_space((1e6, 1e6))

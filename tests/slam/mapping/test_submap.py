@@ -6,11 +6,13 @@ import pytest
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.slam.mapping.submap import Submap, add_submap
+from sixthsense.slam.mapping.tiles import TILE, Tiles
 
 LASER = LaserConfig(beams=120)
 ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
@@ -56,13 +58,17 @@ def random_submap(rng: np.random.Generator) -> Submap:
 def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
-        fast, plain = Cells.empty(20, 30), Cells.empty(20, 30)
+        tiles, box = Tiles(), Box(-5, 7, 15, 37)
+        tiles.cover(box)
+        tiles.allocate(np.ones(tiles.index.shape, dtype=np.bool_))
+        fast = Cells.empty(tiles.index.size * TILE * TILE)
+        plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600)))
         for _ in range(6):
             submap = random_submap(rng)
-            add_submap(fast, (-5, 7), submap, RULES)
+            add_submap(fast, tiles.index, tiles.places(submap.cells), submap, RULES)
             plain_add(plain, (-5, 7), submap, RULES)
         for name in ("hits", "passes", "seen"):
-            assert np.array_equal(getattr(fast, name), getattr(plain, name))
+            assert np.array_equal(tiles.part(getattr(fast, name), box), getattr(plain, name))
 
 
 @pytest.mark.parametrize("config", [GridConfig(), GridConfig(min_hits=2, passes_per_hit=0.5)])

@@ -1,0 +1,63 @@
+"""Where a map has changed, for readers that keep something up to date."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+Revision = tuple[int, int]
+"""State of a map, to ask later what has changed since."""
+
+
+class Box(NamedTuple):
+    """Rows and columns of cells, counted from the world's origin."""
+
+    top: int
+    """first row"""
+    left: int
+    """first column"""
+    bottom: int
+    """row past the last"""
+    right: int
+    """column past the last"""
+
+    def grown(self, cells: int) -> Box:
+        """The same and the cells around it."""
+        return Box(self.top - cells, self.left - cells, self.bottom + cells, self.right + cells)
+
+    def within(self, first: tuple[int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
+        """The rows and columns of it in an array of `shape` whose cell (0, 0) is `first`."""
+        rows = slice(min(max(self.top - first[0], 0), shape[0]), min(max(self.bottom - first[0], 0), shape[0]))
+        cols = slice(min(max(self.left - first[1], 0), shape[1]), min(max(self.right - first[1], 0), shape[1]))
+        return rows, cols
+
+
+class Changes:
+    """The boxes in which a map has changed, one for each scan."""
+
+    def __init__(self) -> None:
+        self._rebuilds = 0
+        self._boxes: list[Box] = []
+
+    def add(self, box: Box) -> None:
+        """Take in that cells in a box may have changed."""
+        self._boxes.append(box)
+
+    def add_all(self) -> None:
+        """Take in that any cell may have changed."""
+        self._rebuilds += 1
+        self._boxes = []
+
+    @property
+    def revision(self) -> Revision:
+        """The present state of the map."""
+        return self._rebuilds, len(self._boxes)
+
+    def since(self, revision: Revision | None) -> Box | None:
+        """A box around all changes since a state, of no cells if there are none; None if any cell may have changed."""
+        if revision is None or revision[0] != self._rebuilds:
+            return None
+        boxes = self._boxes[revision[1] :]
+        if not boxes:
+            return Box(0, 0, 0, 0)
+        tops, lefts, bottoms, rights = zip(*boxes, strict=True)
+        return Box(min(tops), min(lefts), max(bottoms), max(rights))
