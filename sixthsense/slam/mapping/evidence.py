@@ -106,18 +106,22 @@ def _line(r0: int, c0: int, r1: int, c1: int, width: int, cells: NDArray[np.int6
 
 
 @numba.njit(cache=True, error_model="numpy")
-def touched_squares(scan: ScanCells, reach: int, squares: Bools) -> None:
-    """Mark the squares (R, C) of the index that a scan passes, or that obstacles of it cover with a disc of `reach`."""
+def touched_squares(scan: ScanCells, reach: int, first: tuple[int, int], squares: Bools) -> None:
+    """Mark the squares (R, C) that a scan passes, or that obstacles of it cover with a disc of `reach`.
+
+    `squares` begins at the square `first` of the index.
+    """
     laser, ends, walls = scan.laser, scan.ends, scan.walls
     for i in range(len(ends)):
         line = _places(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for place in line:
-            squares[place >> (32 + SHIFT), (place & 0xFFFFFFFF) >> SHIFT] = True
+            squares[(place >> (32 + SHIFT)) - first[0], ((place & 0xFFFFFFFF) >> SHIFT) - first[1]] = True
         if scan.returned[i]:
-            _mark_around(squares, ends[i, 0], ends[i, 1], reach)
+            _mark_around(squares, ends[i, 0] - (first[0] << SHIFT), ends[i, 1] - (first[1] << SHIFT), reach)
     for j in range(0, len(walls), 2):
         for place in _places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
-            _mark_around(squares, place >> 32, place & 0xFFFFFFFF, reach)
+            row, col = (place >> 32) - (first[0] << SHIFT), (place & 0xFFFFFFFF) - (first[1] << SHIFT)
+            _mark_around(squares, row, col, reach)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -110,16 +110,18 @@ class Grid:
         before = self._box
         self._grow(cells)
         local = cells.astype(np.int64) - self._tiles.first
-        (top, left), (bottom, right) = cells.astype(np.int64).min(axis=0), cells.astype(np.int64).max(axis=0) + 1
-        self._changes.add(Box(int(top), int(left), int(bottom), int(right)))
         touched = ScanCells(local[0], local[1 : 1 + len(ends)], returned, local[1 + len(ends) :])
-        squares = np.zeros(self._tiles.index.shape, dtype=np.bool_)
-        touched_squares(touched, self._reach, squares)
+        low, high = local.min(axis=0), local.max(axis=0)
+        (top, left), (bottom, right) = (low - self._reach) // TILE, (high + self._reach) // TILE + 1
+        squares = np.zeros((bottom - top, right - left), dtype=np.bool_)
+        touched_squares(touched, self._reach, (int(top), int(left)), squares)
         try:
-            self._allocate(squares)
+            self._allocate(self._tiles.lacking(squares, (int(top), int(left))))
         except InputError:
             self._box = before
             raise
+        (top, left), (bottom, right) = (low + self._tiles.first).tolist(), (high + self._tiles.first).tolist()
+        self._changes.add(Box(top, left, bottom + 1, right + 1))
         self._scans += 1
         count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
 
@@ -269,16 +271,16 @@ class Grid:
     def _make_room(self, cells: NDArray[np.int64], hit: Bools) -> Places:
         """(N,) the places of cells (N, 2) within the box, with tiles for them and for the inflation of those hit."""
         places = self._tiles.places(cells)
-        self._allocate(self._tiles.around(places, 0) | self._tiles.around(places[hit], self._reach))
+        squares = self._tiles.around(places, 0) | self._tiles.around(places[hit], self._reach)
+        self._allocate(self._tiles.lacking(squares))
         return places
 
-    def _allocate(self, squares: Bools) -> None:
-        """Make room for the cells in squares (R, C) of the index; InputError if there are too many."""
-        new = int(np.count_nonzero(squares & (self._tiles.index < 0)))
-        count = (len(self._tiles.squares) + new) * TILE * TILE
+    def _allocate(self, new: NDArray[np.int64]) -> None:
+        """Make room for the cells in squares (N, 2) that have no tile; InputError if there are too many."""
+        count = (len(self._tiles.squares) + len(new)) * TILE * TILE
         if count > MAX_CELLS:
             raise InputError(f"grid: found {count:,} cells that were seen, allowed: at most {MAX_CELLS:,} cells")
-        self._tiles.allocate(squares)
+        self._tiles.allocate(new)
         if count > len(self._cells.hits):
             self._cells = self._cells.extended(max(count, len(self._cells.hits) * 5 // 4))
 

@@ -50,9 +50,14 @@ class Tiles:
         index[tuple(self.squares.T)] = np.arange(len(self.squares))
         self.first, self.index = (top * TILE, left * TILE), index
 
-    def allocate(self, wanted: NDArray[np.bool_]) -> None:
-        """Number the squares (R, C) that are wanted and have no tile yet."""
-        new = np.argwhere(wanted & (self.index < 0))
+    def lacking(self, wanted: NDArray[np.bool_], first: tuple[int, int] = (0, 0)) -> NDArray[np.int64]:
+        """(N, 2) the squares that are wanted and have no tile; `wanted` (R, C) begins at the square `first`."""
+        rows, cols = wanted.shape
+        index = self.index[first[0] : first[0] + rows, first[1] : first[1] + cols]
+        return np.asarray(np.argwhere(wanted & (index < 0)) + np.array(first))
+
+    def allocate(self, new: NDArray[np.int64]) -> None:
+        """Give tiles to squares (N, 2) that have none."""
         self.index[tuple(new.T)] = np.arange(len(self.squares), len(self.squares) + len(new))
         self.squares = np.concatenate([self.squares, new])
 

@@ -60,7 +60,7 @@ def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
         rng = np.random.default_rng(seed)
         tiles, box = Tiles(), Box(-5, 7, 15, 37)
         tiles.cover(box)
-        tiles.allocate(np.ones(tiles.index.shape, dtype=np.bool_))
+        tiles.allocate(tiles.lacking(np.ones(tiles.index.shape, dtype=np.bool_)))
         fast = Cells.empty(tiles.index.size * TILE * TILE)
         plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600)))
         for _ in range(6):

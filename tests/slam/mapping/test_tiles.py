@@ -21,7 +21,7 @@ def test_cells_are_found_again_in_an_index_that_grows_to_all_sides(seed: int) ->
         cells = np.unique(rng.integers(-reach, reach, size=(30, 2)), axis=0)
         tiles.cover(Box(-reach, -reach, reach, reach))
         places = tiles.places(cells)
-        tiles.allocate(tiles.around(places, 0))
+        tiles.allocate(tiles.lacking(tiles.around(places, 0)))
         pool = np.concatenate([pool, np.zeros(len(tiles.squares) * TILE * TILE - len(pool), dtype=np.int32)])
         slots = tiles.slots(places)
         assert slots.tolist() == [slot(tiles.index, place) for place in places.tolist()]
