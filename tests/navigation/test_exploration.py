@@ -132,10 +132,16 @@ def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tm
 
 
 def test_a_door_that_noise_has_closed_is_approached_for_another_view(tmp_path: Path, visited: Visited) -> None:
-    made = explored(tmp_path, SIX_ROOMS, seed=4, estimator="ekf", explore={"method": "random", "return_home": False})
-    assert made.outcome == "explored"
-    assert made.metrics["coverage"] >= 0.995
-    assert visited.occluded_targets > 0
+    """In which run a door is closed hangs on the last digits of all numbers: the first runs are driven until one is."""
+    for seed in range(6):
+        made = explored(
+            tmp_path, SIX_ROOMS, seed=seed, estimator="ekf", explore={"method": "random", "return_home": False}
+        )
+        assert made.outcome == "explored"
+        assert made.metrics["coverage"] >= 0.995
+        if visited.occluded_targets > 0:
+            return
+    pytest.fail("no door was closed in six runs")
 
 
 def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path: Path) -> None:
