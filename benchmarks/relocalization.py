@@ -30,8 +30,7 @@ from sixthsense.loop import find_start, searching_navigator
 from sixthsense.record.prior_map import prior_start
 from sixthsense.running.runs import Watch, reserved, simulate
 from sixthsense.running.warmup import warm_up
-from sixthsense.slam.prior_map import PriorMap
-from sixthsense.slam.start_search import PriorMapError
+from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.world import World
 

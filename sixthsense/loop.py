@@ -20,10 +20,8 @@ from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
-from sixthsense.slam.prior_map import PriorStart, check_usable
-from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer
+from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
 from sixthsense.slam.slam import Slam, Step
-from sixthsense.slam.start_search import PriorMapError
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.mission import mission
@@ -111,6 +109,8 @@ def find_start(
 
     Raises PriorMapError if nothing has become certain when the drive ends.
     """
+    from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
+
     check_usable(prior.map, config)
     first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config.grid)
     start: Pose | None = None
@@ -140,6 +140,8 @@ def find_start(
 
 def searching_navigator(config: Config, radius_m: float) -> Navigator:
     """The navigator of a robot that explores, since goals and a region mean nothing to it while it is lost."""
+    from sixthsense.slam.relocalization import MOST_DRIVEN_M
+
     streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
     task = dataclasses.replace(config, task="explore", goal=None, tour=None)
     region = (-reach_m, -reach_m, reach_m, reach_m)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sixthsense.config import Config, ConfigError
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.association.associator import Record
@@ -18,6 +19,10 @@ from sixthsense.slam.estimators import Estimator, LandmarkPrior, takes_prior_map
 from sixthsense.slam.mapping.submap import Submap
 
 _SIGMAS = 3.0  # the start may be this far from where it is said to be
+
+
+class PriorMapError(InputError):
+    """A prior map that does not fit what the robot sees, in one line."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.config import GridConfig
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.slam.map_fit import NEAR_M, Obstacles, fitted, judged
-from sixthsense.slam.prior_map import PriorMap
+from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
 from sixthsense.slam.scans.submap import pyramid
 
@@ -23,10 +22,6 @@ _LEAST_SCORE = 0.3
 _SIGMAS, _MOST_SQUARE = 3.0, 21.1  # of the window; of a pose in it, 0.9999 of chi-square with 3 degrees of freedom
 _APART, _STRETCH = Apart(0.5, 0.2), Apart(1.0, 0.2)
 _AS_GOOD_SHARE, _AS_GOOD_SCORE = 0.1, 0.85  # another place with a share less this, and a part of the score, is as good
-
-
-class PriorMapError(InputError):
-    """A prior map that does not fit what the robot sees, in one line."""
 
 
 class _Place(NamedTuple):

@@ -13,8 +13,8 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.prior_map import prior_start, read_prior_map
-from sixthsense.slam.prior_map import PriorStart
-from sixthsense.slam.start_search import PriorMapError, located
+from sixthsense.slam.prior_map import PriorMapError, PriorStart
+from sixthsense.slam.start_search import located
 from sixthsense.sources.scene import load_scene
 
 SECONDS = 20.0

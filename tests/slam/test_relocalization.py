@@ -16,9 +16,8 @@ from sixthsense.record.folder import RunFolder
 from sixthsense.record.prior_map import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.prior_map import PriorMap, PriorStart
+from sixthsense.slam.prior_map import PriorMap, PriorMapError, PriorStart
 from sixthsense.slam.relocalization import Relocalizer
-from sixthsense.slam.start_search import PriorMapError
 from sixthsense.sources.rewindable import RewindableSource
 from sixthsense.sources.scene import load_scene
 

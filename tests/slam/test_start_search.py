@@ -12,8 +12,8 @@ from sixthsense.core.laser import Scan, beam_bearings, cast_rays
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.prior_map import PriorMap
-from sixthsense.slam.start_search import PriorMapError, located
+from sixthsense.slam.prior_map import PriorMap, PriorMapError
+from sixthsense.slam.start_search import located
 
 LASER, GRID = LaserConfig(), GridConfig()
 CORNERS = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])
