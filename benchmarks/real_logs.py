@@ -59,6 +59,7 @@ class Variant(NamedTuple):
     """factor of all sigmas of the odometry"""
     min_score: float = 1.0
     """factor of `scans.min_score`"""
+    calibrate_wheels: bool = False
 
 
 def every_second_scan(ticks: Sequence[Tick]) -> Sequence[Tick]:
@@ -103,6 +104,7 @@ VARIANTS = (
         Variant(f"odometry x {factor:g}", list, tuple(("odometry_prior", n, factor) for n in _ODOMETRY), factor)
         for factor in (2.0, 0.5)
     ),
+    Variant("wheels on line", calibrate_wheels=True),
     Variant("every second scan", every_second_scan),
     Variant("half, first", partial(part, 0.0, 0.5)),
     Variant("half, second", partial(part, 0.5, 1.0)),
@@ -125,7 +127,12 @@ def figures_of(name: str, variant: Variant) -> Figures:
     motion = base.assumed.motion
     slip = {f.name: getattr(motion, f.name) for f in dataclasses.fields(motion) if f.name.startswith("slip_")}
     scaled = {key: variant.odometry * value for key, value in slip.items()}
-    config = preset("log", assumed={"motion": scaled}, scans={"min_score": variant.min_score * base.scans.min_score})
+    config = preset(
+        "log",
+        assumed={"motion": scaled},
+        scans={"min_score": variant.min_score * base.scans.min_score},
+        calibrate_wheels=variant.calibrate_wheels,
+    )
     changed = Log(variant.evidence(log.ticks), log.laser)
     stamps = np.array([t.log_stamp_s for t in changed.ticks if t.log_stamp_s is not None], dtype=np.float64)
     known = has_scan(stamps, relations.stamps).all(axis=1)

@@ -3,6 +3,7 @@
     python benchmarks/repetition.py --seeds 3                 # all scenes
     python benchmarks/repetition.py --scenes doors niches --rows FOLDER
     python benchmarks/repetition.py --odometry 2 --score 0.9  # something assumed or a threshold changed
+    python benchmarks/repetition.py --calibrate-wheels        # with the wheels' errors estimated on line
 
 A link to an old key scan is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
 more than its covariance allows: along a bare corridor a link says nothing. A true revisit is a key scan and an old one,
@@ -146,12 +147,13 @@ def rows(config: Config, factors: Factors, due: Sequence[tuple[str, int]], jobs:
     return [found[d] for d in due]
 
 
-def changed_config(odometry: float, score: float) -> Config:
+def changed_config(odometry: float, score: float, calibrate_wheels: bool) -> Config:
     """The defaults of logs, with the sigmas of the odometry and the least score of a revisit multiplied."""
     base = preset("log")
     motion = base.assumed.motion
     slip = {f.name: odometry * getattr(motion, f.name) for f in dataclasses.fields(motion) if "slip" in f.name}
-    return merge(base, {"assumed": {"motion": slip}, "scans": {"min_score": score * base.scans.min_score}})
+    changed = {"assumed": {"motion": slip}, "scans": {"min_score": score * base.scans.min_score}}
+    return merge(base, {**changed, "calibrate_wheels": calibrate_wheels})
 
 
 def summary(own: Sequence[Row]) -> Figures:
@@ -176,6 +178,7 @@ def main() -> int:
     parser.add_argument("--rows", type=Path, metavar="DIR", help="save a row per run there, and skip saved runs")
     parser.add_argument("--odometry", type=float, default=1.0, metavar="F", help="times the odometry's sigmas (1)")
     parser.add_argument("--score", type=float, default=1.0, metavar="F", help="times the least score (1)")
+    parser.add_argument("--calibrate-wheels", action="store_true", help="estimate the wheels' errors, too")
     parser.add_argument("--factor", nargs="+", default=[], metavar="MODULE.NAME=F", help="times a constant")
     options = parser.parse_args()
     check_at_least(parser, options, seeds=1, jobs=1)
@@ -184,7 +187,13 @@ def main() -> int:
         names = ("_SIGMA_M", "_M_PER_M", "_SIGMA_RAD", "_RAD_PER_RAD", "_RAD_PER_M")
         factors |= {f"odometry_prior.{name}": options.odometry for name in names}
     due = [(name, options.first_seed + k) for k in range(options.seeds) for name in options.scenes]
-    found = rows(changed_config(options.odometry, options.score), factors, due, options.jobs, options.rows)
+    found = rows(
+        changed_config(options.odometry, options.score, options.calibrate_wheels),
+        factors,
+        due,
+        options.jobs,
+        options.rows,
+    )
     figures = {name: summary([row for row in found if row["scene"] == name]) for name in options.scenes}
     lines = [["scene", "runs", "driven, m", "false links", "runs with", "true revisits", "closed", "worst run",
               "ATE m, median / max", "accepted", "undone", "refused", "s a run"]]  # fmt: skip

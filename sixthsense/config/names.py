@@ -42,7 +42,7 @@ FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
 """shipped estimators that do not keep the poses of all key scans"""
 KEEP_POSES = "allowed: with isam2, which keeps the poses of all key scans"
 """of messages about the front end of scans"""
-CALIBRATE_WHEELS = "allowed: with ekf-invariant and isam2, and with the front end landmarks"
+CALIBRATE_WHEELS = "allowed: with ekf-invariant and isam2"
 """of messages about the wheels' parameters"""
 
 OF_THE_ROBOT = ("scene", "task", "goal", "tour", "start", "region", "planner", "rrtstar", "follow", "explore", "world")

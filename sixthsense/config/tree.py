@@ -40,7 +40,7 @@ class Config(Section):
     of aligned scans, for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an
     estimator is named."""
     calibrate_wheels: bool = False
-    """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, front end landmarks; their
+    """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar or rrtstar. astar: shortest over the grid's cells; rrtstar: sampled in the plane."""
@@ -91,10 +91,8 @@ class Config(Section):
         super().__post_init__()
         if self.front_end == "scans" and self.estimator in FILTERS:
             raise ConfigError(f"front_end: found scans with estimator {self.estimator}, {KEEP_POSES}")
-        if self.calibrate_wheels and (self.front_end == "scans" or self.estimator in FILTERS[:-1]):
-            raise ConfigError(
-                f"calibrate_wheels: found true with {self.estimator} and {self.front_end}, {CALIBRATE_WHEELS}"
-            )
+        if self.calibrate_wheels and self.estimator in FILTERS[:-1]:
+            raise ConfigError(f"calibrate_wheels: found true with {self.estimator}, {CALIBRATE_WHEELS}")
         between = self.laser.period_ticks * self.robot.control_period_s
         if self.laser.sweep_s > between * (1.0 + 1e-9):
             raise ConfigError(

@@ -13,18 +13,25 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
+from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.proposed import Proposal
-from sixthsense.slam.estimators import Estimate, PoseGraphEstimator
+from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.odometry_prior import has_slipped, prior_of, weakened, with_wheel_errors
+from sixthsense.slam.scans.odometry_prior import (
+    has_slipped,
+    prior_of,
+    weakened,
+    with_unsteady_errors,
+    with_wheel_errors,
+)
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import Tracked, Views, track
+from sixthsense.slam.scans.tracking import Prior, Tracked, Views, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
@@ -57,6 +64,10 @@ class ScanFrontEnd:
         """of the robot at the last key scan"""
         self._since = STANDSTILL
         """odometry of the robot since the last key scan"""
+        self._wheels = self._wheel_estimate()
+        """at the last key scan, if the estimator has them"""
+        self._prior: Prior | None = None
+        """of the last scan; None before the second"""
         self._last: _Last | None = None
         self._is_carried = False
         """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
@@ -97,7 +108,7 @@ class ScanFrontEnd:
         if not self._is_due(tracked):
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
             return None
-        motion = self._since if tracked is None else weakened(with_wheel_errors(self._since), tracked.slip)
+        motion = self._since if tracked is None else weakened(self._since_with_errors(), tracked.slip)
         self._doubts_wheels = tracked is not None and has_slipped(tracked.slip)
         self._predict(motion)
         predicted = self._estimator.estimate()
@@ -135,11 +146,13 @@ class ScanFrontEnd:
     def _tracked(self, scan: Scan) -> Tracked | None:
         """Track a scan against recent and linked key scans; None for the first, also after the robot was carried."""
         row = self._store.put(scan)
-        if not self._store.count or self._is_carried:
+        if not self._store.count:
             return None
         poses, last = self._graph.poses, self._last
+        prior = self._prior = prior_of(poses[-1], self._since_of_laser())
+        if self._is_carried:
+            return None
         assert last is not None
-        prior = prior_of(poses[-1], self._since_of_laser())
         step = self._mount.laser_motion(last.odometry.inverse() @ self._since.motion)
         before = Pose.from_array(last.pose)
         # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
@@ -153,8 +166,15 @@ class ScanFrontEnd:
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
 
+    def _wheel_estimate(self) -> WheelEstimate | None:
+        return self._estimator.wheels() if estimates_wheels(self._estimator) else None
+
+    def _since_with_errors(self) -> Odometry:
+        """The odometry since the last key scan, as the estimator is given it."""
+        return with_wheel_errors(self._since) if self._wheels is None else with_unsteady_errors(self._since)
+
     def _since_of_laser(self) -> Odometry:
-        return self._mount.laser_odometry(with_wheel_errors(self._since))
+        return self._mount.laser_odometry(with_wheel_errors(self._since, self._wheels))
 
     def _references(self) -> NDArray[np.int64]:
         """Key scans to track against."""
@@ -182,9 +202,9 @@ class ScanFrontEnd:
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
         if self._is_carried:
             self._graph.first, self._is_carried = key, False
-        information = np.asarray(np.linalg.inv(self._since_of_laser().cov), dtype=np.float64)
         self._graph.add(guess, self._mount)
-        self.revisits.moved(key, tracked, information)
+        if self._prior is not None:
+            self.revisits.moved(key, tracked, self._prior.information)
         return key
 
     def _revisited(self, key: int) -> None:
@@ -194,7 +214,7 @@ class ScanFrontEnd:
 
     def _stand_at_key_scan(self) -> Estimate:
         """Begin anew at the key scan that was added; the estimate there."""
-        estimate = self._estimator.estimate()
+        estimate, self._wheels = self._estimator.estimate(), self._wheel_estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))

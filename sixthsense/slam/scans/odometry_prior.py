@@ -10,11 +10,13 @@ import numpy as np
 from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Prior
 
 # Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
 _SIGMA_M, _M_PER_M = 0.01, 0.05
 _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
+_UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
 
 
 def has_slipped(slip: float) -> bool:
@@ -22,21 +24,30 @@ def has_slipped(slip: float) -> bool:
     return slip > SLIP_SIGMAS**2
 
 
-def with_wheel_errors(odometry: Odometry) -> Odometry:
-    """Odometry whose covariance has systematic errors of the wheels added."""
-    distance, turn = math.hypot(odometry.motion.x, odometry.motion.y), abs(odometry.motion.theta)
-    position = (_SIGMA_M + _M_PER_M * distance) ** 2
-    heading = (_SIGMA_RAD + _RAD_PER_RAD * turn + _RAD_PER_M * distance) ** 2
-    cov = odometry.cov.copy()
-    cov[0, 0] += position
-    cov[1, 1] += position
-    cov[2, 2] += heading
-    return Odometry(odometry.motion, cov)
+def with_wheel_errors(odometry: Odometry, wheels: WheelEstimate | None = None) -> Odometry:
+    """Odometry whose covariance has the wheels' errors added: those of their estimate, or else of any wheels."""
+    if wheels is None or odometry.wheels is None:
+        return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, 1.0))
+    unsteady, jacobian = with_unsteady_errors(odometry), odometry.wheels.jacobian
+    return Odometry(odometry.motion, unsteady.cov + jacobian @ wheels.cov @ jacobian.T)
+
+
+def with_unsteady_errors(odometry: Odometry) -> Odometry:
+    """Odometry that depends on wheels which are estimated, with the errors added that their parameters leave."""
+    return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, _UNSTEADY), odometry.wheels)
+
+
+def _errors(motion: Pose, share: float) -> Array:
+    """(3, 3) covariance of a motion by a share of what wheels in general are wrong by."""
+    distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
+    position = (_SIGMA_M + share * _M_PER_M * distance) ** 2
+    heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
+    return np.diag([position, position, heading])
 
 
 def weakened(odometry: Odometry, slip: float) -> Odometry:
     """Odometry that the scans have contradicted by the squared Mahalanobis distance `slip`."""
-    return Odometry(odometry.motion, odometry.cov * (1.0 + slip / SLIP_SIGMAS**2))
+    return Odometry(odometry.motion, odometry.cov * (1.0 + slip / SLIP_SIGMAS**2), odometry.wheels)
 
 
 def prior_of(key_pose: Array, odometry: Odometry) -> Prior:

@@ -78,11 +78,9 @@ class Revisits:
         return self._uncertainty.sigmas(key, self._graph.poses)
 
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
-        """Add a key scan that was tracked; `odometry_information` (3, 3) is the prior's."""
+        """Add a key scan after the first; `odometry_information` (3, 3) is the prior's, world axes."""
         if key == len(self._travelled):
             self._travelled = np.concatenate([self._travelled, np.zeros_like(self._travelled)])
-        if key == 0:
-            return
         if tracked is None:
             self._carried(key, np.asarray(np.linalg.inv(odometry_information), dtype=np.float64))
             return

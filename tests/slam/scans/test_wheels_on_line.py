@@ -1,0 +1,53 @@
+"""The wheels' parameters on line with aligned scans: found where scans observe them, kept where they do not."""
+
+import numpy as np
+import pytest
+from rooms import CORNERS, CORRIDOR, HALF, RING, ROOM, drive, ticks
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import WheelEstimate, Wheels, WheelTerms, wheel_prior
+from sixthsense.slam.scans.odometry_prior import with_unsteady_errors, with_wheel_errors
+from sixthsense.slam.slam import Slam
+
+CONFIG = preset(front_end="scans", calibrate_wheels=True)
+PRIOR = wheel_prior(CONFIG.assumed).with_sigmas()[1]
+
+
+def wheels_after(poses, walls, **wheels):
+    """The parameters and their sigmas, (2, 4), and the trajectory."""
+    with Slam(CONFIG, poses[0]) as slam:
+        for tick in ticks(poses, walls, **wheels):
+            slam.take(tick)
+        result = slam.finish()
+    assert result.wheels is not None
+    return result.wheels.with_sigmas(), result.trajectory
+
+
+@pytest.mark.parametrize(("scale", "drift"), [(1.05, 0.03), (0.97, -0.02), (1.0, 0.0)])
+def test_in_a_room_and_around_a_block_the_errors_are_found(scale, drift):
+    for walls, way in ((RING, drive(Pose(-9.0, -6.0), CORNERS)), (ROOM, drive(Pose(-2, 1), [(0, 1), (0, -2)] * 3))):
+        (found, sigmas), _ = wheels_after(way, walls, scale=scale, drift=drift)
+        off = found[[0, 2]] - [1.0 / scale - 1.0, -drift]
+        assert np.all(np.abs(off) < 3.5 * sigmas[[0, 2]]) and np.all(sigmas[[0, 2]] < 0.5 * PRIOR[[0, 2]])
+
+
+def test_in_a_bare_corridor_the_forward_scale_is_hardly_learnt_and_the_drift_is():
+    """Its axis is uncertain by some milliradians, so that many links say a little of the motion along it."""
+    way = drive(Pose(-20.0, 0.2), [(20.0, 0.2)])
+    (found, sigmas), _ = wheels_after(way, CORRIDOR, laser=HALF, scale=1.04, drift=0.02)
+    truth = np.array([1.0 / 1.04 - 1.0, -0.02])
+    assert sigmas[0] > 0.7 * PRIOR[0] and sigmas[2] < 0.2 * PRIOR[2]
+    assert np.all(np.abs(found[[0, 2]] - truth) < 3.5 * sigmas[[0, 2]])
+
+
+def test_errors_that_are_known_leave_what_no_parameter_describes():
+    jacobian = np.array([[0.25, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0.25, 0]])
+    odometry = Odometry(Pose(0.25, 0.0, 0.0), 1e-6 * np.eye(3), WheelTerms(Wheels(), jacobian))
+    known, unknown = (WheelEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 4, [0.05, 0.0, 0.03, 0.0]))
+    of_any, of_known, of_unknown = (with_wheel_errors(odometry, wheels).cov for wheels in (None, known, unknown))
+    assert np.array_equal(of_known, with_unsteady_errors(odometry).cov)
+    assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)
+    assert np.all(np.diag(of_known) < np.diag(of_any))
+    assert with_unsteady_errors(odometry).wheels is odometry.wheels
