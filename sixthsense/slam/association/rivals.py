@@ -10,6 +10,7 @@ search all of them).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.slam.association.agreement import agreed, blocks, squared_given
@@ -28,8 +29,7 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
     """
     best = agreed(innovation, predicted, noise, *assign(innovation, gate), gate)
     inside = innovation.squared < gate
-    densest = np.where(inside, innovation.log_det, np.inf).min(axis=1, initial=np.inf)
-    lacking = innovation.log_det - densest[:, None]
+    lacking = _lacking(innovation.log_det, inside)
     most = _explained(innovation, predicted, noise, lacking, best, gate)
     possible = np.count_nonzero(inside.any(axis=1))
     if most >= (gate - 2.0) * possible:  # all are matched, with no more than the mean of a chi-square
@@ -52,6 +52,13 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
     return best
 
 
+def _lacking(log_det: Array, inside: NDArray[np.bool_]) -> Array:
+    """(m, k) logarithm of the density of the densest match in the gate over each match's; 0 where none is denser."""
+    densest = np.where(inside, log_det, np.inf).min(axis=1, initial=np.inf)
+    # Matches that follow from others may lie outside the gate, also of a sighting that has none inside.
+    return np.asarray(np.maximum(log_det - densest[:, None], 0.0))
+
+
 def _explained(
     innovation: Innovations,
     predicted: Array,
@@ -62,7 +69,7 @@ def _explained(
 ) -> float:
     """How much less than `gate` per match the joint squared innovation is, less what density the matches lack.
 
-    `lacking` (m, k) is the logarithm of the density of the densest match in the gate over each match's.
+    `lacking` (m, k) as of `_lacking`.
     """
     rows, cols, _ = matches
     index = blocks(cols)

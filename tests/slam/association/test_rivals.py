@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 
 from sixthsense.slam.association.agreement import agreed, predicted_cov
 from sixthsense.slam.association.matching import Innovations, assign, block_diagonal
-from sixthsense.slam.association.rivals import best_agreed
+from sixthsense.slam.association.rivals import _lacking, best_agreed
 
 GATE = 13.8
 FACES = 0.05 * np.arange(5)
@@ -50,6 +50,23 @@ def test_of_sets_that_match_all_sightings_the_one_with_the_least_innovation_is_t
     innovation, predicted, noise = stepped_wall(-0.02, pillar=False)
     rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
     assert (cols - rows == 1).all()
+
+
+def test_a_set_gains_nothing_by_a_sighting_that_has_no_match_in_the_gate():
+    """It may follow from the others. Nothing is denser than its match, and no density is left over for the set."""
+    log_det = np.array([[-9.0, -8.0, -3.0], [-5.0, -4.0, -2.0]])
+    inside = np.array([[False, True, True], [False, False, False]])
+    assert np.array_equal(_lacking(log_det, inside), [[0.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
+
+
+def test_a_rival_set_of_two_does_not_beat_five_matches_that_fit():
+    """The pillar lies just outside its own gate, and follows from the first face, matched one face too far."""
+    innovation, predicted, noise = stepped_wall(0.012)
+    innovation.squared[4, 5] = 1.01 * GATE
+    innovation.squared[0, 0] = 0.1
+    innovation.squared[3, 4] = 0.9 * GATE
+    rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
+    assert dict(zip(rows.tolist(), cols.tolist(), strict=True)) == {0: 1, 1: 2, 2: 3, 3: 4, 4: 5}
 
 
 def test_without_a_plausible_pair_nothing_is_matched():
