@@ -164,7 +164,9 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     try:
         return typing.cast(C, dataclasses.replace(typing.cast(Any, base), **changes))
     except ConfigError as error:  # fields that are inconsistent with each other
-        raise ConfigError(f"{path}{error}") from None
+        field, colon, rest = str(error).partition(":")
+        named = field.replace("_", "-") if path.startswith("--") else field
+        raise ConfigError(f"{path}{named}{colon}{rest}") from None
 
 
 def as_table(section: Section) -> dict[str, Any]:

@@ -96,7 +96,11 @@ BAD_LINES = [
     ("run --world.motion.speed -1", "--world.motion.speed: found -1.0, allowed: 0 to 100"),
     ("run --follow.shortcut=maybe", "--follow.shortcut: found 'maybe', allowed: true or false"),
     ("run --overwrite=3", "--overwrite: found '3', allowed: true or false"),
-    ("run --laser.sweep-s 0.2", "--laser.sweep_s: found 0.2, allowed: at most 0.1, the time between two scans"),
+    (
+        "run --calibrate-wheels --estimator ekf",
+        "--calibrate-wheels: found true with ekf, allowed: with ekf-invariant and isam2",
+    ),
+    ("run --laser.sweep-s 0.2", "--laser.sweep-s: found 0.2, allowed: at most 0.1, the time between two scans"),
     ("run --safety.probability 0", "--safety.probability: found 0.0, allowed: 0.5 to 0.999999"),
     ("run --safety.probability 1", "--safety.probability: found 1.0, allowed: 0.5 to 0.999999"),
     ("run --robot.deceleration -1", "--robot.deceleration: found -1.0, allowed: above 0"),
@@ -465,8 +469,8 @@ def test_a_replays_configuration_is_refused_by_run_and_taken_by_replay(
     [
         ("run rectangle --scene block", "--scene: found beside 'rectangle'"),
         ("run rectangle --goal 0 0 --task tour", "--goal: found with --task tour"),
-        ("run rectangle --grid.min-hits 11", "--grid.min_hits: found 11, allowed: at most max_hits, 10"),
-        ("run rectangle --follow.distance-slack-m 0.2", "--follow.distance_slack_m: found 0.2, allowed: at most goal"),
+        ("run rectangle --grid.min-hits 11", "--grid.min-hits: found 11, allowed: at most max_hits, 10"),
+        ("run rectangle --follow.distance-slack-m 0.2", "--follow.distance-slack-m: found 0.2, allowed: at most goal"),
         ("run rectangle --assumed.motion.speed 1e200", "--assumed.motion.speed: found 1e+200, allowed: 0 to 100"),
         ("run rectangle --features.points.min-angle-rad 3", "--features.points.min-angle-rad: found 3.0"),
     ],
