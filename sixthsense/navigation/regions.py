@@ -10,6 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.navigation.gridsearch.growing import appended
 from sixthsense.slam.mapping.freespace import Bools
 
 Cells = NDArray[np.int64]
@@ -143,8 +144,8 @@ def _small_regions(mask: Bools, beside: Cells, most: int, marks: Marks) -> tuple
                 marks[region[i] // width, region[i] % width] = _SMALL if is_small else _LARGE
             if is_small:
                 for i in range(count):
-                    found, size = _append(found, size, region[i])
-                ends, regions = _append(ends, regions, size)
+                    found, size = appended(found, size, region[i])
+                ends, regions = appended(ends, regions, size)
     return found[:size].copy(), ends[:regions].copy()
 
 
@@ -229,12 +230,3 @@ def _beside(mask: Bools, r: int, c: int) -> bool:
         or (c > 0 and mask[r, c - 1])
         or (c + 1 < width and mask[r, c + 1])
     )
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _append(nodes: Nodes, count: int, node: int) -> tuple[Nodes, int]:
-    """Append `node` to the first `count` of `nodes`, in an array twice as long if that one is full."""
-    if count == len(nodes):
-        nodes = np.concatenate((nodes, np.empty_like(nodes)))
-    nodes[count] = node
-    return nodes, count + 1

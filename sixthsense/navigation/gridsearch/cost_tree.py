@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch.bucket_queue import Sizes, Stacks, push
+from sixthsense.navigation.gridsearch.growing import appended
 from sixthsense.slam.mapping.freespace import Bools
 
 Nodes = NDArray[np.int32]
@@ -139,7 +140,7 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
         row, col = node // stride, node % stride
         g = cost[node]
         if g + _octile(row - target_row, col - target_col) > so_far - TIE:
-            left, kept = _append(left, kept, node)
+            left, kept = appended(left, kept, node)
             continue
         steps[node] |= EXPANDED
         expanded += 1
@@ -228,7 +229,7 @@ def _repair(cost: Array, steps: Steps, stride: int, root: int, closed: Nodes, op
             beside = node + MOVES[k][0] * stride + MOVES[k][1]
             if steps[beside] & EXPANDED:
                 steps[beside] &= ~EXPANDED
-                reopened, size = _append(reopened, size, beside)
+                reopened, size = appended(reopened, size, beside)
     return reopened[:size].copy()
 
 
@@ -239,16 +240,7 @@ def _remove(cost: Array, steps: Steps, removed: Nodes, count: int, node: int) ->
         return removed, count
     cost[node] = 0.0
     steps[node] = 0
-    return _append(removed, count, node)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _append(nodes: Nodes, count: int, node: int) -> tuple[Nodes, int]:
-    """Append `node` to the first `count` of `nodes`, in an array twice as long if that one is full."""
-    if count == len(nodes):
-        nodes = np.concatenate((nodes, np.empty_like(nodes)))
-    nodes[count] = node
-    return nodes, count + 1
+    return appended(removed, count, node)
 
 
 @numba.njit(cache=True, error_model="numpy")
