@@ -15,7 +15,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 import resource
 import sys
 import time
@@ -27,7 +26,7 @@ import numpy as np
 from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt
-from worlds import world
+from worlds import maps_at_hand, occupied, world
 
 from sixthsense.config import Config, preset
 from sixthsense.config.errors import InputError
@@ -69,7 +68,7 @@ def nearest_frontier_travel(config: Config, share: float) -> float:
     start, _, radius_m = mission(scene, config)
     region = config.region or scene.region
     area = visible_area(scene.walls, region, (start.x, start.y), radius_m, config.laser.max_range, CELL_M)
-    solid = _solid(scene.walls, np.array(area.origin), area.cell_m, area.mask.shape)
+    solid = occupied(scene.walls, np.array(area.origin), area.cell_m, area.mask.shape)
     passable = distance_transform_edt(~solid) * area.cell_m > radius_m + config.grid.clearance_m
     home = int((start.y - area.origin[1]) / area.cell_m), int((start.x - area.origin[0]) / area.cell_m)
     passable[home] = True
@@ -130,17 +129,6 @@ class _View:
         return None, (0, 0)
 
 
-def _solid(walls: Array, origin: Array, cell_m: float, shape: tuple[int, ...]) -> Mask:
-    """(H, W) the cells on the walls (N, 2, 2)."""
-    solid = np.zeros(shape, dtype=np.bool_)
-    for a, b in walls:
-        steps = np.linspace(0.0, 1.0, 2 + math.ceil(float(np.linalg.norm(b - a)) / (0.4 * cell_m)))
-        cols, rows = np.floor((a + steps[:, None] * (b - a) - origin) / cell_m).astype(np.int64).T
-        inside = (rows >= 0) & (rows < shape[0]) & (cols >= 0) & (cols < shape[1])
-        solid[rows[inside], cols[inside]] = True
-    return solid
-
-
 def make_row(config: Config) -> Row:
     """Explore, and compare the travel."""
     began = time.process_time()
@@ -194,11 +182,10 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def maps_at_hand() -> list[Place]:
-    """The market and the plans under SIXTHSENSE_DATA."""
-    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent"))
-    plans = [Place(str(f), STARTS.get(f.stem) or _begin(str(f))) for f in sorted(folder.glob("plans/*.yaml"))]
-    return [*(Place(str(f)) for f in folder.glob("scenes_report/market.scn")), *plans]
+def places_at_hand() -> list[Place]:
+    """The market, and the plans with where the robot begins, under SIXTHSENSE_DATA."""
+    stems = [(name, Path(name).stem) for name in maps_at_hand()]
+    return [Place(name, (STARTS.get(stem) or _begin(name)) if name.endswith(".yaml") else None) for name, stem in stems]
 
 
 def _begin(plan: str) -> tuple[float, ...]:
@@ -222,7 +209,7 @@ def main() -> int:
         places = [Place(name, tuple(float(x) for x in start) or None) for name, *start in options.world]
     except ValueError as error:
         parser.error(f"--world: {error}")
-    places = [*places, *(maps_at_hand() if options.maps else ())] or [Place(name) for name in SHIPPED]
+    places = [*places, *(places_at_hand() if options.maps else ())] or [Place(name) for name in SHIPPED]
     try:
         base = preset("default", estimator=options.estimator, task="explore")
         configs = [dataclasses.replace(base, scene=p.scene, start=p.start) for p in places]

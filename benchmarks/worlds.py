@@ -111,15 +111,21 @@ def _free_space(scene: Scene, clearance_m: float) -> FreeSpace:
     """The cells whose centre is farther than `clearance_m` from all that is solid."""
     solid = scene.solid
     origin = solid.min(axis=(0, 1)) - 1.0
-    shape = tuple(np.ceil((solid.max(axis=(0, 1)) + 1.0 - origin) / _CELL_M).astype(int)[::-1])
-    occupied = np.zeros(shape, dtype=bool)
-    for a, b in solid:
-        steps = np.linspace(0.0, 1.0, 2 + math.ceil(float(np.linalg.norm(b - a)) / (0.5 * _CELL_M)))
-        cells = np.floor((a + steps[:, None] * (b - a) - origin) / _CELL_M).astype(int)
-        occupied[cells[:, 1], cells[:, 0]] = True
-    away = distance_transform_edt(~occupied) * _CELL_M
+    height, width = np.ceil((solid.max(axis=(0, 1)) + 1.0 - origin) / _CELL_M).astype(int)[::-1].tolist()
+    away = distance_transform_edt(~occupied(solid, origin, _CELL_M, (height, width))) * _CELL_M
     blocked = away <= clearance_m + 0.5 * _CELL_M
     return FreeSpace(blocked, ~blocked, (float(origin[0]), float(origin[1])), _CELL_M)
+
+
+def occupied(walls: Array, origin: Array, cell_m: float, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(H, W) the cells on the walls (N, 2, 2), of a grid whose first corner is `origin` (2,)."""
+    cells = np.zeros(shape, dtype=np.bool_)
+    for a, b in walls:
+        steps = np.linspace(0.0, 1.0, 2 + math.ceil(float(np.linalg.norm(b - a)) / (0.5 * cell_m)))
+        cols, rows = np.floor((a + steps[:, None] * (b - a) - origin) / cell_m).astype(np.int64).T
+        inside = (rows >= 0) & (rows < shape[0]) & (cols >= 0) & (cols < shape[1])
+        cells[rows[inside], cols[inside]] = True
+    return cells
 
 
 def _inside(space: FreeSpace, scene: Scene, rng: np.random.Generator) -> NDArray[np.bool_]:
