@@ -59,14 +59,19 @@ class DrivingLimits:
 
 def traversed_cells(space: FreeSpace, positions: Array, grid: Grid, clearance_m: float) -> Bools:
     """(H, W) the cells along the robot's path (N, 2) and their neighbours where it fits without the clearance."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
-    steps = np.arange(0.0, along[-1] + space.cell_m, 0.5 * space.cell_m)
-    points = np.column_stack([np.interp(steps, along, positions[:, axis]) for axis in (0, 1)])
-    cols, rows = np.floor((points - space.origin) / space.cell_m).astype(np.int64).T
     height, width = space.blocked.shape
-    traversed = np.zeros((height, width), dtype=np.bool_)
-    traversed[np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)] = True
-    traversed = ndimage.binary_dilation(traversed, np.ones((3, 3), dtype=np.bool_))
     tight = grid.free_space(margin_m=-clearance_m)
     down, across = (round((space.origin[k] - tight.origin[k]) / space.cell_m) for k in (1, 0))
-    return np.asarray(traversed & ~tight.window(np.arange(height) + down, np.arange(width) + across))
+    track = track_cells(positions, space.origin, space.cell_m, (height, width))
+    return np.asarray(track & ~tight.window(np.arange(height) + down, np.arange(width) + across))
+
+
+def track_cells(positions: Array, origin: tuple[float, float], cell_m: float, shape: tuple[int, int]) -> Bools:
+    """(H, W) the cells along a path (N, 2) and their neighbours, of a grid whose first corner is `origin`."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
+    steps = np.arange(0.0, along[-1] + cell_m, 0.5 * cell_m)
+    points = np.column_stack([np.interp(steps, along, positions[:, axis]) for axis in (0, 1)])
+    cols, rows = np.floor((points - origin) / cell_m).astype(np.int64).T
+    track = np.zeros(shape, dtype=np.bool_)
+    track[np.clip(rows, 0, shape[0] - 1), np.clip(cols, 0, shape[1] - 1)] = True
+    return np.asarray(ndimage.binary_dilation(track, np.ones((3, 3), dtype=np.bool_)))

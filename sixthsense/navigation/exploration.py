@@ -13,7 +13,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.closed_walls import ClosedWalls
-from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, traversed_cells
+from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, track_cells, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells, cell_before_gap
@@ -34,6 +34,7 @@ from sixthsense.slam.mapping.grid import Grid
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
+_SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 _OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
 
 
@@ -56,7 +57,7 @@ class Exploration:
         self._hidden_cells = HiddenCells(task.sensor.reach)
         self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
         self._reachable_cells = ReachableCells()
-        self._closed_walls = ClosedWalls()
+        self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._widening = 0  # index into _OUTSIDE_M
         self._gap_approaches = 0
@@ -177,10 +178,16 @@ class Exploration:
         return "selecting"
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
-        """Without a path home: look at the gap that only the clearance closes, else drive back as the robot came."""
+        """Without a path home: look at the gap that closes it, else drive back as the robot came.
+
+        The gap is one that only the clearance closes, or one that the robot has come through.
+        """
+        window = self._window
+        corner = window.first[1] * window.cell_m, window.first[0] * window.cell_m
+        track = track_cells(self._history.positions, corner, window.cell_m, window.seen.shape)
         reachable = self._distances(pose).reachable
-        without_clearance = distances_without_clearance(self._window, pose, self._task.radius_m).to_all()
-        gap = cell_before_gap(reachable, without_clearance, *self._window.cell(self._task.home))
+        distances = distances_without_clearance(window, pose, self._task.radius_m, track).to_all()
+        gap = cell_before_gap(reachable, distances, *window.cell(self._task.home))
         if gap is not None and self._gap_approaches < self._task.config.explore.tries:
             self._gap_approaches += 1
             self.driver.head_for(self._window.point(*gap), pose)
@@ -216,6 +223,7 @@ class Exploration:
             return False
         self._retries += 1
         visible = self._make_view_planner(pose).visible_again()
+        self._hidden_cells.clear()
         self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
         return bool(visible.any())
 
@@ -224,23 +232,25 @@ class Exploration:
         before = self._widening
         while self._widening < len(_OUTSIDE_M) - 1:
             self._widening += 1
+            self._hidden_cells.clear()
             self._update_window(pose)
             target = self._next_target(pose)
             if target is not None:
                 return target
         self._widening = before
+        self._hidden_cells.clear()
         self._update_window(pose)
         return None
 
     def _make_view_planner(self, pose: Pose) -> ViewPlanner:
         """Close the walls of the map window, and make the view planner for it."""
-        window, edge = self._closed_walls.close(self._window, self._map.grid)
-        self._drawn_window = window
+        closed = self._closed_walls.close(self._window, self._map.grid)
+        window = self._drawn_window = closed.window
         task, failed_views = self._task, self._failed_views.within(window)
         distances, sigma_m = self._distances(pose), self._history.sigma_m
         self._hidden_cells.update(window, distances.reachable)
         rest = task.radius_m, task.sensor, task.config, self._hidden_cells
-        return ViewPlanner(window, edge, failed_views, pose, sigma_m, distances, *rest)
+        return ViewPlanner(closed, failed_views, pose, sigma_m, distances, *rest)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""

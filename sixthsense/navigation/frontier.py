@@ -37,10 +37,11 @@ def frontier_points(
 
 def close_gaps(obstacles: Bools) -> Bools:
     """`obstacles` after a morphological closing by 3 x 3 cells: a gap of one or two cells in a wall is noise."""
-    return _eroded(_dilated(np.pad(obstacles, 2)))[2:-2, 2:-2]
+    return _eroded(dilated(np.pad(obstacles, 2)))[2:-2, 2:-2]
 
 
-def _dilated(mask: Bools) -> Bools:
+def dilated(mask: Bools) -> Bools:
+    """`mask` and the eight neighbours of its cells."""
     wide = mask.copy()
     wide[:, 1:] |= mask[:, :-1]
     wide[:, :-1] |= mask[:, 1:]
@@ -51,7 +52,7 @@ def _dilated(mask: Bools) -> Bools:
 
 
 def _eroded(mask: Bools) -> Bools:
-    return ~_dilated(~mask)
+    return ~dilated(~mask)
 
 
 def drop_small_regions(unseen: Bools, edge: Cells, max_cells: float) -> tuple[Bools, Cells]:

@@ -1,4 +1,4 @@
-"""Cells that are visible from no reachable cell, remembered while the map around them stays as it is."""
+"""Cells that no view is worth while for, remembered while the map around them stays as it is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _TILE = 8
 
 
 class HiddenCells:
-    """Remembers cells that a search has found to be hidden: far from the robot little changes between two searches."""
+    """Remembers cells that a search has found no view for: far from the robot little changes between two searches."""
 
     def __init__(self, reach: float) -> None:
         """Remember what a search within `reach`, in cells, has found."""
@@ -36,6 +36,10 @@ class HiddenCells:
             (top, left), (bottom, right) = low.T, past.T
             near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
             self._cells = set(map(tuple, cells[~near].tolist()))
+
+    def clear(self) -> None:
+        """Forget all cells, since something else is sought."""
+        self._cells.clear()
 
     def _changed(self, window: MapWindow, reachable: Bools) -> Bools | None:
         """(H, W) the squares of `_TILE` cells with a change; None if the window is another one."""

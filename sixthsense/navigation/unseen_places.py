@@ -9,9 +9,9 @@ import numpy as np
 from scipy import ndimage
 
 from sixthsense.navigation.frontier import centre_cell, frontier_clusters
-from sixthsense.navigation.regions import Cells, frontier_cells
+from sixthsense.navigation.regions import frontier_cells, in_large_regions
 from sixthsense.navigation.view_planner import ViewPlanner
-from sixthsense.navigation.visibility import mark_visible, nearest_viewpoint
+from sixthsense.navigation.visibility import mark_visible
 from sixthsense.slam.mapping.freespace import Bools
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
@@ -28,10 +28,10 @@ class UnseenPlace:
     y: float
     """world frame, metres"""
     area_m2: float
-    """area there that was not seen and would be visible from the cells that were, according to the map"""
+    """unseen area there that would be visible, according to the map, from the viewpoint that the reason tells"""
     reason: Reason
-    """cut off by inflation only: the robot would fit through without the clearance; unreachable: it would not fit;
-    gave up: the robot looked at it from its viewpoints and did not see it"""
+    """gave up: visible from where the robot can drive; it looked and did not see it; cut off by inflation only: visible
+    from where it could drive without the clearance; unreachable: visible from where it would fit but cannot get to"""
 
 
 def as_reason(text: str) -> Reason:
@@ -44,33 +44,34 @@ def as_reason(text: str) -> Reason:
 
 
 def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
-    """The connected unseen regions at a frontier that were given up, the largest first."""
-    window, explore, reach = planner.window, planner.config.explore, planner.sensor.reach
-    failed_views = planner.failed_views
-    given_up = window.unseen & (failed_views >= explore.tries)
-    edge = frontier_cells(window.free, given_up)
-    if not edge.any():
+    """The connected unseen areas that were given up and would be visible from where the robot fits, the largest first.
+
+    A line of sight counts if it passes no opaque cell.
+    """
+    window, explore = planner.window, planner.config.explore
+    given_up = window.unseen & (planner.failed_views >= explore.tries)
+    edge = np.argwhere(frontier_cells(window.free, given_up))
+    edge = edge[in_large_regions(window.free, edge, planner.glimpsed_cells(), window.cell(planner.pose.position))]
+    clusters = frontier_clusters(edge, planner.tile)
+    if not clusters:
         return []
-    without_clearance = planner.distances_without_clearance().reachable
-    labels, _ = ndimage.label(window.unseen)
-    boxes = ndimage.find_objects(labels)
-    reachable, obstacles = planner.distances.reachable, window.obstacles
+    viewpoints = _viewpoints(planner)
+    hidden = window.unseen.copy()
+    visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
+    for cells in clusters:
+        for reason, allowed in viewpoints.items():
+            view = planner.nearest_view(allowed, cells, hidden)
+            if view is not None:
+                mark_visible(visible[reason], planner.closed.opaque, hidden, *view, planner.sensor.reach)
+                break
     places = []
-    for label in np.unique(labels[given_up & frontier_cells(window.unseen, edge)]).tolist():
-        part = tuple(slice(max(span.start - 1, 0), span.stop + 1) for span in boxes[label - 1])
-        corner = part[0].start, part[1].start
-        region = labels[part] == label
-        beside = np.argwhere(edge[part] & frontier_cells(edge[part], region)) + np.array(corner)
-        row, col = centre_cell(beside)
-        if nearest_viewpoint(reachable, obstacles, row, col, reach) >= 0:
-            reason: Reason = "gave up"
-            area = int(np.count_nonzero(given_up[part] & region))
-        else:
-            is_near = nearest_viewpoint(without_clearance, obstacles, row, col, reach) >= 0
-            reason = "cut off by inflation only" if is_near else "unreachable"
-            area = _visible_area(planner, beside, corner, region)
-        x, y = window.point(row, col)
-        places.append(UnseenPlace(float(x), float(y), float(area) * window.cell_m**2, reason))
+    for reason, mask in visible.items():
+        labels, _ = ndimage.label(mask & hidden)
+        hidden &= ~mask
+        for k, box in enumerate(ndimage.find_objects(labels)):
+            cells = np.argwhere(labels[box] == k + 1) + np.array([span.start for span in box])
+            x, y = window.point(*centre_cell(cells))
+            places.append(UnseenPlace(float(x), float(y), len(cells) * window.cell_m**2, reason))
     places.sort(key=lambda place: -place.area_m2)
     small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
     if small > _SMALL_PLACES_FRACTION * np.count_nonzero(window.seen) * window.cell_m**2:
@@ -78,16 +79,9 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     return [place for place in places if place.area_m2 >= explore.least_area_m2]
 
 
-def _visible_area(planner: ViewPlanner, beside: Cells, corner: tuple[int, int], unseen: Bools) -> int:
-    """How many of the `unseen` cells are visible from the cells (N, 2) beside them.
-
-    `unseen` (H, W) is the part of the window from `corner` on that holds them all. The inside of a wall is unseen, too,
-    and a hole in its face connects it to all other walls' insides.
-    """
-    row, col = corner
-    obstacles = planner.window.obstacles[row : row + unseen.shape[0], col : col + unseen.shape[1]].copy()
-    visible = np.zeros_like(unseen)
-    for cells in frontier_clusters(beside, planner.tile):
-        at = centre_cell(cells)
-        mark_visible(visible, obstacles, unseen, at[0] - row, at[1] - col, planner.sensor.reach)
-    return int(np.count_nonzero(visible))
+def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:
+    """(H, W) the cells from which something may be seen, by the reason why it has not been, the best first."""
+    reachable = planner.distances.reachable
+    without_clearance = planner.distances_without_clearance().reachable
+    elsewhere = planner.fitting_cells() & ~without_clearance & ~reachable
+    return {"gave up": reachable, "cut off by inflation only": without_clearance, "unreachable": elsewhere}

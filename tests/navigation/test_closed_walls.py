@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Pose
@@ -28,7 +29,7 @@ def window_of(grid: Grid) -> MapWindow:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_closed_walls_follow_a_map_that_grows_and_is_drawn_again(seed: int) -> None:
-    rng, grid, closed_walls = np.random.default_rng(seed), Grid(GridConfig(), 0.2), ClosedWalls()
+    rng, grid, closed_walls = np.random.default_rng(seed), Grid(GridConfig(), 0.2), ClosedWalls(seed % 3)
     for k in range(40):
         if k == 25:
             grid.clear()
@@ -36,14 +37,16 @@ def test_closed_walls_follow_a_map_that_grows_and_is_drawn_again(seed: int) -> N
             pose = Pose(*rng.uniform((-1.5, -1.0, -3.0), (1.5, 1.0, 3.0)))
             grid.add(pose, random_scan(rng), np.zeros((0, 2, 2)))
         window = window_of(grid)
-        closed, edge = closed_walls.close(window, grid)
-        again, _ = closed_walls.close(window, grid)
+        closed, opaque, edge = closed_walls.close(window, grid)
+        again = closed_walls.close(window, grid).window
         first, shape = window.first, window.seen.shape
         row, col = round(grid.origin[1] / 0.05) - first[0], round(grid.origin[0] / 0.05) - first[1]
         part = slice(-row, shape[0] - row), slice(-col, shape[1] - col)
         wall = (grid.hits[part] >= 3) & (grid.passes[part] <= 15 * grid.hits[part])
         obstacles = close_gaps(window.obstacles | wall)
         assert np.array_equal(closed.obstacles, obstacles) and np.array_equal(again.obstacles, obstacles)
+        wide = np.ones((2 * (seed % 3) + 1,) * 2, dtype=np.bool_)
+        assert np.array_equal(opaque, ndimage.binary_dilation(obstacles, wide))
         assert np.array_equal(closed.unseen, window.unseen & ~obstacles)
         expected = frontier_cells(window.seen & ~obstacles, ~(window.seen | obstacles))
         assert np.array_equal(edge, np.argwhere(expected))
