@@ -1,0 +1,86 @@
+"""Holes in walls are no views: neither is anything sought behind them, nor is it left."""
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose
+from sixthsense.navigation.closed_walls import ClosedMap
+from sixthsense.navigation.gridsearch import Distances
+from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.map_window import MapWindow
+from sixthsense.navigation.regions import frontier_cells
+from sixthsense.navigation.unseen_places import unseen_places
+from sixthsense.navigation.view_planner import SensorModel, ViewPlanner, too_near
+from sixthsense.slam.mapping.freespace import Bools
+
+CELL_M, RADIUS_M, CLEARANCE_M = 0.05, 0.2, 0.1
+SHAPE = 60, 120
+HERE = 30, 20
+
+
+def planner(opening: int, behind: Bools | None = None, tries: int = 0) -> ViewPlanner:
+    """A seen room to the left of column 60, where a wall has an `opening` of so many cells, and unseen cells behind.
+
+    `behind` (H, W) are cells behind the wall that were seen; `tries` how often the unseen ones were looked at.
+    """
+    obstacles = np.zeros(SHAPE, dtype=np.bool_)
+    obstacles[[2, -3], 2:118] = True
+    obstacles[2:58, [2, 60, 117]] = True
+    obstacles[30 - opening // 2 : 30 - opening // 2 + opening, 60] = False
+    seen = np.zeros(SHAPE, dtype=np.bool_)
+    seen[3:57, 3:61] = True
+    if behind is not None:
+        seen |= behind
+    seen |= obstacles
+    unseen = ~seen
+    unseen[:2], unseen[58:], unseen[:, :2], unseen[:, 118:] = False, False, False, False
+    blocked = too_near(obstacles, (RADIUS_M + CLEARANCE_M) / CELL_M)
+    window = MapWindow((0, 0), CELL_M, seen, obstacles, blocked, unseen, (2, 58, 2, 118))
+    opaque = ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_))
+    closed = ClosedMap(window, opaque, np.argwhere(frontier_cells(window.free, window.unknown)))
+    distances = Distances(seen & ~blocked, blocked, *HERE)
+    sensor, hidden = SensorModel(180, 100.0, 40.0, 1.0), HiddenCells(100.0)
+    hidden.update(window, distances.reachable)
+    failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
+    pose = Pose(*window.point(*HERE), 0.0)
+    return ViewPlanner(closed, failed_views, pose, 0.0, distances, RADIUS_M, sensor, preset("default"), hidden)
+
+
+def room_behind() -> Bools:
+    """(H, W) most of a room behind the wall, glimpsed, but not its corners beside the wall."""
+    rows, cols = np.indices(SHAPE)
+    return (cols > 60) & (cols < 117) & (abs(rows - 30) <= (cols - 58)) & (rows > 2) & (rows < 57)
+
+
+@pytest.mark.parametrize("opening", [1, 2, 3, 4])
+def test_a_hole_in_a_wall_is_no_view_and_nothing_is_left_behind_it(opening: int) -> None:
+    rng = np.random.default_rng(0)
+    assert planner(opening).candidates(0.0, False).clusters
+    assert planner(opening).next_target(0.0, False, rng) is None
+    assert unseen_places(planner(opening, tries=2)) == []
+
+
+@pytest.mark.parametrize("opening", [8, 20])
+def test_an_opening_is_a_view(opening: int) -> None:
+    target = planner(opening).next_target(0.0, False, np.random.default_rng(0))
+    assert target is not None and not target.occluded
+    assert (abs(target.cells - np.array([30, 61])) <= opening).all()
+    left = unseen_places(planner(opening, tries=2))
+    assert left[0].reason == "gave up" and left[0].x > 60 * CELL_M
+
+
+def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edge_and_then_left() -> None:
+    """The robot fits through an opening of 10 cells without its clearance only."""
+    view = planner(10, room_behind())
+    target = view.next_target(0.0, False, np.random.default_rng(0))
+    assert target is not None
+    left = unseen_places(planner(10, room_behind(), tries=2))
+    assert {place.reason for place in left} == {"cut off by inflation only"}
+    assert sum(place.area_m2 for place in left) > 0.3
+
+
+def test_a_room_that_was_glimpsed_through_a_gap_too_narrow_for_the_robot_is_unreachable() -> None:
+    left = unseen_places(planner(5, room_behind(), tries=2))
+    assert {place.reason for place in left} == {"unreachable"}
