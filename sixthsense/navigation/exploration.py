@@ -13,10 +13,10 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.closed_walls import ClosedWalls
-from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, track_cells, traversed_cells
+from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells, cell_before_gap
+from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
@@ -25,8 +25,10 @@ from sixthsense.navigation.path_margin import margin_m
 from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_planner import ViewPlanner, distances_without_clearance
+from sixthsense.navigation.view_gain import ViewGain
+from sixthsense.navigation.view_planner import ViewPlanner
 from sixthsense.navigation.visibility import visible_cells
+from sixthsense.navigation.without_clearance import gap_on_the_way
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
@@ -110,11 +112,7 @@ class Exploration:
     def _choose_view(self, pose: Pose) -> State:
         """Head for the view with the largest utility, or home when none is left."""
         self.driver.stop()
-        target = self._next_target(pose)
-        if target is None and self._retry_unreachable(pose):
-            target = self._next_target(pose)
-        if target is None:
-            target = self._target_outside(pose)
+        target = self._next_target(pose) or self._unreachable_target(pose) or self._target_outside(pose)
         self._target = NO_TARGET if target is None else target
         if target is not None:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
@@ -178,16 +176,9 @@ class Exploration:
         return "selecting"
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
-        """Without a path home: look at the gap that closes it, else drive back as the robot came.
-
-        The gap is one that only the clearance closes, or one that the robot has come through.
-        """
-        window = self._window
-        corner = window.first[1] * window.cell_m, window.first[0] * window.cell_m
-        track = track_cells(self._history.positions, corner, window.cell_m, window.seen.shape)
-        reachable = self._distances(pose).reachable
-        distances = distances_without_clearance(window, pose, self._task.radius_m, track).to_all()
-        gap = cell_before_gap(reachable, distances, *window.cell(self._task.home))
+        """Without a path home: look at the gap that closes it, else drive back as the robot came."""
+        task, been, reachable = self._task, self._history.positions, self._distances(pose).reachable
+        gap = gap_on_the_way(self._window, pose, task.home, reachable, task.radius_m, been)
         if gap is not None and self._gap_approaches < self._task.config.explore.tries:
             self._gap_approaches += 1
             self.driver.head_for(self._window.point(*gap), pose)
@@ -202,10 +193,8 @@ class Exploration:
         return "returning"
 
     def _finish(self, pose: Pose) -> State:
-        if self._history.sigma_m > _LOST_M:
-            self.outcome = "lost"
-        else:
-            self.outcome = "explored in part" if self.left else "explored"
+        explored: Outcome = "explored in part" if self.left else "explored"
+        self.outcome = "lost" if self._history.sigma_m > _LOST_M else explored
         return self.state
 
     def _give_up(self, pose: Pose) -> State:
@@ -217,15 +206,15 @@ class Exploration:
     def _next_target(self, pose: Pose) -> Target | None:
         return self._make_view_planner(pose).next_target(self._outside_m(), self._widening > 0, self._task.rng)
 
-    def _retry_unreachable(self, pose: Pose) -> bool:
-        """Reset the failure count of unreachable cells that have become visible; whether there are any."""
+    def _unreachable_target(self, pose: Pose) -> Target | None:
+        """A target among cells that were unreachable and have become visible."""
         if self._retries == self._task.config.explore.tries:
-            return False
+            return None
         self._retries += 1
         visible = self._make_view_planner(pose).visible_again()
         self._hidden_cells.clear()
         self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
-        return bool(visible.any())
+        return self._next_target(pose) if visible.any() else None
 
     def _target_outside(self, pose: Pose) -> Target | None:
         """A target for a robot that may drive farther outside the region, from where it may see more of it."""
@@ -249,8 +238,8 @@ class Exploration:
         task, failed_views = self._task, self._failed_views.within(window)
         distances, sigma_m = self._distances(pose), self._history.sigma_m
         self._hidden_cells.update(window, distances.reachable)
-        rest = task.radius_m, task.sensor, task.config, self._hidden_cells
-        return ViewPlanner(closed, failed_views, pose, sigma_m, distances, *rest)
+        gain = ViewGain(closed, task.sensor, task.radius_m, task.config.explore.least_area_m2)
+        return ViewPlanner(gain, failed_views, pose, sigma_m, distances, task.config, self._hidden_cells)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""

@@ -15,7 +15,7 @@ from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import Planner
 from sixthsense.navigation.unseen_places import UnseenPlace
-from sixthsense.navigation.view_planner import SensorModel
+from sixthsense.navigation.view_gain import SensorModel
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 

@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.map_window import Region
 from sixthsense.navigation.path_planner import PathPlanner
-from sixthsense.navigation.view_planner import SensorModel
+from sixthsense.navigation.view_gain import SensorModel
 
 
 @dataclass(frozen=True, slots=True, eq=False)

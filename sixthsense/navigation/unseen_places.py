@@ -60,9 +60,9 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
     for cells in clusters:
         for reason, allowed in viewpoints.items():
-            view = planner.nearest_view(allowed, cells, hidden)
-            if view is not None:
-                mark_visible(visible[reason], planner.closed.opaque, hidden, *view, planner.sensor.reach)
+            view = planner.gain.viewpoint(allowed, cells)
+            if view is not None and planner.gain.shown(hidden, *view) > 0:
+                mark_visible(visible[reason], planner.gain.closed.opaque, hidden, *view, planner.gain.sensor.reach)
                 break
     places = []
     for reason, mask in visible.items():

@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sixthsense.config import Config, LaserConfig
+from sixthsense.config import Config
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import beam_bearings
-from sixthsense.navigation.closed_walls import ClosedMap
 from sixthsense.navigation.frontier import (
     adjacent_cells,
     centre_cell,
@@ -28,42 +26,14 @@ from sixthsense.navigation.gridsearch import Distances, cell_before_gap
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
-from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
+from sixthsense.navigation.view_gain import ViewGain
+from sixthsense.navigation.without_clearance import distances_without_clearance, fitting_cells
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.inflation import stamped
 
 _TILE_M = 1.0  # longer frontiers are split
-_GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
 _FIRST_RADIUS, _LARGER_RADIUS = 20.0, 1.25  # cells; how far the distances to views are searched, step by step
-_NEARBY_M = 1.0  # from unseen cells: how far off a view past the edge of an obstacle is completed
 _MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
-
-
-@dataclass(frozen=True, slots=True)
-class SensorModel:
-    """What the choice of a view assumes about the laser."""
-
-    rays: int
-    """cast around a viewpoint to estimate its gain: every second beam"""
-    reach: float
-    """range within which a cell is seen, in cells"""
-    gapless_reach: float
-    """range within which no cell falls between two beams, in cells"""
-    turn_rad: float
-    """turn at a viewpoint that covers all directions, and the gaps between beams"""
-
-    @classmethod
-    def of(cls, laser: LaserConfig, cell_m: float, key_scan_turn_rad: float) -> SensorModel:
-        """The model of a laser; a turn of `key_scan_turn_rad` makes a key scan."""
-        bearings = beam_bearings(laser)
-        spacing = abs(float(bearings[1] - bearings[0]))
-        return cls(
-            rays=max(8, round(math.pi / spacing)),
-            reach=0.95 * laser.max_range / cell_m,
-            gapless_reach=max(2.0, gapless_reach(spacing, laser.max_range / cell_m)),
-            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * key_scan_turn_rad + 0.1,
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +89,8 @@ def best_view(views: list[_View], distances: Distances, seconds_per_cell: float,
 class ViewPlanner:
     """Chooses the next view from the map and the robot's pose."""
 
-    closed: ClosedMap
-    """the map within the driving limits, with closed walls"""
+    gain: ViewGain
+    """of the map within the driving limits"""
     failed_views: NDArray[np.uint8]
     """(H, W) how often each cell was not seen from a viewpoint chosen for it"""
     pose: Pose
@@ -129,9 +99,6 @@ class ViewPlanner:
     """largest standard deviation of its position"""
     distances: Distances
     """from the robot over free space, in cells"""
-    radius_m: float
-    """the robot's"""
-    sensor: SensorModel
     config: Config
     hidden: HiddenCells
     """centres of clusters that no reachable cell of this map sees, or beside which there is too little to see"""
@@ -139,7 +106,7 @@ class ViewPlanner:
     @property
     def window(self) -> MapWindow:
         """The map within the driving limits, with closed walls."""
-        return self.closed.window
+        return self.gain.closed.window
 
     def next_target(self, outside_m: float, widened: bool, rng: np.random.Generator) -> Target | None:
         """The best view, by the configured method; else the nearest one from which little is visible, or nothing yet.
@@ -167,7 +134,8 @@ class ViewPlanner:
         sought = window.unseen & (few | (self.failed_views == UNREACHABLE)) if widened else window.unseen
         steps = max(1, round(outside_m / window.cell_m))
         wanted = spread(sought, unknown, steps, NOWHERE if widened else window.inside) & few
-        edge = self.closed.edge[are_beside(wanted, self.closed.edge)]
+        edge = self.gain.closed.edge
+        edge = edge[are_beside(wanted, edge)]
         edge = edge[in_large_regions(window.free, edge, self.glimpsed_cells(), window.cell(self.pose.position))]
         wanted, edge = drop_small_regions(wanted, edge, explore.dust * np.count_nonzero(window.seen))
         return Candidates(wanted, frontier_clusters(edge, self.tile))
@@ -198,37 +166,15 @@ class ViewPlanner:
             if shown == 0:
                 continue
             target = self._target(candidates.wanted, cells, (row, col), occluded=False)
-            area = max(self._gain(window.obstacles, candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
+            area = max(self.gain.crossed(candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
             ahead = window.point(row, col) - self.pose.position
             turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
             views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate, shown))
-        if len(views) < _MAX_VIEWS and sum(view.shown for view in views) <= explore.dust * np.count_nonzero(
-            window.seen
-        ):
+        dust = explore.dust * np.count_nonzero(window.seen)
+        if len(views) < _MAX_VIEWS and sum(view.shown for view in views) <= dust:
             return None
         best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
         return None if best is None else views[best].target
-
-    def _gain(self, obstacles: Bools, wanted: Bools, row: int, col: int) -> int:
-        """How many of the `wanted` cells a view shows."""
-        depth = round(_GAIN_DEPTH_M / self.window.cell_m)
-        return int(expected_gain(obstacles, wanted, row, col, self.sensor.rays, self.sensor.reach, depth))
-
-    def nearest_view(self, allowed: Bools, cells: Cells, wanted: Bools) -> tuple[int, int] | None:
-        """The nearest of the `allowed` cells (H, W) that has a cluster in view; None if it shows little of `wanted`."""
-        index = nearest_viewpoint(allowed, self.window.obstacles, *centre_cell(cells), self.sensor.reach)
-        if index < 0:
-            return None
-        row, col = divmod(int(index), allowed.shape[1])
-        return (row, col) if self._shown(wanted, row, col) > 0 else None
-
-    def _shown(self, wanted: Bools, row: int, col: int) -> int:
-        """How many of the `wanted` cells lines of sight show that pass no opaque cell; 0 if too few for a view.
-
-        Walls that are far off, or seen at a grazing angle, have holes in the map, and their insides are unseen.
-        """
-        shown = self._gain(self.closed.opaque, wanted, row, col)
-        return shown if shown * self.window.cell_m**2 >= self.config.explore.least_area_m2 else 0
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""
@@ -261,24 +207,11 @@ class ViewPlanner:
         centre = centre_cell(cells)
         if self.hidden.has(*centre):
             return centre, 0
-        index = nearest_viewpoint(self.distances.reachable, self.window.obstacles, *centre, self.sensor.reach)
-        view = divmod(int(index), wanted.shape[1])
-        shown = (self._shown(wanted, *view) or self._shown_nearby(wanted, centre)) if index >= 0 else 0
+        view = self.gain.viewpoint(self.distances.reachable, cells)
+        shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
         if shown == 0:
             self.hidden.add(*centre)
-        return view, shown
-
-    def _shown_nearby(self, wanted: Bools, cell: tuple[int, int]) -> int:
-        """How many cells the nearest cell shows where the robot would fit without the clearance; 0 if too few."""
-        radius, span = self.radius_m / self.window.cell_m, _NEARBY_M / self.window.cell_m
-        around = math.ceil(span + radius)
-        top, left = (max(k - around, 0) for k in cell)
-        part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)
-        obstacles = self.window.obstacles[part]
-        fitting = self.window.seen[part] & ~too_near(obstacles, radius)
-        index = nearest_viewpoint(fitting, obstacles, cell[0] - top, cell[1] - left, span)
-        row, col = divmod(int(index), fitting.shape[1])
-        return self._shown(wanted, row + top, col + left) if index >= 0 else 0
+        return view or centre, shown
 
     def nearest_shown_elsewhere(self, candidates: Candidates) -> Target | None:
         """The nearest target of the clusters that only cells out of reach show, though the robot would fit there.
@@ -294,24 +227,24 @@ class ViewPlanner:
         for cells in candidates.clusters:
             if self.target_beside(candidates.wanted, cells) is not None:
                 continue  # dust
-            if self.nearest_view(elsewhere, cells, candidates.wanted) is None:
+            there = self.gain.viewpoint(elsewhere, cells)
+            if there is None or self.gain.shown(candidates.wanted, *there) == 0:
                 continue
-            index = nearest_viewpoint(reachable, self.window.obstacles, *centre_cell(cells), self.sensor.reach)
-            view = divmod(int(index), reachable.shape[1]) if index >= 0 else self._nearest_to(cells, without_clearance)
-            targets.append(self._target(candidates.wanted, cells, view, occluded=index < 0))
+            view = self.gain.viewpoint(reachable, cells)
+            at = self._nearest_to(cells, without_clearance) if view is None else view
+            targets.append(self._target(candidates.wanted, cells, at, occluded=view is None))
         away = [self.distances.to(*target.viewpoint_in(self.window)) for target in targets]
         return targets[int(np.argmin(away))] if targets else None
 
     def _nearest_to(self, cells: Cells, without_clearance: Distances) -> tuple[int, int]:
         """The reachable cell before the gap that closes the way to a cluster, else the nearest one."""
-        window, reachable, centre = self.window, self.distances.reachable, centre_cell(cells)
-        beyond = nearest_viewpoint(without_clearance.reachable, window.obstacles, *centre, self.sensor.reach)
-        if beyond >= 0:
-            before = cell_before_gap(reachable, without_clearance.to_all(), *divmod(beyond, reachable.shape[1]))
-            if before is not None:
-                return before
+        reachable = self.distances.reachable
+        beyond = self.gain.viewpoint(without_clearance.reachable, cells)
+        before = cell_before_gap(reachable, without_clearance.to_all(), *beyond) if beyond is not None else None
+        if before is not None:
+            return before
         places = np.argwhere(reachable)
-        row, col = places[int(np.argmin(((places - centre) ** 2).sum(axis=1)))].tolist()
+        row, col = places[int(np.argmin(((places - centre_cell(cells)) ** 2).sum(axis=1)))].tolist()
         return row, col
 
     def _target(self, wanted: Bools, cells: Cells, view: tuple[int, int], occluded: bool) -> Target:
@@ -325,50 +258,21 @@ class ViewPlanner:
         unreachable = window.unseen & (self.failed_views == UNREACHABLE)
         labels, _ = ndimage.label(unreachable)
         visible: set[int] = set()
-        edge = self.closed.edge[are_beside(unreachable, self.closed.edge)]
+        edge = self.gain.closed.edge[are_beside(unreachable, self.gain.closed.edge)]
         for cells in frontier_clusters(edge, self.tile):
-            if (
-                nearest_viewpoint(self.distances.reachable, window.obstacles, *centre_cell(cells), self.sensor.reach)
-                >= 0
-            ):
+            if self.gain.viewpoint(self.distances.reachable, cells) is not None:
                 visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
         return np.isin(labels, list(visible))
 
     def fitting_cells(self) -> Bools:
-        """(H, W) the cells where the robot would fit without the clearance, in places large enough to count."""
-        fitting = self.window.seen & ~too_near(self.window.obstacles, self.radius_m / self.window.cell_m)
-        labels, _ = ndimage.label(fitting)
-        large = np.bincount(labels.ravel()) >= self.glimpsed_cells()
-        large[labels[self.window.cell(self.pose.position)]] = True
-        return fitting & large[labels]
+        """(H, W) the cells where the robot fits without the clearance, in places large enough to count."""
+        return fitting_cells(self.window, self.pose, self.gain.radius_m, self.glimpsed_cells())
 
     def distances_without_clearance(self) -> Distances:
         """Distances from the robot if it may come as near to an obstacle cell's centre as its radius."""
-        return distances_without_clearance(self.window, self.pose, self.radius_m)
+        return distances_without_clearance(self.window, self.pose, self.gain.radius_m)
 
     @property
     def tile(self) -> int:
         """Side of the squares that frontiers are split into, cells."""
         return max(1, round(_TILE_M / self.window.cell_m))
-
-
-def distances_without_clearance(
-    window: MapWindow, pose: Pose, radius_m: float, passed: Bools | None = None
-) -> Distances:
-    """Distances, in cells, from a robot that may come as near to an obstacle cell's centre as its radius.
-
-    It may also drive where it has `passed` (H, W).
-    """
-    blocked = too_near(window.obstacles, radius_m / window.cell_m)
-    if passed is not None:
-        blocked &= ~passed
-    here = window.cell(pose.position)
-    blocked[here] = False
-    return Distances(window.seen & ~blocked, blocked, *here)
-
-
-def too_near(obstacles: Bools, radius: float) -> Bools:
-    """(H, W) the cells whose centre is nearer to an obstacle cell's centre than a radius, in cells."""
-    reach = math.floor(radius) + 1
-    offsets = np.arange(-reach, reach + 1)
-    return stamped(obstacles, np.argwhere(np.hypot(offsets[:, None], offsets[None, :]) < radius) - reach)

@@ -14,7 +14,7 @@ from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.map_window import NO_TARGET, UNREACHABLE
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
-from sixthsense.navigation.view_planner import SensorModel
+from sixthsense.navigation.view_gain import SensorModel
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 

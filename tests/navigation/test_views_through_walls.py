@@ -12,7 +12,9 @@ from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import MapWindow
 from sixthsense.navigation.regions import frontier_cells
 from sixthsense.navigation.unseen_places import unseen_places
-from sixthsense.navigation.view_planner import SensorModel, ViewPlanner, too_near
+from sixthsense.navigation.view_gain import SensorModel, ViewGain
+from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
 
 CELL_M, RADIUS_M, CLEARANCE_M = 0.05, 0.2, 0.1
@@ -45,7 +47,9 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0) -> ViewPl
     hidden.update(window, distances.reachable)
     failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
     pose = Pose(*window.point(*HERE), 0.0)
-    return ViewPlanner(closed, failed_views, pose, 0.0, distances, RADIUS_M, sensor, preset("default"), hidden)
+    config = preset("default")
+    gain = ViewGain(closed, sensor, RADIUS_M, config.explore.least_area_m2)
+    return ViewPlanner(gain, failed_views, pose, 0.0, distances, config, hidden)
 
 
 def room_behind() -> Bools:

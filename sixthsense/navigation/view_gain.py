@@ -1,0 +1,93 @@
+"""What a view shows: unseen cells, but none through the holes in walls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sixthsense.config import LaserConfig
+from sixthsense.core.laser import beam_bearings
+from sixthsense.navigation.closed_walls import ClosedMap
+from sixthsense.navigation.frontier import centre_cell
+from sixthsense.navigation.regions import Cells
+from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
+from sixthsense.navigation.without_clearance import too_near
+from sixthsense.slam.mapping.freespace import Bools
+
+_GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
+_NEARBY_M = 1.0  # from unseen cells: how far off a view past the edge of an obstacle is completed
+
+
+@dataclass(frozen=True, slots=True)
+class SensorModel:
+    """What the choice of a view assumes about the laser."""
+
+    rays: int
+    """cast around a viewpoint to estimate its gain: every second beam"""
+    reach: float
+    """range within which a cell is seen, in cells"""
+    gapless_reach: float
+    """range within which no cell falls between two beams, in cells"""
+    turn_rad: float
+    """turn at a viewpoint that covers all directions, and the gaps between beams"""
+
+    @classmethod
+    def of(cls, laser: LaserConfig, cell_m: float, key_scan_turn_rad: float) -> SensorModel:
+        """The model of a laser; a turn of `key_scan_turn_rad` makes a key scan."""
+        bearings = beam_bearings(laser)
+        spacing = abs(float(bearings[1] - bearings[0]))
+        return cls(
+            rays=max(8, round(math.pi / spacing)),
+            reach=0.95 * laser.max_range / cell_m,
+            gapless_reach=max(2.0, gapless_reach(spacing, laser.max_range / cell_m)),
+            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * key_scan_turn_rad + 0.1,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ViewGain:
+    """What would be visible in a map.
+
+    Walls that are far off, or seen at a grazing angle, have holes in the map, and their insides are unseen. So a view
+    shows what lines of sight reach that pass no opaque cell.
+    """
+
+    closed: ClosedMap
+    sensor: SensorModel
+    radius_m: float
+    """the robot's"""
+    least_area_m2: float
+    """a view that shows less is none"""
+
+    def crossed(self, wanted: Bools, row: int, col: int) -> int:
+        """How many of the `wanted` cells (H, W) beams from a cell would cross, holes in walls included."""
+        return self._gain(self.closed.window.obstacles, wanted, row, col)
+
+    def shown(self, wanted: Bools, row: int, col: int) -> int:
+        """How many of the `wanted` cells (H, W) a view from a cell shows; 0 if too few for a view."""
+        shown = self._gain(self.closed.opaque, wanted, row, col)
+        return shown if shown * self.closed.window.cell_m**2 >= self.least_area_m2 else 0
+
+    def shown_nearby(self, wanted: Bools, cell: tuple[int, int]) -> int:
+        """How many of the `wanted` cells the nearest view of a cell shows from where the robot fits without clearance.
+
+        0 if too few for a view.
+        """
+        window = self.closed.window
+        radius, span = self.radius_m / window.cell_m, _NEARBY_M / window.cell_m
+        around = math.ceil(span + radius)
+        top, left = (max(k - around, 0) for k in cell)
+        part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)
+        fitting = window.seen[part] & ~too_near(window.obstacles[part], radius)
+        index = nearest_viewpoint(fitting, window.obstacles[part], cell[0] - top, cell[1] - left, span)
+        row, col = divmod(int(index), fitting.shape[1])
+        return self.shown(wanted, row + top, col + left) if index >= 0 else 0
+
+    def viewpoint(self, allowed: Bools, cells: Cells) -> tuple[int, int] | None:
+        """The nearest of the `allowed` cells (H, W) that has the centre of a cluster in view; None if none has."""
+        index = nearest_viewpoint(allowed, self.closed.window.obstacles, *centre_cell(cells), self.sensor.reach)
+        return divmod(int(index), allowed.shape[1]) if index >= 0 else None
+
+    def _gain(self, obstacles: Bools, wanted: Bools, row: int, col: int) -> int:
+        depth = round(_GAIN_DEPTH_M / self.closed.window.cell_m)
+        return int(expected_gain(obstacles, wanted, row, col, self.sensor.rays, self.sensor.reach, depth))
