@@ -238,7 +238,7 @@ class Exploration:
         task, failed_views = self._task, self._failed_views.within(window)
         distances, sigma_m = self._distances(pose), self._history.sigma_m
         self._hidden_cells.update(window, distances.reachable)
-        gain = ViewGain(closed, task.sensor, task.radius_m, task.config.explore.least_area_m2)
+        gain = ViewGain(closed, task.sensor, task.radius_m)
         return ViewPlanner(gain, failed_views, pose, sigma_m, distances, task.config, self._hidden_cells)
 
     def _distances(self, pose: Pose) -> Distances:

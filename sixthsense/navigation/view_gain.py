@@ -56,23 +56,17 @@ class ViewGain:
     sensor: SensorModel
     radius_m: float
     """the robot's"""
-    least_area_m2: float
-    """a view that shows less is none"""
 
     def crossed(self, wanted: Bools, row: int, col: int) -> int:
         """How many of the `wanted` cells (H, W) beams from a cell would cross, holes in walls included."""
         return self._gain(self.closed.window.obstacles, wanted, row, col)
 
     def shown(self, wanted: Bools, row: int, col: int) -> int:
-        """How many of the `wanted` cells (H, W) a view from a cell shows; 0 if too few for a view."""
-        shown = self._gain(self.closed.opaque, wanted, row, col)
-        return shown if shown * self.closed.window.cell_m**2 >= self.least_area_m2 else 0
+        """How many of the `wanted` cells (H, W) a view from a cell shows."""
+        return self._gain(self.closed.opaque, wanted, row, col)
 
     def shown_nearby(self, wanted: Bools, cell: tuple[int, int]) -> int:
-        """How many of the `wanted` cells the nearest view of a cell shows from where the robot fits without clearance.
-
-        0 if too few for a view.
-        """
+        """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
         window = self.closed.window
         radius, span = self.radius_m / window.cell_m, _NEARBY_M / window.cell_m
         around = math.ceil(span + radius)

@@ -44,6 +44,8 @@ class Candidates:
     """(H, W) unseen cells to be seen"""
     clusters: list[Cells]
     """frontier cells beside them, (N, 2) each, row and col in the window"""
+    dust: float
+    """cells that may be left unseen"""
 
 
 class _View(NamedTuple):
@@ -101,7 +103,7 @@ class ViewPlanner:
     """from the robot over free space, in cells"""
     config: Config
     hidden: HiddenCells
-    """centres of clusters that no reachable cell of this map sees, or beside which there is too little to see"""
+    """centres of clusters that no reachable cell of this map sees, or beside which no view shows anything"""
 
     @property
     def window(self) -> MapWindow:
@@ -137,8 +139,9 @@ class ViewPlanner:
         edge = self.gain.closed.edge
         edge = edge[are_beside(wanted, edge)]
         edge = edge[in_large_regions(window.free, edge, self.glimpsed_cells(), window.cell(self.pose.position))]
-        wanted, edge = drop_small_regions(wanted, edge, explore.dust * np.count_nonzero(window.seen))
-        return Candidates(wanted, frontier_clusters(edge, self.tile))
+        dust = explore.dust * np.count_nonzero(window.seen)
+        wanted, edge = drop_small_regions(wanted, edge, dust)
+        return Candidates(wanted, frontier_clusters(edge, self.tile), dust)
 
     def glimpsed_cells(self) -> int:
         """Fewest free cells of a place that counts though it is not connected to the robot's.
@@ -170,8 +173,7 @@ class ViewPlanner:
             ahead = window.point(row, col) - self.pose.position
             turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
             views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate, shown))
-        dust = explore.dust * np.count_nonzero(window.seen)
-        if len(views) < _MAX_VIEWS and sum(view.shown for view in views) <= dust:
+        if len(views) < _MAX_VIEWS and sum(view.shown for view in views) <= candidates.dust:
             return None
         best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
         return None if best is None else views[best].target
@@ -201,7 +203,7 @@ class ViewPlanner:
     def _view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int]:
         """The nearest viewpoint of a cluster, and how many cells it shows; 0 if it is not worth while, or none is.
 
-        A view past the edge of an obstacle, which itself shows too little, counts as one from nearby, where the robot
+        A view past the edge of an obstacle, which itself shows nothing, counts as one from nearby, where the robot
         would fit without the clearance.
         """
         centre = centre_cell(cells)

@@ -44,7 +44,8 @@ def test_landmarks_behind_the_robot_or_far_away_are_not_visible(ablations) -> No
 
 
 def test_a_perfect_scan_of_a_room_has_no_false_and_no_missed_landmark(ablations) -> None:
-    config = preset("noiseless", scene="rectangle", max_time=3.0, features={"landmarks": "corners"})
+    tour = {"task": "tour", "tour": ((0.5, 0.0), (0.0, 0.0))}
+    config = preset("noiseless", scene="rectangle", max_time=3.0, features={"landmarks": "corners"}, **tour)
     _, views = ablations.collect(config)
     figures = ablations.detection_figures(views, load_scene("rectangle").walls, config)
     assert len(views) == 4

@@ -204,7 +204,7 @@ def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
 def test_a_robot_that_does_not_know_where_it_is_has_not_explored(tmp_path: Path) -> None:
     unsure = {"motion": {"slip_position_per_sqrt_m": 0.5}}
     blind = {"lines": {"min_points": 300}, "points": {"min_points": 300}}
-    made = explored(tmp_path, L_SHAPE, assumed=unsure, features=blind, explore={"revisit": False})
+    made = explored(tmp_path, two_rooms(1.0), assumed=unsure, features=blind, explore={"revisit": False})
     assert made.outcome == "lost"
 
 

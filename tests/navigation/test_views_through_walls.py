@@ -48,7 +48,7 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0) -> ViewPl
     failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
     pose = Pose(*window.point(*HERE), 0.0)
     config = preset("default")
-    gain = ViewGain(closed, sensor, RADIUS_M, config.explore.least_area_m2)
+    gain = ViewGain(closed, sensor, RADIUS_M)
     return ViewPlanner(gain, failed_views, pose, 0.0, distances, config, hidden)
 
 
