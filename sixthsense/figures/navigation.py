@@ -85,7 +85,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     ax.plot(*driven[0, :2], marker="o", markersize=7, color=ESTIMATE, markerfacecolor="white", zorder=7)
     points = frontier_points(seen, grid.obstacles, grid.origin, cell_m, region)
     if len(points):
-        label = "frontiers too small to count" if trace.outcome == "explored" else "remaining frontiers"
+        label = "frontiers not worth a view" if trace.outcome == "explored" else "remaining frontiers"
         ax.scatter(points[:, 0], points[:, 1], s=4.0, color=LANDMARK, label=label, zorder=6)
     if trace.left:
         left = np.array([(place.x, place.y) for place in trace.left])

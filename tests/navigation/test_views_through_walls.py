@@ -22,7 +22,7 @@ SHAPE = 60, 120
 HERE = 30, 20
 
 
-def planner(opening: int, behind: Bools | None = None, tries: int = 0) -> ViewPlanner:
+def planner(opening: int, behind: Bools | None = None, tries: int = 0, dust: float = 0.001) -> ViewPlanner:
     """A seen room to the left of column 60, where a wall has an `opening` of so many cells, and unseen cells behind.
 
     `behind` (H, W) are cells behind the wall that were seen; `tries` how often the unseen ones were looked at.
@@ -47,7 +47,7 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0) -> ViewPl
     hidden.update(window, distances.reachable)
     failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
     pose = Pose(*window.point(*HERE), 0.0)
-    config = preset("default")
+    config = preset("default", explore={"dust": dust})
     gain = ViewGain(closed, sensor, RADIUS_M)
     return ViewPlanner(gain, failed_views, pose, 0.0, distances, config, hidden)
 
@@ -73,6 +73,13 @@ def test_an_opening_is_a_view(opening: int) -> None:
     assert (abs(target.cells - np.array([30, 61])) <= opening).all()
     left = unseen_places(planner(opening, tries=2))
     assert left[0].reason == "gave up" and left[0].x > 60 * CELL_M
+
+
+def test_what_all_views_show_together_is_dust_if_it_is_little_of_what_was_seen() -> None:
+    """The unseen region behind the wall is as large as the room before it, which shows a tenth of it."""
+    assert planner(8, dust=0.03).next_target(0.0, False, np.random.default_rng(0)) is not None
+    assert planner(8, dust=0.5).candidates(0.0, False).clusters
+    assert planner(8, dust=0.5).next_target(0.0, False, np.random.default_rng(0)) is None
 
 
 def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edge_and_then_left() -> None:
