@@ -58,9 +58,9 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     viewpoints = _viewpoints(planner)
     hidden = window.unseen.copy()
     visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
-    for cells in clusters:
+    for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
-            view = planner.gain.viewpoint(allowed, cells)
+            view = planner.gain.viewpoint(allowed, centre)
             if view is not None and planner.gain.shown(hidden, *view) > 0:
                 mark_visible(visible[reason], planner.gain.closed.opaque, hidden, *view, planner.gain.sensor.reach)
                 break

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from sixthsense.config import LaserConfig
 from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.closed_walls import ClosedMap
-from sixthsense.navigation.frontier import centre_cell
-from sixthsense.navigation.regions import Cells
 from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
 from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
@@ -77,9 +75,9 @@ class ViewGain:
         row, col = divmod(int(index), fitting.shape[1])
         return self.shown(wanted, row + top, col + left) if index >= 0 else 0
 
-    def viewpoint(self, allowed: Bools, cells: Cells) -> tuple[int, int] | None:
-        """The nearest of the `allowed` cells (H, W) that has the centre of a cluster in view; None if none has."""
-        index = nearest_viewpoint(allowed, self.closed.window.obstacles, *centre_cell(cells), self.sensor.reach)
+    def viewpoint(self, allowed: Bools, cell: tuple[int, int]) -> tuple[int, int] | None:
+        """The nearest of the `allowed` cells (H, W) that has a cell in view; None if none has."""
+        index = nearest_viewpoint(allowed, self.closed.window.obstacles, *cell, self.sensor.reach)
         return divmod(int(index), allowed.shape[1]) if index >= 0 else None
 
     def _gain(self, obstacles: Bools, wanted: Bools, row: int, col: int) -> int:

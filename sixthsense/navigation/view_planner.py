@@ -165,9 +165,10 @@ class ViewPlanner:
             if len(views) == _MAX_VIEWS:
                 break
             cells = candidates.clusters[k]
-            (row, col), shown = self._view_beside(candidates.wanted, cells)
-            if shown == 0:
+            found = self._view_beside(candidates.wanted, cells)
+            if found is None:
                 continue
+            (row, col), shown = found
             target = self._target(candidates.wanted, cells, (row, col), occluded=False)
             area = max(self.gain.crossed(candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
             ahead = window.point(row, col) - self.pose.position
@@ -197,23 +198,24 @@ class ViewPlanner:
 
     def target_beside(self, wanted: Bools, cells: Cells) -> Target | None:
         """The cells of `wanted` beside a cluster, with the nearest viewpoint; None if no view is worth while."""
-        view, shown = self._view_beside(wanted, cells)
-        return self._target(wanted, cells, view, occluded=False) if shown > 0 else None
+        found = self._view_beside(wanted, cells)
+        return None if found is None else self._target(wanted, cells, found[0], occluded=False)
 
-    def _view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int]:
-        """The nearest viewpoint of a cluster, and how many cells it shows; 0 if it is not worth while, or none is.
+    def _view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int] | None:
+        """The nearest viewpoint of a cluster, and how many cells it shows; None if no view is worth while.
 
         A view past the edge of an obstacle, which itself shows nothing, counts as one from nearby, where the robot
         would fit without the clearance.
         """
         centre = centre_cell(cells)
         if self.hidden.has(*centre):
-            return centre, 0
-        view = self.gain.viewpoint(self.distances.reachable, cells)
+            return None
+        view = self.gain.viewpoint(self.distances.reachable, centre)
         shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
-        if shown == 0:
+        if view is None or shown == 0:
             self.hidden.add(*centre)
-        return view or centre, shown
+            return None
+        return view, shown
 
     def nearest_shown_elsewhere(self, candidates: Candidates) -> Target | None:
         """The nearest target of the clusters that only cells out of reach show, though the robot would fit there.
@@ -225,28 +227,29 @@ class ViewPlanner:
         reachable = self.distances.reachable
         without_clearance = self.distances_without_clearance()
         elsewhere = (self.fitting_cells() | without_clearance.reachable) & ~reachable
+        places = np.argwhere(reachable)
         targets = []
         for cells in candidates.clusters:
-            if self.target_beside(candidates.wanted, cells) is not None:
+            centre = centre_cell(cells)
+            if self._view_beside(candidates.wanted, cells) is not None:
                 continue  # dust
-            there = self.gain.viewpoint(elsewhere, cells)
+            there = self.gain.viewpoint(elsewhere, centre)
             if there is None or self.gain.shown(candidates.wanted, *there) == 0:
                 continue
-            view = self.gain.viewpoint(reachable, cells)
-            at = self._nearest_to(cells, without_clearance) if view is None else view
+            view = self.gain.viewpoint(reachable, centre)
+            at = self._nearest_to(centre, places, without_clearance) if view is None else view
             targets.append(self._target(candidates.wanted, cells, at, occluded=view is None))
         away = [self.distances.to(*target.viewpoint_in(self.window)) for target in targets]
         return targets[int(np.argmin(away))] if targets else None
 
-    def _nearest_to(self, cells: Cells, without_clearance: Distances) -> tuple[int, int]:
-        """The reachable cell before the gap that closes the way to a cluster, else the nearest one."""
-        reachable = self.distances.reachable
-        beyond = self.gain.viewpoint(without_clearance.reachable, cells)
-        before = cell_before_gap(reachable, without_clearance.to_all(), *beyond) if beyond is not None else None
-        if before is not None:
-            return before
-        places = np.argwhere(reachable)
-        row, col = places[int(np.argmin(((places - centre_cell(cells)) ** 2).sum(axis=1)))].tolist()
+    def _nearest_to(self, cell: tuple[int, int], places: Cells, without_clearance: Distances) -> tuple[int, int]:
+        """The reachable cell before the gap that closes the way to a cell, else the nearest one of `places` (N, 2)."""
+        beyond = self.gain.viewpoint(without_clearance.reachable, cell)
+        if beyond is not None:
+            before = cell_before_gap(self.distances.reachable, without_clearance.to_all(), *beyond)
+            if before is not None:
+                return before
+        row, col = places[int(np.argmin(((places - cell) ** 2).sum(axis=1)))].tolist()
         return row, col
 
     def _target(self, wanted: Bools, cells: Cells, view: tuple[int, int], occluded: bool) -> Target:
@@ -262,7 +265,7 @@ class ViewPlanner:
         visible: set[int] = set()
         edge = self.gain.closed.edge[are_beside(unreachable, self.gain.closed.edge)]
         for cells in frontier_clusters(edge, self.tile):
-            if self.gain.viewpoint(self.distances.reachable, cells) is not None:
+            if self.gain.viewpoint(self.distances.reachable, centre_cell(cells)) is not None:
                 visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
         return np.isin(labels, list(visible))
 
