@@ -21,7 +21,8 @@ from harness import Figures, arguments, check_at_least, machine, print_table, ru
 
 from sixthsense.config import Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance, wrap_angle
-from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import ate, true_landmarks
 from sixthsense.record.trace import Trace

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import shortest_path
 from sixthsense.slam.features import extract

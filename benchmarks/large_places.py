@@ -20,7 +20,8 @@ from harness import Figures, arguments, machine, print_table, run, write_json
 
 from sixthsense.config import Config, GridConfig, preset
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration_navigator import ExplorationNavigator
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.planners import make_planner

@@ -37,7 +37,7 @@ from tours import (
 from sixthsense.config import Config, load_config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import cast_rays
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.metrics import ate, nees_band, share_in_band
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import shortcut

@@ -27,7 +27,7 @@ from .slam.mapping.grid import Grid as Grid
 from .core.landmarks import Kind as Kind
 from .core.landmarks import Sighting as Sighting
 from .core.laser import Scan as Scan
-from .core.laser import cast_rays as cast_rays
+from .core.ray_casting import cast_rays as cast_rays
 from .sources.logs import open_log as open_log
 from .sources.logs.relations import read_relations as read_relations
 from .navigation.planners import Plan as Plan

@@ -1,18 +1,15 @@
-"""The laser scanner: scans, their beams' angles and times, and ray casting."""
+"""The laser scanner: scans, their beams' angles and times."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose
-
-_JOIN = 1e-9  # share of its length by which a wall is extended, so that two walls that join leave no gap
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,83 +113,3 @@ def beam_bearings(config: LaserConfig) -> Array:
     """(N,) bearings of the configured beams in the laser's frame, radians."""
     angle_min, increment = beam_angles(config)
     return np.asarray(float(angle_min) + float(increment) * np.arange(config.beams))
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """Fill `ranges` (N,) with the distance along each direction to the nearest of `walls` (M, 4), inf beyond range."""
-    ranges[:] = np.inf
-    for j in range(walls.shape[0]):
-        ax, ay = walls[j, 0] - x, walls[j, 1] - y
-        ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
-        length_sq = ex * ex + ey * ey
-        # A wall out of range costs one distance instead of one test per beam.
-        s = min(max(-(ax * ex + ay * ey) / length_sq, 0.0), 1.0)
-        nx, ny = ax + s * ex, ay + s * ey
-        if nx * nx + ny * ny > max_range * max_range:
-            continue
-        across = ax * ey - ay * ex
-        for i in range(ranges.shape[0]):
-            # x + t d = a + u e, by Cramer's rule.
-            inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
-            t = across * inverse
-            u = (ax * sin[i] - ay * cos[i]) * inverse
-            if t >= 0.0 and u >= -_JOIN and u <= 1.0 + _JOIN and t < ranges[i]:
-                ranges[i] = t
-    for i in range(ranges.shape[0]):
-        if ranges[i] >= max_range:
-            ranges[i] = np.inf
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """As `_cast_rays`, with a position for each beam."""
-    for i in range(ranges.shape[0]):
-        _cast_rays(x[i], y[i], cos[i : i + 1], sin[i : i + 1], walls, max_range, ranges[i : i + 1])
-
-
-def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) -> Array:
-    """As `cast_rays` for a moving laser: beam i is cast from row i of `poses` (N, 3), world frame."""
-    angles = bearings + poses[:, 2]
-    ranges = np.empty(len(angles))
-    x, y = np.ascontiguousarray(poses[:, 0]), np.ascontiguousarray(poses[:, 1])
-    flat = np.ascontiguousarray(walls.reshape(-1, 4))
-    _cast_sweep(x, y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
-    return ranges
-
-
-def cast_rays(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
-    """Distances from the laser to the nearest wall along each bearing.
-
-    `bearings` (N,) radians in the laser's frame, `walls` (M, 2, 2) segments in the world's, metres. Returns (N,)
-    metres, inf where no wall is nearer than `max_range`.
-    """
-    angles = bearings + T_world_laser.theta
-    ranges = np.empty(len(angles))
-    flat = np.ascontiguousarray(walls.reshape(-1, 4))
-    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
-    return ranges
-
-
-def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
-    """Ranges as `cast_rays` returns them, and (N,) the index of the wall that each beam hits, -1 for none.
-
-    Where two walls are hit at the same distance, the first is taken. It is slower than `cast_rays` and meant for
-    evaluation.
-    """
-    ranges, index = np.full(len(bearings), np.inf), np.full(len(bearings), -1, dtype=np.int64)
-    if not len(walls) or not len(bearings):
-        return ranges, index
-    angles = bearings + T_world_laser.theta
-    cos, sin = np.cos(angles), np.sin(angles)  # (N,)
-    ax, ay = (walls[:, 0] - T_world_laser.position).T[:, :, None]  # (M, 1)
-    ex, ey = (walls[:, 1] - walls[:, 0]).T[:, :, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # x + t d = a + u e, by Cramer's rule.
-        inverse = 1.0 / (cos * ey - sin * ex)  # (M, N)
-        t, u = (ax * ey - ay * ex) * inverse, (ax * sin - ay * cos) * inverse
-        t[~((t >= 0.0) & (u >= -_JOIN) & (u <= 1.0 + _JOIN) & (t < max_range))] = np.inf
-    nearest = t.argmin(axis=0)
-    ranges = t[nearest, np.arange(len(bearings))]
-    index = np.where(np.isfinite(ranges), nearest, index)
-    return ranges, index

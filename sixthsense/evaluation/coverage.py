@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.laser import cast_rays
+from sixthsense.core.ray_casting import NearWalls, cast_rays
 
 Mask = NDArray[np.bool_]
 
@@ -133,8 +133,9 @@ def visible_area(
 
     seen = np.zeros((height, width), dtype=np.bool_)
     bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
+    near_walls = NearWalls(walls, laser_range)
     for row, col in _viewpoints(reachable, max(1, round(lattice_m / cell_m))):
-        _sweep(Pose(x[col], y[row], 0.0), bearings, walls, laser_range, origin, cell_m, seen)
+        _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, seen)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     mask = seen & inside & (clearances >= cell_m)
     mask.flags.writeable = False
@@ -197,6 +198,7 @@ def _swept(
     T_robot_laser = Pose(*mount)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
     origin = np.array(area.origin)
+    near_walls = NearWalls(walls, max_range)
     last: Pose | None = None
     for row in poses:
         pose = Pose.from_array(row)
@@ -207,15 +209,16 @@ def _swept(
                 yield False
                 continue
         last = pose
-        _sweep(pose @ T_robot_laser, bearings, walls, max_range, origin, area.cell_m, seen)
+        _sweep(pose @ T_robot_laser, bearings, near_walls, max_range, origin, area.cell_m, seen)
         yield True
 
 
 def _sweep(
-    T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, origin: Array, cell_m: float, seen: Mask
+    T_world_laser: Pose, bearings: Array, walls: NearWalls, max_range: float, origin: Array, cell_m: float, seen: Mask
 ) -> None:
     """Mark the cells on a scan's beams in `seen`."""
-    lengths = np.minimum(cast_rays(T_world_laser, bearings, walls, max_range), max_range) / cell_m
+    near = walls.at(T_world_laser.x, T_world_laser.y)
+    lengths = np.minimum(cast_rays(T_world_laser, bearings, near, max_range), max_range) / cell_m
     angles = bearings + T_world_laser.theta
     x, y = (T_world_laser.position - origin) / cell_m
     _mark(x, y, np.cos(angles), np.sin(angles), lengths, seen)

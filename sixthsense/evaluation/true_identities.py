@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from sixthsense.config import LaserConfig, LaserNoise
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Sighting, innovations, predict_walls
-from sixthsense.core.laser import beam_angles, hit_walls
+from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
+from sixthsense.core.ray_casting import hit_walls
 from sixthsense.evaluation.metrics import true_landmarks
 
 _SAME_RAD, _SAME_M = 1e-4, 1e-3  # tolerances of a segment to lie on a line

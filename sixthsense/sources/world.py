@@ -10,9 +10,13 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, interpolated
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times, time_increment
+from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw, rk4, slip_variances
+from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
 from sixthsense.core.source import Command, Tick
+
+_MOVED_M = 1.0
+"""more than a robot moves in a control tick, slip included"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -61,11 +65,9 @@ class World:
 
         `glass` (G, 2, 2) stops the robot as walls do, and lets every beam through.
         """
-        self._walls = np.array(walls, dtype=np.float64)
-        solid = self._walls if glass is None else np.concatenate([self._walls, glass])
-        self._flat = solid.reshape(-1, 4)
         self._radius_m = radius_m
         self._config = config
+        self._place(walls, glass)
         self._rng = rng
         self._truth = start
         self._odometry = start
@@ -93,6 +95,14 @@ class World:
         self._ticks += 1
         return tick
 
+    def _place(self, walls: Array, glass: Array | None = None) -> None:
+        """Have the robot among `walls` and `glass` from now on."""
+        laser, robot = self._config.laser, self._config.robot
+        solid = walls if glass is None else np.concatenate([walls, glass])
+        # Twice the top speed: noise makes the robot faster than its wheels say.
+        self._visible = NearWalls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
+        self._solid = NearWalls(solid, self._radius_m + _MOVED_M)
+
     def _drive(self, command: Command) -> None:
         robot, world, rng = self._config.robot, self._config.world, self._rng
         v = min(max(command.speed, -robot.speed), robot.speed)
@@ -112,9 +122,10 @@ class World:
         # One slip per tick, distributed evenly over its integration steps.
         sigma = np.sqrt([position, position, heading])
         shift = Pose.from_array(sigma * slip / steps)
+        solid = self._solid.at(self._truth.x, self._truth.y)
         for _ in range(steps):
             ahead = rk4(self._truth, v_true, w_true, dt / steps) @ shift
-            if _touches(self._truth.x, self._truth.y, ahead.x, ahead.y, self._flat, self._radius_m):
+            if _touches(self._truth.x, self._truth.y, ahead.x, ahead.y, solid, self._radius_m):
                 self._collided = True
                 return
             self._truth = ahead
@@ -123,10 +134,11 @@ class World:
         laser, noise = self._config.laser, self._config.world.laser
         T_world_laser = self._truth @ Pose(*laser.mount)
         bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
+        walls = self._visible.at(T_world_laser.x, T_world_laser.y)
         if laser.sweep_s == 0.0:
-            ranges = cast_rays(T_world_laser, bearings, self._walls, laser.max_range)
+            ranges = cast_rays(T_world_laser, bearings, walls, laser.max_range)
         else:
-            ranges = cast_sweep(self._sweep(), bearings, self._walls, laser.max_range)
+            ranges = cast_sweep(self._sweep(), bearings, walls, laser.max_range)
         ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)
         return Scan.from_config(np.maximum(ranges, 0.0), laser)
 

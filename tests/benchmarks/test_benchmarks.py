@@ -9,7 +9,8 @@ import pytest
 
 from sixthsense.config import LaserConfig, RRTStarConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.sources.logs.log import Log

@@ -8,7 +8,8 @@ import pytest
 from sixthsense.config import AssociationConfig, PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.landmarks import Kind, Sighting
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay

@@ -5,7 +5,8 @@ import pytest
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays, hit_walls
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import NearWalls, cast_rays, hit_walls
 
 
 def reference(pose, bearings, walls, max_range):
@@ -31,6 +32,34 @@ def test_rays_agree_with_a_plain_reference():
         found, expected = cast_rays(pose, bearings, walls, 5.0), reference(pose, bearings, walls, 5.0)
         assert np.array_equal(np.isinf(found), np.isinf(expected))
         assert np.allclose(found[np.isfinite(found)], expected[np.isfinite(found)], atol=1e-9, rtol=0)
+
+
+def test_beams_in_any_order_hit_a_wall_on_which_the_laser_stands_or_at_whose_end():
+    rng = np.random.default_rng(3)
+    walls = rng.uniform(-4, 4, (8, 2, 2))
+    for wall, share in ((0, 0.0), (1, 1.0), (2, 0.5), (3, 1e-4), (4, -1e-3), (5, 1.01)):
+        at = walls[wall, 0] + share * (walls[wall, 1] - walls[wall, 0])
+        for turn in (-np.pi, 0.0, 0.5 * np.pi, 2.0):
+            bearings = rng.permutation(np.linspace(-np.pi, np.pi, 73))
+            pose = Pose(at[0], at[1], turn)
+            off = np.delete(walls, wall, axis=0)  # a beam from a wall hits it at 0, or not, by rounding
+            found, expected = cast_rays(pose, bearings, off, 5.0), reference(pose, bearings, off, 5.0)
+            assert np.allclose(found, expected, atol=1e-9, rtol=0)
+            every = cast_rays(pose, bearings, walls, 5.0)
+            assert (every <= found).all()
+
+
+def test_near_walls_hold_all_that_is_in_reach_in_their_order():
+    rng = np.random.default_rng(4)
+    walls = rng.uniform(-60, 60, (400, 1, 2)) + rng.uniform(-2, 2, (400, 2, 2))
+    near, bearings, place = NearWalls(walls, 8.0), np.linspace(-np.pi, np.pi, 90), np.zeros(2)
+    for _ in range(200):
+        place = np.clip(place + rng.uniform(-1.5, 1.5, 2), -50, 50)
+        pose = Pose(place[0], place[1], 0.3)
+        found = near.at(*place)
+        assert np.array_equal(cast_rays(pose, bearings, found, 8.0), cast_rays(pose, bearings, walls, 8.0))
+        rows = [walls.reshape(-1, 4).tolist().index(wall) for wall in found.tolist()]
+        assert rows == sorted(rows) and len(rows) < 100
 
 
 def test_the_wall_that_a_beam_hits_is_the_only_one_at_its_range():

@@ -11,7 +11,8 @@ import pytest
 from sixthsense.config import Config, LaserConfig, LaserNoise
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Sighting, predict_points
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import discarded_share, judge_matches
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
 from sixthsense.slam.association.associator import Association

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from sixthsense import figures
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import LaserConfig, Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import LaserConfig, Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.coverage import coverage, coverage_over_time, visible_area
 from sixthsense.evaluation.measure import measure
 from sixthsense.record.trace import Trace

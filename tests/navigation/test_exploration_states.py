@@ -7,7 +7,8 @@ import pytest
 
 from sixthsense.config import Config, merge
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import _ACTIONS, Exploration, ExplorationTask
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.follower import Follower

@@ -181,8 +181,7 @@ class SuddenWall(World):
     def step(self, command: Command) -> Tick | None:
         if self._ticks == self.at_tick:
             wall = self._truth @ np.array([[RADIUS + self.ahead_m, -0.6], [RADIUS + self.ahead_m, 0.6]])
-            self._walls = np.concatenate([self._walls, wall[None]])
-            self._flat = self._walls.reshape(-1, 4)
+            self._place(np.concatenate([HALL, wall[None]]))
         return super().step(command)
 
 

@@ -10,7 +10,8 @@ import pytest
 from sixthsense import loop
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.prior_map import read_prior_map

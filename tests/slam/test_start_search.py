@@ -8,7 +8,8 @@ import pytest
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap

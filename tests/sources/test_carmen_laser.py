@@ -11,7 +11,7 @@ import sixthsense as ss
 from sixthsense import cli
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import cast_rays
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.sources.logs.carmen import read_carmen
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import beams_as_stated, beams_by_count, max_range_of, no_return_code

@@ -14,7 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from sixthsense import cli
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.loop import replay
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.errors import LogError

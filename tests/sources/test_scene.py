@@ -8,7 +8,7 @@ from PIL import Image
 from scipy import ndimage
 
 from sixthsense.core.geometry import Pose, point_segment_distance
-from sixthsense.core.laser import cast_rays
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.sources.outlines import _DEVIATION_COST, outlines, simplify
 from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
 

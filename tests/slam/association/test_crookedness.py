@@ -8,7 +8,8 @@ import pytest
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Sighting, WallShape, initialize_landmark, innovations, predict_walls
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.features import extract
 

@@ -8,7 +8,8 @@ import pytest
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Sighting
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.association.associator import Record
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate

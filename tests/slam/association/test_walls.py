@@ -9,8 +9,9 @@ import pytest
 from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark, predict_walls, translated
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.motion import Odometry
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator

@@ -7,8 +7,9 @@ import pytest
 
 from sixthsense.config import AssumedConfig, Config, ConfigError, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_distance
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays, cast_sweep, sweep_times
+from sixthsense.core.laser import Scan, beam_bearings, sweep_times
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
+from sixthsense.core.ray_casting import cast_rays, cast_sweep
 from sixthsense.core.source import Command
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world

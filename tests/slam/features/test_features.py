@@ -6,7 +6,8 @@ import pytest
 from sixthsense.config import LaserNoise, PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, predict_walls
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line

@@ -7,7 +7,8 @@ import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.line_fit import LaserSigmas, across_line, fit_line
 from sixthsense.slam.features.straightness import cut_gains, shape, straight_pieces

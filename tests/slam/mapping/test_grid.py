@@ -6,7 +6,8 @@ import pytest
 
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid, line_cells
 

@@ -5,7 +5,8 @@ import pytest
 
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.loop import run
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper

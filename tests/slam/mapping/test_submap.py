@@ -5,7 +5,8 @@ import pytest
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, cast_rays
+from sixthsense.core.laser import Scan
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid

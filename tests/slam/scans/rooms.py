@@ -6,7 +6,8 @@ import numpy as np
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import Scan, beam_bearings, cast_rays
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
 from sixthsense.slam.scans.scan_store import ScanStore
 

@@ -1,0 +1,183 @@
+"""Ray casting: the range along each beam to the nearest wall.
+
+A wall is tested only against the beams of the sector in which it is seen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+
+_JOIN = 1e-9
+"""share of its length by which a wall is extended, so that two walls that join leave no gap"""
+_AT_END_SQ = 4e-6
+"""squared distance of the laser from a wall's end, over the squared length, below which all beams are tested"""
+_SLACK_M = 2.0
+"""how far the robot moves before the walls near it are found again"""
+_MARGIN = 2e-6
+"""quarter turns by which a sector is wider than the wall: `_JOIN` seen from an end as near as that, and rounding"""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _quarter_turns(x: float, y: float) -> float:
+    """The direction of (x, y) from 0 to 4: ascending with its angle, and a whole number at each axis."""
+    share: float = y / (abs(x) + abs(y))
+    if x < 0.0:
+        return 2.0 - share
+    return share if y >= 0.0 else 4.0 + share
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _beams_by_sector(cos: Array, sin: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Sort beams into as many sectors as there are beams, of equal parts of a `_quarter_turns`.
+
+    Returns (N,) the indices of the beams by sector, and (N + 1,) the places in it at which the sectors begin.
+    """
+    n = len(cos)
+    sectors, begins, order = np.empty(n, np.int64), np.zeros(n + 1, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        sectors[i] = min(int(_quarter_turns(cos[i], sin[i]) * 0.25 * n), n - 1)
+        begins[sectors[i] + 1] += 1
+    for k in range(n):
+        begins[k + 1] += begins[k]
+    places = begins[:n].copy()
+    for i in range(n):
+        order[places[sectors[i]]] = i
+        places[sectors[i]] += 1
+    return order, begins
+
+
+@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
+def _cast_at_wall(wall: tuple[float, float, float, float], cos: Array, sin: Array, ranges: Array) -> None:
+    """Shorten `ranges` (K,) of beams to where they hit a `wall`: its first end from the laser, and from there on."""
+    ax, ay, ex, ey = wall
+    across = ax * ey - ay * ex
+    for i in range(ranges.shape[0]):
+        # t d = a + u e, by Cramer's rule.
+        inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
+        t = across * inverse
+        u = (ax * sin[i] - ay * cos[i]) * inverse
+        if t >= 0.0 and u >= -_JOIN and u <= 1.0 + _JOIN and t < ranges[i]:
+            ranges[i] = t
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
+    """Fill `ranges` (N,) with the distance along each direction to the nearest of `walls` (M, 4), inf beyond range."""
+    n = len(cos)
+    order, begins = _beams_by_sector(cos, sin)
+    cos, sin, found = cos[order], sin[order], np.full(n, np.inf)
+    for j in range(walls.shape[0]):
+        ax, ay = walls[j, 0] - x, walls[j, 1] - y
+        bx, by = walls[j, 2] - x, walls[j, 3] - y
+        ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+        length_sq = ex * ex + ey * ey
+        # A wall out of range costs one distance instead of one test per beam.
+        s = min(max(-(ax * ex + ay * ey) / length_sq, 0.0), 1.0)
+        nx, ny = ax + s * ex, ay + s * ey
+        if nx * nx + ny * ny > max_range * max_range:
+            continue
+        if nx * nx + ny * ny < _AT_END_SQ * length_sq:
+            _cast_at_wall((ax, ay, ex, ey), cos, sin, found)
+            continue
+        begin, end = _quarter_turns(ax, ay), _quarter_turns(bx, by)
+        if ax * by - ay * bx < 0.0:
+            begin, end = end, begin
+        first = begins[int(((begin - _MARGIN) % 4.0) * 0.25 * n) % n]
+        last = begins[int(((end + _MARGIN) % 4.0) * 0.25 * n) % n + 1]
+        if begin <= end and begin >= _MARGIN and end < 4.0 - _MARGIN:
+            _cast_at_wall((ax, ay, ex, ey), cos[first:last], sin[first:last], found[first:last])
+        else:
+            _cast_at_wall((ax, ay, ex, ey), cos[first:], sin[first:], found[first:])
+            _cast_at_wall((ax, ay, ex, ey), cos[:last], sin[:last], found[:last])
+    for k in range(n):
+        ranges[order[k]] = found[k] if found[k] < max_range else np.inf
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
+    """As `_cast_rays`, with a position for each beam."""
+    for i in range(ranges.shape[0]):
+        _cast_rays(x[i], y[i], cos[i : i + 1], sin[i : i + 1], walls, max_range, ranges[i : i + 1])
+
+
+def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) -> Array:
+    """As `cast_rays` for a moving laser: beam i is cast from row i of `poses` (N, 3), world frame."""
+    angles = bearings + poses[:, 2]
+    ranges = np.empty(len(angles))
+    x, y = np.ascontiguousarray(poses[:, 0]), np.ascontiguousarray(poses[:, 1])
+    flat = np.ascontiguousarray(walls.reshape(-1, 4))
+    _cast_sweep(x, y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
+    return ranges
+
+
+def cast_rays(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
+    """Distances from the laser to the nearest wall along each bearing.
+
+    `bearings` (N,) radians in the laser's frame, `walls` (M, 2, 2) segments in the world's, metres. Returns (N,)
+    metres, inf where no wall is nearer than `max_range`.
+    """
+    angles = bearings + T_world_laser.theta
+    ranges = np.empty(len(angles))
+    flat = np.ascontiguousarray(walls.reshape(-1, 4))
+    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
+    return ranges
+
+
+class NearWalls:
+    """The walls that a laser or a robot can reach from where it is, found again only after it has moved a while."""
+
+    def __init__(self, walls: Array, reach_m: float) -> None:
+        """Of `walls` (M, 2, 2), metres, world frame, keep those nearer than `reach_m`, in their order."""
+        self._walls = np.array(walls, dtype=np.float64).reshape(-1, 4)
+        self._reach_m = reach_m
+        self._centre = (np.inf, np.inf)
+        self._near = self._walls
+
+    def at(self, x: float, y: float) -> Array:
+        """(K, 4) all walls nearer to a point than the reach, and some that are farther."""
+        if not math.hypot(x - self._centre[0], y - self._centre[1]) < _SLACK_M:
+            self._centre = (x, y)
+            reach_m = self._reach_m + _SLACK_M
+            self._near = self._walls[_distances_sq(x, y, self._walls) <= reach_m * reach_m]
+        return self._near
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _distances_sq(x: float, y: float, walls: Array) -> Array:
+    """(M,) squared distances from a point to `walls` (M, 4)."""
+    squares = np.empty(len(walls))
+    for j in range(len(walls)):
+        ax, ay, ex, ey = walls[j, 0] - x, walls[j, 1] - y, walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+        s = min(max(-(ax * ex + ay * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
+        squares[j] = (ax + s * ex) ** 2 + (ay + s * ey) ** 2
+    return squares
+
+
+def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
+    """Ranges as `cast_rays` returns them, and (N,) the index of the wall that each beam hits, -1 for none.
+
+    Where two walls are hit at the same distance, the first is taken. It is slower than `cast_rays` and meant for
+    evaluation.
+    """
+    ranges, index = np.full(len(bearings), np.inf), np.full(len(bearings), -1, dtype=np.int64)
+    if not len(walls) or not len(bearings):
+        return ranges, index
+    angles = bearings + T_world_laser.theta
+    cos, sin = np.cos(angles), np.sin(angles)  # (N,)
+    ax, ay = (walls[:, 0] - T_world_laser.position).T[:, :, None]  # (M, 1)
+    ex, ey = (walls[:, 1] - walls[:, 0]).T[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # x + t d = a + u e, by Cramer's rule.
+        inverse = 1.0 / (cos * ey - sin * ex)  # (M, N)
+        t, u = (ax * ey - ay * ex) * inverse, (ax * sin - ay * cos) * inverse
+        t[~((t >= 0.0) & (u >= -_JOIN) & (u <= 1.0 + _JOIN) & (t < max_range))] = np.inf
+    nearest = t.argmin(axis=0)
+    ranges = t[nearest, np.arange(len(bearings))]
+    index = np.where(np.isfinite(ranges), nearest, index)
+    return ranges, index
