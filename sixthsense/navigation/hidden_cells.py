@@ -17,7 +17,7 @@ class HiddenCells:
     def __init__(self, reach: float) -> None:
         """Remember what a search within `reach`, in cells, has found."""
         self._span = int(reach)
-        self._cells: set[tuple[int, int]] = set()
+        self._cells: dict[tuple[int, int], bool] = {}
         self._first = (0, 0)
         none = np.zeros((0, 0), dtype=np.bool_)
         self._latest = none, none
@@ -35,7 +35,11 @@ class HiddenCells:
             count = np.pad(changed.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
             (top, left), (bottom, right) = low.T, past.T
             near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
-            self._cells = set(map(tuple, cells[~near].tolist()))
+            self._cells = {
+                cell: everywhere
+                for (cell, everywhere), gone in zip(self._cells.items(), near.tolist(), strict=True)
+                if not gone
+            }
 
     def clear(self) -> None:
         """Forget all cells, since something else is sought."""
@@ -55,10 +59,10 @@ class HiddenCells:
             changed[rows[where] // _TILE, cols // _TILE] = True
         return changed
 
-    def add(self, row: int, col: int) -> None:
-        """Remember a cell of the latest map."""
-        self._cells.add((row, col))
+    def add(self, row: int, col: int, everywhere: bool = False) -> None:
+        """Remember a cell of the latest map: hidden from cells in reach, or from `everywhere` the robot would fit."""
+        self._cells[row, col] = everywhere
 
-    def has(self, row: int, col: int) -> bool:
-        """Whether a cell of the latest map is remembered."""
-        return (row, col) in self._cells
+    def has(self, row: int, col: int, everywhere: bool = False) -> bool:
+        """Whether a cell of the latest map is remembered; with `everywhere`, as hidden from wherever it would fit."""
+        return self._cells.get((row, col), False) if everywhere else (row, col) in self._cells

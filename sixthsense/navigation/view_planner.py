@@ -158,10 +158,8 @@ class ViewPlanner:
         window, explore, robot = self.window, self.config.explore, self.config.robot
         # An uncertain robot prefers near targets.
         seconds_per_cell = (1.0 + self.sigma_m / explore.revisit_sigma_m) * window.cell_m / robot.speed
-        here = window.cell(self.pose.position)
         views: list[_View] = []
-        away = [math.dist(here, centre) for centre in centre_cells(candidates.clusters).tolist()]
-        for k in np.argsort(away, kind="stable").tolist():
+        for k in self._by_distance(candidates.clusters):
             if len(views) == _MAX_VIEWS:
                 break
             cells = candidates.clusters[k]
@@ -228,19 +226,29 @@ class ViewPlanner:
         without_clearance = self.distances_without_clearance()
         elsewhere = (self.fitting_cells() | without_clearance.reachable) & ~reachable
         places = np.argwhere(reachable)
-        targets = []
-        for cells in candidates.clusters:
-            centre = centre_cell(cells)
-            if self._view_beside(candidates.wanted, cells) is not None:
-                continue  # dust
+        targets: list[Target] = []
+        for k in self._by_distance(candidates.clusters):
+            cells, centre = candidates.clusters[k], centre_cell(candidates.clusters[k])
+            if len(targets) == _MAX_VIEWS:
+                break
+            if self.hidden.has(*centre, everywhere=True) or self._view_beside(candidates.wanted, cells) is not None:
+                continue  # nothing to see, or dust
             there = self.gain.viewpoint(elsewhere, centre)
             if there is None or self.gain.shown(candidates.wanted, *there) == 0:
+                self.hidden.add(*centre, everywhere=True)
                 continue
             view = self.gain.viewpoint(reachable, centre)
             at = self._nearest_to(centre, places, without_clearance) if view is None else view
             targets.append(self._target(candidates.wanted, cells, at, occluded=view is None))
         away = [self.distances.to(*target.viewpoint_in(self.window)) for target in targets]
         return targets[int(np.argmin(away))] if targets else None
+
+    def _by_distance(self, clusters: list[Cells]) -> list[int]:
+        """The indices of the clusters by the straight distance of their centres from the robot."""
+        here = self.window.cell(self.pose.position)
+        away = [math.dist(here, centre) for centre in centre_cells(clusters).tolist()]
+        order: list[int] = np.argsort(away, kind="stable").tolist()
+        return order
 
     def _nearest_to(self, cell: tuple[int, int], places: Cells, without_clearance: Distances) -> tuple[int, int]:
         """The reachable cell before the gap that closes the way to a cell, else the nearest one of `places` (N, 2)."""

@@ -23,6 +23,7 @@ from sixthsense.core.landmarks import (
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.wheels import Wheels
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_prior, check_sightings
+from sixthsense.slam.estimators.triangle import selected
 
 
 class EKF:
@@ -93,7 +94,7 @@ class EKF:
         keep = [(i, slot) for i, slot in self._slots.items() if slot not in gone]
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
-        self._cov = np.asfortranarray(self._symmetric(kept))
+        self._cov = selected(self._cov.T, kept).T
         self._means, self._walls = self._means[slots], self._walls[slots]
         self._on_forgotten(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
