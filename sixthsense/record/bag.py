@@ -77,7 +77,9 @@ class BagWriter:
         self._writer.start("ros2")
         self._names = dict(TOPICS)
         self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
-        self._odometry_form = self._make_odometry_form()
+        odometry, truth = self._messages.odometry(0, Pose(), None), self._messages.pose_stamped(0, Pose())
+        self._odometry_form = self._make_form("/odom", odometry, odometry.pose.pose)
+        self._truth_form = self._make_form("/truth", truth, truth.pose)
         self._scan_form: tuple[tuple[Any, ...], ArrayForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
@@ -135,11 +137,11 @@ class BagWriter:
             self._write("/tf_static", stamp, make.transform(stamp, ROBOT, LASER, Pose(*trace.config.laser.mount)))
         self._last_ns = stamp
         if tick.increment_cov is None:
-            self._write_odometry(stamp, tick.odometry)
+            self._write_pose("/odom", stamp, tick.odometry, self._odometry_form)
         else:
             self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov))
         if tick.truth is not None:
-            self._write("/truth", stamp, make.pose_stamped(stamp, tick.truth))
+            self._write_pose("/truth", stamp, tick.truth, self._truth_form)
         if tick.scan is not None:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.sightings is not None:
@@ -167,19 +169,17 @@ class BagWriter:
         self._counts[topic] += 1
         self._pending += len(data)
 
-    def _write_odometry(self, stamp_ns: int, pose: Pose) -> None:
-        """Write the odometry of a tick, of which there are many, without making the message's dozen objects."""
+    def _write_pose(self, topic: str, stamp_ns: int, pose: Pose, form: MessageForm) -> None:
+        """Write a pose of a tick, of which there are many, without making the message's dozen objects."""
         z, w = quaternion(pose.theta)
-        self._add(
-            "/odom", stamp_ns, self._odometry_form.fill(*seconds_and_nanoseconds(stamp_ns), (pose.x, pose.y, z, w))
-        )
+        self._add(topic, stamp_ns, form.fill(*seconds_and_nanoseconds(stamp_ns), (pose.x, pose.y, z, w)))
 
-    def _make_odometry_form(self) -> MessageForm:
+    def _make_form(self, topic: str, message: Any, pose: Any) -> MessageForm:
+        """The form of a message of which `pose`, a part of it, changes."""
+
         def serialized(numbers: tuple[float, ...]) -> Any:
-            message = self._messages.odometry(0, Pose(), None)
-            place, turn = message.pose.pose.position, message.pose.pose.orientation
-            place.x, place.y, turn.z, turn.w = numbers
-            return self._messages.serialized(message, TOPICS["/odom"])
+            pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w = numbers
+            return self._messages.serialized(message, TOPICS[topic])
 
         return MessageForm(4, serialized)
 
