@@ -39,6 +39,7 @@ h2 { font-size: 1.15rem; margin: 2rem 0 .5rem; padding-bottom: .2rem; border-bot
 .outcome { font-size: 1.1rem; margin: .2rem 0; }
 .note { padding: .5rem .8rem; background: #fff4e5; border-left: .25rem solid #e69f00; }
 .quiet { color: #595959; }
+nav ul { display: flex; flex-wrap: wrap; gap: .2rem 1rem; margin: .8rem 0; padding: 0; list-style: none; }
 figure { margin: 1.2rem 0; }
 figure img { display: block; max-width: 100%; height: auto; }
 figcaption { color: #595959; font-size: .9rem; }
@@ -63,13 +64,15 @@ def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
     """The HTML of a report on one or several runs, with the PNG `figures` embedded; every value is escaped."""
     described = [_DescribedRun(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
     title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(run.name for run in described)}"
-    parts = [f"<h1>{_text(title)}</h1>", *map(_outcome, described)]
     first, rest = figures[:1], figures[1:]
+    sections = {"Metrics": _metrics(described)}
+    if rest:
+        sections["Figures"] = "\n".join(_figure(file, title) for file in rest)
+    sections["Configuration"] = _configuration(described)
+    sections["Reproduction"] = "\n".join(map(_reproduction, described))
+    parts = [f"<h1>{_text(title)}</h1>", *map(_outcome, described), _contents(figures, list(sections))]
     parts += [_figure(file, title) for file in first]
-    parts += ["<h2>Metrics</h2>", _metrics(described)]
-    parts += ["<h2>Figures</h2>" if rest else "", *(_figure(file, title) for file in rest)]
-    parts += ["<h2>Configuration</h2>", _configuration(described)]
-    parts += ["<h2>Reproduction</h2>", *map(_reproduction, described)]
+    parts += [f'<h2 id="{name.lower()}">{name}</h2>\n{content}' for name, content in sections.items()]
     body = "\n".join(part for part in parts if part)
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -120,12 +123,21 @@ def _outcome(run: _DescribedRun) -> str:
     return line
 
 
+def _contents(figures: Sequence[Path], sections: Sequence[str]) -> str:
+    """Links to the figures and sections of the page."""
+    links = [(f"figure-{file.stem}", f"{file.stem} (figure)") for file in figures]
+    links += [(name.lower(), name) for name in sections]
+    items = "".join(f'<li><a href="#{_text(at)}">{_text(name)}</a></li>' for at, name in links)
+    return f'<nav aria-label="Contents"><ul>{items}</ul></nav>'
+
+
 def _figure(file: Path, title: str) -> str:
     kind = file.stem
     data = base64.b64encode(file.read_bytes()).decode("ascii")
     caption = _CAPTIONS.get(kind, kind)
     return (
-        f'<figure><div class="wide"><img alt="{_text(f"{kind}: {title}")}" src="data:image/png;base64,{data}"></div>'
+        f'<figure id="figure-{_text(kind)}"><div class="wide">'
+        f'<img alt="{_text(f"{caption} {title}")}" src="data:image/png;base64,{data}"></div>'
         f"<figcaption>{_text(caption)}</figcaption></figure>"
     )
 

@@ -74,11 +74,26 @@ def noted(folder: Path, notes: str) -> Path:
 
 def test_the_page_is_valid_and_needs_no_other_files(text):
     parsed = Page(text)
-    loading = [value for _, name, value in parsed.attributes if name in ("src", "href", "srcset", "data", "action")]
+    named = [value for _, name, value in parsed.attributes if name in ("src", "href", "srcset", "data", "action")]
+    loading = [value for value in named if not value.startswith("#")]
     assert loading
     assert all(value.startswith("data:image/png;base64,") for value in loading)
     assert parsed.tags.isdisjoint({"script", "link", "iframe", "object"})
     assert re.search(r"url\(|@import|https?:", text) is None
+
+
+def test_the_contents_lead_to_each_figure_and_section(folder, text):
+    parsed = Page(text)
+    targets = [value for tag, name, value in parsed.attributes if (tag, name) == ("a", "href")]
+    places = [f"#{value}" for _, name, value in parsed.attributes if name == "id"]
+    assert sorted(targets) == sorted(places) and len(set(places)) == len(places)
+    assert {f"#figure-{file.stem}" for file in (folder / "figures").glob("*.png")} <= set(targets)
+    assert {"#metrics", "#figures", "#configuration", "#reproduction"} <= set(targets)
+
+
+def test_a_picture_is_described_for_who_cannot_see_it(text):
+    for tag, name, value in Page(text).attributes:
+        assert (tag, name) != ("img", "alt") or len(value) > 40
 
 
 def test_the_page_contains_each_figure(folder, text):
