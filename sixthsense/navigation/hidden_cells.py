@@ -1,4 +1,4 @@
-"""Cells that no view is worth while for, remembered while the map around them stays as it is."""
+"""Cells for which no view is worth while, remembered while the map around them stays as it is."""
 
 from __future__ import annotations
 

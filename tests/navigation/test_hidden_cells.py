@@ -45,3 +45,16 @@ def test_a_window_with_another_corner_is_remembered_anew():
     assert hidden.has(3, 4)
     hidden.update(replace(window, first=(0, 1)), window.obstacles)
     assert not hidden.has(3, 4)
+
+
+def test_a_cell_that_is_hidden_from_everywhere_is_hidden_from_where_the_robot_can_be():
+    hidden, window = HiddenCells(REACH), window_of(np.zeros((40, 40), dtype=np.bool_))
+    hidden.update(window, window.obstacles)
+    hidden.add(3, 4)
+    hidden.add(30, 31, everywhere=True)
+    assert hidden.has(3, 4) and not hidden.has(3, 4, everywhere=True)
+    assert hidden.has(30, 31) and hidden.has(30, 31, everywhere=True)
+    changed = window.obstacles.copy()
+    changed[31, 31] = True
+    hidden.update(window_of(changed), window.obstacles)
+    assert hidden.has(3, 4) and not hidden.has(30, 31, everywhere=True)
