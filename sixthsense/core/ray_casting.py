@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
 
 _JOIN = 1e-9
 """share of its length by which a wall is extended, so that two walls that join leave no gap"""
@@ -99,11 +99,21 @@ def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_ran
         ranges[order[k]] = found[k] if found[k] < max_range else np.inf
 
 
-@numba.njit(cache=True, error_model="numpy")
+@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """As `_cast_rays`, with a position for each beam."""
+    """As `_cast_rays`, with a position for each beam: no beams share a sector, so each is tested by itself."""
     for i in range(ranges.shape[0]):
-        _cast_rays(x[i], y[i], cos[i : i + 1], sin[i : i + 1], walls, max_range, ranges[i : i + 1])
+        nearest = np.inf
+        for j in range(walls.shape[0]):
+            ax, ay = walls[j, 0] - x[i], walls[j, 1] - y[i]
+            ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+            # As in `_cast_at_wall`.
+            inverse = 1.0 / (cos[i] * ey - sin[i] * ex)
+            t = (ax * ey - ay * ex) * inverse
+            u = (ax * sin[i] - ay * cos[i]) * inverse
+            if t >= 0.0 and u >= -_JOIN and u <= 1.0 + _JOIN and t < nearest:
+                nearest = t
+        ranges[i] = nearest if nearest < max_range else np.inf
 
 
 def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) -> Array:
@@ -143,20 +153,9 @@ class NearWalls:
         """(K, 4) all walls nearer to a point than the reach, and some that are farther."""
         if not math.hypot(x - self._centre[0], y - self._centre[1]) < _SLACK_M:
             self._centre = (x, y)
-            reach_m = self._reach_m + _SLACK_M
-            self._near = self._walls[_distances_sq(x, y, self._walls) <= reach_m * reach_m]
+            away_m = point_segment_distance(np.array((x, y)), self._walls.reshape(-1, 2, 2))
+            self._near = self._walls[away_m <= self._reach_m + _SLACK_M]
         return self._near
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _distances_sq(x: float, y: float, walls: Array) -> Array:
-    """(M,) squared distances from a point to `walls` (M, 4)."""
-    squares = np.empty(len(walls))
-    for j in range(len(walls)):
-        ax, ay, ex, ey = walls[j, 0] - x, walls[j, 1] - y, walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
-        s = min(max(-(ax * ex + ay * ey) / max(ex * ex + ey * ey, 1e-300), 0.0), 1.0)
-        squares[j] = (ax + s * ex) ** 2 + (ay + s * ey) ** 2
-    return squares
 
 
 def hit_walls(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> tuple[Array, NDArray[np.int64]]:
