@@ -18,6 +18,8 @@ from sixthsense.slam.mapping.grid import Grid
 UNKNOWN_M = 0.2
 """Unknown cells farther than this from all that was seen are no way."""
 
+_OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
+
 
 @dataclass(frozen=True, slots=True)
 class DrivingLimits:
@@ -55,6 +57,35 @@ class DrivingLimits:
         far = far_cells.of(space.seen[inside], first, changes)
         np.logical_or(space.blocked[inside], far, out=blocked[inside])
         return blocked
+
+
+@dataclass(slots=True)
+class Widening:
+    """How far outside the region unknown cells count; a robot that needs to may drive as far, too."""
+
+    region: Region
+    """the region to be explored"""
+    margin_m: float
+    """how far outside it any robot may drive"""
+    laser_m: float
+    """range of the laser, beyond which nothing is seen from the region"""
+    step: int = 0
+    """0: no farther than any robot"""
+
+    @property
+    def is_last(self) -> bool:
+        """Whether there is no wider step."""
+        return self.step == len(_OUTSIDE_M) - 1
+
+    @property
+    def outside_m(self) -> float:
+        """Margin outside the region in which unknown cells count."""
+        return min(_OUTSIDE_M[self.step], self.laser_m)
+
+    @property
+    def limits(self) -> DrivingLimits:
+        """Where the robot may drive."""
+        return DrivingLimits(self.region, max(self.margin_m, self.outside_m) if self.step > 0 else self.margin_m)
 
 
 def traversed_cells(space: FreeSpace, positions: Array, grid: Grid, clearance_m: float) -> Bools:

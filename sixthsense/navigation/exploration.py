@@ -13,7 +13,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.closed_walls import ClosedWalls
-from sixthsense.navigation.driving_limits import UNKNOWN_M, DrivingLimits, traversed_cells
+from sixthsense.navigation.driving_limits import UNKNOWN_M, Widening, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells
@@ -26,7 +26,8 @@ from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
-from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.view_planner import Candidates, ViewPlanner
+from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.navigation.without_clearance import gap_on_the_way
 from sixthsense.slam.estimators import Estimate
@@ -37,7 +38,6 @@ _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is u
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
 _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
-_OUTSIDE_M = 0.5, 2.0, 5.0, math.inf  # margins outside the region, in turn, when nothing else is left to see
 
 
 class Exploration:
@@ -61,7 +61,7 @@ class Exploration:
         self._reachable_cells = ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
-        self._widening = 0  # index into _OUTSIDE_M
+        self._widening = Widening(task.region, task.config.explore.margin_m, task.config.laser.max_range)
         self._gap_approaches = 0
         self._retries = 0  # of unreachable cells
         self._stuck_since_arrival = False
@@ -148,10 +148,12 @@ class Exploration:
         visible = visible_cells(window.obstacles, window.unknown, *cell, reach)
         failed = (self._target.mask(window) | visible) & window.unknown
         self._failed_views.count_failure(window, failed)
-        if self._target.occluded:
+        often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
+        if self._target.occluded and often.any():
             # The views from before the gap have not opened it.
-            often = self._failed_views.within(window) >= self._task.config.explore.tries
-            self._failed_views.mark_unreachable(window, failed & often)
+            planner = self._make_view_planner(pose)
+            approached = cells_approached_at(planner, self._candidates(planner), cell)
+            self._failed_views.mark_unreachable(window, often | approached)
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
@@ -204,7 +206,13 @@ class Exploration:
     # Views.
 
     def _next_target(self, pose: Pose) -> Target | None:
-        return self._make_view_planner(pose).next_target(self._outside_m(), self._widening > 0, self._task.rng)
+        """The best view, else the nearest one of what only cells out of reach show; None if nothing is left to see."""
+        planner = self._make_view_planner(pose)
+        candidates = self._candidates(planner)
+        return planner.next_target(candidates, self._task.rng) or nearest_shown_elsewhere(planner, candidates)
+
+    def _candidates(self, planner: ViewPlanner) -> Candidates:
+        return planner.candidates(self._widening.outside_m, self._widening.step > 0)
 
     def _unreachable_target(self, pose: Pose) -> Target | None:
         """A target among cells that were unreachable and have become visible."""
@@ -218,15 +226,15 @@ class Exploration:
 
     def _target_outside(self, pose: Pose) -> Target | None:
         """A target for a robot that may drive farther outside the region, from where it may see more of it."""
-        before = self._widening
-        while self._widening < len(_OUTSIDE_M) - 1:
-            self._widening += 1
+        before = self._widening.step
+        while not self._widening.is_last:
+            self._widening.step += 1
             self._hidden_cells.clear()
             self._update_window(pose)
             target = self._next_target(pose)
             if target is not None:
                 return target
-        self._widening = before
+        self._widening.step = before
         self._hidden_cells.clear()
         self._update_window(pose)
         return None
@@ -255,7 +263,7 @@ class Exploration:
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         def free_space(margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
             space = grid.free_space(*places, margin_m=margin_m, within=within)
-            blocked = self._limits().blocked(space, self._far_cells, grid.changes)
+            blocked = self._widening.limits.blocked(space, self._far_cells, grid.changes)
             if self._retracing and margin_m == 0.0:
                 blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
             blocked.flags.writeable = False
@@ -271,17 +279,9 @@ class Exploration:
     def _window(self) -> MapWindow:
         """The map window, drawn when somebody looks at it."""
         if self._drawn_window is None:
-            grid, space = self._map.grid, self.driver.space
-            self._drawn_window = MapWindow.of(grid, space, self._limits().rows_and_cols(space), self._task.region)
+            space, limits = self.driver.space, self._widening.limits
+            self._drawn_window = MapWindow.of(self._map.grid, space, limits.rows_and_cols(space), self._task.region)
         return self._drawn_window
-
-    def _limits(self) -> DrivingLimits:
-        margin = self._task.config.explore.margin_m
-        return DrivingLimits(self._task.region, max(margin, self._outside_m()) if self._widening > 0 else margin)
-
-    def _outside_m(self) -> float:
-        """Margin outside the region in which unknown cells count, capped by the laser's range."""
-        return min(_OUTSIDE_M[self._widening], self._task.config.laser.max_range)
 
 
 _ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {

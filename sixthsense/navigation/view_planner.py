@@ -22,7 +22,7 @@ from sixthsense.navigation.frontier import (
     drop_small_regions,
     frontier_clusters,
 )
-from sixthsense.navigation.gridsearch import Distances, cell_before_gap
+from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
@@ -33,7 +33,7 @@ from sixthsense.slam.mapping.freespace import Bools
 _TILE_M = 1.0  # longer frontiers are split
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
 _FIRST_RADIUS, _LARGER_RADIUS = 20.0, 1.25  # cells; how far the distances to views are searched, step by step
-_MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
+MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,25 +110,20 @@ class ViewPlanner:
         """The map within the driving limits, with closed walls."""
         return self.gain.closed.window
 
-    def next_target(self, outside_m: float, widened: bool, rng: np.random.Generator) -> Target | None:
-        """The best view, by the configured method; else the nearest one from which little is visible, or nothing yet.
+    def next_target(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
+        """The best view of the candidates, by the configured method; None if no view from a reachable cell is left."""
+        if not candidates.clusters:
+            return None
+        if self.config.explore.method == "random":
+            return self.sample_random(candidates, rng)
+        return self.best(candidates)
 
-        None if nothing is left to see.
+    def candidates(self, outside_m: float, widened: bool) -> Candidates:
+        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise.
 
         Unknown cells count up to `outside_m` outside the region, for a part of the region may be visible only across
         its edge. `widened` tells that the robot may drive that far outside, too.
         """
-        candidates = self.candidates(outside_m, widened)
-        if not candidates.clusters:
-            return None
-        if self.config.explore.method == "random":
-            target = self.sample_random(candidates, rng)
-        else:
-            target = self.best(candidates)
-        return target or self.nearest_shown_elsewhere(candidates)
-
-    def candidates(self, outside_m: float, widened: bool) -> Candidates:
-        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
         window, explore = self.window, self.config.explore
         few = self.failed_views < explore.tries
         unknown = window.unknown
@@ -159,20 +154,20 @@ class ViewPlanner:
         # An uncertain robot prefers near targets.
         seconds_per_cell = (1.0 + self.sigma_m / explore.revisit_sigma_m) * window.cell_m / robot.speed
         views: list[_View] = []
-        for k in self._by_distance(candidates.clusters):
-            if len(views) == _MAX_VIEWS:
+        for k in self.by_distance(candidates.clusters):
+            if len(views) == MAX_VIEWS:
                 break
             cells = candidates.clusters[k]
-            found = self._view_beside(candidates.wanted, cells)
+            found = self.view_beside(candidates.wanted, cells)
             if found is None:
                 continue
             (row, col), shown = found
-            target = self._target(candidates.wanted, cells, (row, col), occluded=False)
+            target = self.target_of(candidates.wanted, cells, (row, col), occluded=False)
             area = max(self.gain.crossed(candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
             ahead = window.point(row, col) - self.pose.position
             turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
             views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate, shown))
-        if len(views) < _MAX_VIEWS and sum(view.shown for view in views) <= candidates.dust:
+        if len(views) < MAX_VIEWS and sum(view.shown for view in views) <= candidates.dust:
             return None
         best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
         return None if best is None else views[best].target
@@ -196,10 +191,10 @@ class ViewPlanner:
 
     def target_beside(self, wanted: Bools, cells: Cells) -> Target | None:
         """The cells of `wanted` beside a cluster, with the nearest viewpoint; None if no view is worth while."""
-        found = self._view_beside(wanted, cells)
-        return None if found is None else self._target(wanted, cells, found[0], occluded=False)
+        found = self.view_beside(wanted, cells)
+        return None if found is None else self.target_of(wanted, cells, found[0], occluded=False)
 
-    def _view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int] | None:
+    def view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int] | None:
         """The nearest viewpoint of a cluster, and how many cells it shows; None if no view is worth while.
 
         A view past the edge of an obstacle, which itself shows nothing, counts as one from nearby, where the robot
@@ -215,52 +210,14 @@ class ViewPlanner:
             return None
         return view, shown
 
-    def nearest_shown_elsewhere(self, candidates: Candidates) -> Target | None:
-        """The nearest target of the clusters that only cells out of reach show, though the robot would fit there.
-
-        If a reachable cell has the cluster in view, past the edge of an obstacle perhaps, it is looked at from there,
-        else from the last reachable cell before a gap that only the clearance closes, or from as near as possible.
-        None if there is no such cluster.
-        """
-        reachable = self.distances.reachable
-        without_clearance = self.distances_without_clearance()
-        elsewhere = (self.fitting_cells() | without_clearance.reachable) & ~reachable
-        places = np.argwhere(reachable)
-        targets: list[Target] = []
-        for k in self._by_distance(candidates.clusters):
-            cells, centre = candidates.clusters[k], centre_cell(candidates.clusters[k])
-            if len(targets) == _MAX_VIEWS:
-                break
-            if self.hidden.has(*centre, everywhere=True) or self._view_beside(candidates.wanted, cells) is not None:
-                continue  # nothing to see, or dust
-            there = self.gain.viewpoint(elsewhere, centre)
-            if there is None or self.gain.shown(candidates.wanted, *there) == 0:
-                self.hidden.add(*centre, everywhere=True)
-                continue
-            view = self.gain.viewpoint(reachable, centre)
-            at = self._nearest_to(centre, places, without_clearance) if view is None else view
-            targets.append(self._target(candidates.wanted, cells, at, occluded=view is None))
-        away = [self.distances.to(*target.viewpoint_in(self.window)) for target in targets]
-        return targets[int(np.argmin(away))] if targets else None
-
-    def _by_distance(self, clusters: list[Cells]) -> list[int]:
+    def by_distance(self, clusters: list[Cells]) -> list[int]:
         """The indices of the clusters by the straight distance of their centres from the robot."""
         here = self.window.cell(self.pose.position)
         away = [math.dist(here, centre) for centre in centre_cells(clusters).tolist()]
         order: list[int] = np.argsort(away, kind="stable").tolist()
         return order
 
-    def _nearest_to(self, cell: tuple[int, int], places: Cells, without_clearance: Distances) -> tuple[int, int]:
-        """The reachable cell before the gap that closes the way to a cell, else the nearest one of `places` (N, 2)."""
-        beyond = self.gain.viewpoint(without_clearance.reachable, cell)
-        if beyond is not None:
-            before = cell_before_gap(self.distances.reachable, without_clearance.to_all(), *beyond)
-            if before is not None:
-                return before
-        row, col = places[int(np.argmin(((places - cell) ** 2).sum(axis=1)))].tolist()
-        return row, col
-
-    def _target(self, wanted: Bools, cells: Cells, view: tuple[int, int], occluded: bool) -> Target:
+    def target_of(self, wanted: Bools, cells: Cells, view: tuple[int, int], occluded: bool) -> Target:
         """The cells of `wanted` beside a cluster, to be seen from a cell of the window."""
         first = self.window.first
         return Target(adjacent_cells(wanted, cells) + first, (view[0] + first[0], view[1] + first[1]), occluded)

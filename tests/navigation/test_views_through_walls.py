@@ -9,11 +9,12 @@ from sixthsense.core.geometry import Pose
 from sixthsense.navigation.closed_walls import ClosedMap
 from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.hidden_cells import HiddenCells
-from sixthsense.navigation.map_window import MapWindow
+from sixthsense.navigation.map_window import MapWindow, Target
 from sixthsense.navigation.regions import frontier_cells
 from sixthsense.navigation.unseen_places import unseen_places
 from sixthsense.navigation.view_gain import SensorModel, ViewGain
 from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -22,15 +23,19 @@ SHAPE = 60, 120
 HERE = 30, 20
 
 
-def planner(opening: int, behind: Bools | None = None, tries: int = 0, dust: float = 0.001) -> ViewPlanner:
+def planner(
+    opening: int, behind: Bools | None = None, tries: int = 0, dust: float = 0.001, screen: bool = False
+) -> ViewPlanner:
     """A seen room to the left of column 60, where a wall has an `opening` of so many cells, and unseen cells behind.
 
-    `behind` (H, W) are cells behind the wall that were seen; `tries` how often the unseen ones were looked at.
+    `behind` (H, W) are cells behind the wall that were seen; `tries` how often the unseen ones were looked at;
+    a `screen` stands behind the opening.
     """
     obstacles = np.zeros(SHAPE, dtype=np.bool_)
     obstacles[[2, -3], 2:118] = True
     obstacles[2:58, [2, 60, 117]] = True
     obstacles[30 - opening // 2 : 30 - opening // 2 + opening, 60] = False
+    obstacles[18:43, 70] |= screen
     seen = np.zeros(SHAPE, dtype=np.bool_)
     seen[3:57, 3:61] = True
     if behind is not None:
@@ -52,6 +57,11 @@ def planner(opening: int, behind: Bools | None = None, tries: int = 0, dust: flo
     return ViewPlanner(gain, failed_views, pose, 0.0, distances, config, hidden)
 
 
+def next_target(view: ViewPlanner) -> Target | None:
+    candidates = view.candidates(0.0, False)
+    return view.next_target(candidates, np.random.default_rng(0)) or nearest_shown_elsewhere(view, candidates)
+
+
 def room_behind() -> Bools:
     """(H, W) most of a room behind the wall, glimpsed, but not its corners beside the wall."""
     rows, cols = np.indices(SHAPE)
@@ -60,15 +70,14 @@ def room_behind() -> Bools:
 
 @pytest.mark.parametrize("opening", [1, 2, 3, 4])
 def test_a_hole_in_a_wall_is_no_view_and_nothing_is_left_behind_it(opening: int) -> None:
-    rng = np.random.default_rng(0)
     assert planner(opening).candidates(0.0, False).clusters
-    assert planner(opening).next_target(0.0, False, rng) is None
+    assert next_target(planner(opening)) is None
     assert unseen_places(planner(opening, tries=2)) == []
 
 
 @pytest.mark.parametrize("opening", [8, 20])
 def test_an_opening_is_a_view(opening: int) -> None:
-    target = planner(opening).next_target(0.0, False, np.random.default_rng(0))
+    target = next_target(planner(opening))
     assert target is not None and not target.occluded
     assert (abs(target.cells - np.array([30, 61])) <= opening).all()
     left = unseen_places(planner(opening, tries=2))
@@ -77,15 +86,15 @@ def test_an_opening_is_a_view(opening: int) -> None:
 
 def test_what_all_views_show_together_is_dust_if_it_is_little_of_what_was_seen() -> None:
     """The unseen region behind the wall is as large as the room before it, which shows a tenth of it."""
-    assert planner(8, dust=0.03).next_target(0.0, False, np.random.default_rng(0)) is not None
+    assert next_target(planner(8, dust=0.03)) is not None
     assert planner(8, dust=0.5).candidates(0.0, False).clusters
-    assert planner(8, dust=0.5).next_target(0.0, False, np.random.default_rng(0)) is None
+    assert next_target(planner(8, dust=0.5)) is None
 
 
 def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edge_and_then_left() -> None:
     """The robot fits through an opening of 10 cells without its clearance only."""
     view = planner(10, room_behind())
-    target = view.next_target(0.0, False, np.random.default_rng(0))
+    target = next_target(view)
     assert target is not None
     left = unseen_places(planner(10, room_behind(), tries=2))
     assert {place.reason for place in left} == {"cut off by inflation only"}
@@ -95,3 +104,18 @@ def test_what_only_a_robot_without_clearance_would_see_is_looked_at_past_the_edg
 def test_a_room_that_was_glimpsed_through_a_gap_too_narrow_for_the_robot_is_unreachable() -> None:
     left = unseen_places(planner(5, room_behind(), tries=2))
     assert {place.reason for place in left} == {"unreachable"}
+
+
+def test_a_view_of_a_gap_tries_all_that_lies_behind_it() -> None:
+    """A screen beyond the opening hides a patch from all that can be reached; the way there leads through the gap."""
+    rows, cols = np.indices(SHAPE)
+    patch = (cols > 76) & (cols < 100) & (rows > 21) & (rows < 39)
+    view = planner(10, (cols > 60) & (cols < 117) & (rows > 2) & (rows < 57) & ~patch, screen=True)
+    target = next_target(view)
+    assert target is not None and target.occluded
+    candidates = view.candidates(0.0, False)
+    assert len(candidates.clusters) > 2
+    approached = cells_approached_at(view, candidates, target.viewpoint_in(view.window))
+    inside = ndimage.binary_erosion(patch, np.ones((3, 3), dtype=np.bool_))
+    assert np.array_equal(approached, patch & ~inside)
+    assert not cells_approached_at(view, candidates, (10, 5)).any()
