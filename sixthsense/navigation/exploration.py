@@ -26,8 +26,8 @@ from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
-from sixthsense.navigation.view_planner import Candidates, ViewPlanner
-from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
+from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.views_elsewhere import Surroundings, cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.navigation.without_clearance import gap_on_the_way
 from sixthsense.slam.estimators import Estimate
@@ -57,6 +57,7 @@ class Exploration:
         self._target = NO_TARGET
         self._failed_views = FailedViewCounts()
         self._hidden_cells = HiddenCells(task.sensor.reach)
+        self._surroundings = Surroundings()
         self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
         self._reachable_cells = ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
@@ -138,6 +139,7 @@ class Exploration:
         return self._choose_view(pose)
 
     def _turn_around(self, pose: Pose) -> State:
+        self._surroundings.remember(self._window, self._target)
         self.driver.turn_around(pose, self._task.sensor.turn_rad)
         return "at viewpoint"
 
@@ -150,10 +152,11 @@ class Exploration:
         self._failed_views.count_failure(window, failed)
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
         if self._target.occluded and often.any():
-            # The views from before the gap have not opened it.
-            planner = self._make_view_planner(pose)
-            approached = cells_approached_at(planner, self._candidates(planner), cell)
-            self._failed_views.mark_unreachable(window, often | approached)
+            # The views from before the gap have not opened it, and the last one has taught nothing about it.
+            if self._surroundings.are_as_before(window, self._target):
+                planner = self._make_view_planner(pose)
+                often |= cells_approached_at(planner, planner.candidates(self._widening), cell)
+            self._failed_views.mark_unreachable(window, often)
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
@@ -208,11 +211,8 @@ class Exploration:
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view, else the nearest one of what only cells out of reach show; None if nothing is left to see."""
         planner = self._make_view_planner(pose)
-        candidates = self._candidates(planner)
+        candidates = planner.candidates(self._widening)
         return planner.next_target(candidates, self._task.rng) or nearest_shown_elsewhere(planner, candidates)
-
-    def _candidates(self, planner: ViewPlanner) -> Candidates:
-        return planner.candidates(self._widening.outside_m, self._widening.step > 0)
 
     def _unreachable_target(self, pose: Pose) -> Target | None:
         """A target among cells that were unreachable and have become visible."""

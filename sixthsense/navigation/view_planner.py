@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.frontier import (
     adjacent_cells,
     centre_cell,
@@ -118,18 +119,18 @@ class ViewPlanner:
             return self.sample_random(candidates, rng)
         return self.best(candidates)
 
-    def candidates(self, outside_m: float, widened: bool) -> Candidates:
+    def candidates(self, widening: Widening) -> Candidates:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise.
 
-        Unknown cells count up to `outside_m` outside the region, for a part of the region may be visible only across
-        its edge. `widened` tells that the robot may drive that far outside, too.
+        Unknown cells outside the region count as far as `widening` says, for a part of the region may be visible only
+        across its edge.
         """
         window, explore = self.window, self.config.explore
-        few = self.failed_views < explore.tries
+        few, widened = self.failed_views < explore.tries, widening.step > 0
         unknown = window.unknown
         # Cells that were looked at and not seen are no reason to drive farther outside.
         sought = window.unseen & (few | (self.failed_views == UNREACHABLE)) if widened else window.unseen
-        steps = max(1, round(outside_m / window.cell_m))
+        steps = max(1, round(widening.outside_m / window.cell_m))
         wanted = spread(sought, unknown, steps, NOWHERE if widened else window.inside) & few
         edge = self.gain.closed.edge
         edge = edge[are_beside(wanted, edge)]

@@ -7,6 +7,7 @@ from scipy import ndimage
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.closed_walls import ClosedMap
+from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import MapWindow, Target
@@ -21,6 +22,7 @@ from sixthsense.slam.mapping.freespace import Bools
 CELL_M, RADIUS_M, CLEARANCE_M = 0.05, 0.2, 0.1
 SHAPE = 60, 120
 HERE = 30, 20
+REGION_ONLY = Widening((0.1, 0.1, 5.9, 2.9), margin_m=1.0, laser_m=0.0)
 
 
 def planner(
@@ -58,7 +60,7 @@ def planner(
 
 
 def next_target(view: ViewPlanner) -> Target | None:
-    candidates = view.candidates(0.0, False)
+    candidates = view.candidates(REGION_ONLY)
     return view.next_target(candidates, np.random.default_rng(0)) or nearest_shown_elsewhere(view, candidates)
 
 
@@ -70,7 +72,7 @@ def room_behind() -> Bools:
 
 @pytest.mark.parametrize("opening", [1, 2, 3, 4])
 def test_a_hole_in_a_wall_is_no_view_and_nothing_is_left_behind_it(opening: int) -> None:
-    assert planner(opening).candidates(0.0, False).clusters
+    assert planner(opening).candidates(REGION_ONLY).clusters
     assert next_target(planner(opening)) is None
     assert unseen_places(planner(opening, tries=2)) == []
 
@@ -87,7 +89,7 @@ def test_an_opening_is_a_view(opening: int) -> None:
 def test_what_all_views_show_together_is_dust_if_it_is_little_of_what_was_seen() -> None:
     """The unseen region behind the wall is as large as the room before it, which shows a tenth of it."""
     assert next_target(planner(8, dust=0.03)) is not None
-    assert planner(8, dust=0.5).candidates(0.0, False).clusters
+    assert planner(8, dust=0.5).candidates(REGION_ONLY).clusters
     assert next_target(planner(8, dust=0.5)) is None
 
 
@@ -113,7 +115,7 @@ def test_a_view_of_a_gap_tries_all_that_lies_behind_it() -> None:
     view = planner(10, (cols > 60) & (cols < 117) & (rows > 2) & (rows < 57) & ~patch, screen=True)
     target = next_target(view)
     assert target is not None and target.occluded
-    candidates = view.candidates(0.0, False)
+    candidates = view.candidates(REGION_ONLY)
     assert len(candidates.clusters) > 2
     approached = cells_approached_at(view, candidates, target.viewpoint_in(view.window))
     inside = ndimage.binary_erosion(patch, np.ones((3, 3), dtype=np.bool_))
