@@ -1,4 +1,4 @@
-"""Where an exploring robot may drive: within a margin around its region, and along its own path when it retraces."""
+"""Where an exploring robot may drive: within a margin around its region."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from sixthsense.navigation.gridsearch import FarCells
 from sixthsense.navigation.map_window import Region
 from sixthsense.slam.mapping.changes import Changes
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
-from sixthsense.slam.mapping.grid import Grid
 
 UNKNOWN_M = 0.2
 """Unknown cells farther than this from all that was seen are no way."""
@@ -86,15 +85,6 @@ class Widening:
     def limits(self) -> DrivingLimits:
         """Where the robot may drive."""
         return DrivingLimits(self.region, max(self.margin_m, self.outside_m) if self.step > 0 else self.margin_m)
-
-
-def traversed_cells(space: FreeSpace, positions: Array, grid: Grid, clearance_m: float) -> Bools:
-    """(H, W) the cells along the robot's path (N, 2) and their neighbours where it fits without the clearance."""
-    height, width = space.blocked.shape
-    tight = grid.free_space(margin_m=-clearance_m)
-    down, across = (round((space.origin[k] - tight.origin[k]) / space.cell_m) for k in (1, 0))
-    track = track_cells(positions, space.origin, space.cell_m, (height, width))
-    return np.asarray(track & ~tight.window(np.arange(height) + down, np.arange(width) + across))
 
 
 def track_cells(positions: Array, origin: tuple[float, float], cell_m: float, shape: tuple[int, int]) -> Bools:

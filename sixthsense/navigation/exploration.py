@@ -7,34 +7,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Pose
 from sixthsense.navigation.closed_walls import ClosedWalls
-from sixthsense.navigation.driving_limits import UNKNOWN_M, Widening, traversed_cells
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.gridsearch import Distances, FarCells, ReachableCells
+from sixthsense.navigation.gridsearch import Distances, ReachableCells
 from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.limited_map import LimitedMap
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
-from sixthsense.navigation.path_margin import margin_m
-from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.view_planner import ViewPlanner
-from sixthsense.navigation.views_elsewhere import Surroundings, cells_approached_at, nearest_shown_elsewhere
+from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.navigation.without_clearance import gap_on_the_way
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
-_SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
 _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
@@ -54,35 +49,35 @@ class Exploration:
         self.left: list[UnseenPlace] = []
         self.state: State = "selecting"
         self._task = task
+        self._limited = LimitedMap(task)
+        self._widening, self._passages = self._limited.widening, self._limited.passages
         self._target = NO_TARGET
         self._failed_views = FailedViewCounts()
         self._hidden_cells = HiddenCells(task.sensor.reach)
-        self._surroundings = Surroundings()
-        self._far_cells = FarCells(round(UNKNOWN_M / task.config.grid.cell_m))
         self._reachable_cells = ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
-        self._widening = Widening(task.region, task.config.explore.margin_m, task.config.laser.max_range)
         self._gap_approaches = 0
         self._retries = 0  # of unreachable cells
         self._stuck_since_arrival = False
         self._retracing = False
         self._has_seen_more = True  # since the last revisit: else one revisit could follow another for ever
-        self._map = self._driving_map(grid, estimate)
+        self._map = self._limited.driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
         self._drawn_window: MapWindow | None = None
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
-        self._map = self._driving_map(grid, estimate)
+        self._map = self._limited.driving_map(grid, estimate)
         self._update_window(pose)
         self._history.add(pose, estimate.pose_cov)
+        self._passages.moved(pose.position)
         if self._history.is_certain:
             self._react("pose certain", pose)
         elif self._history.needs_revisit and (self._has_seen_more or self._history.is_much_less_certain):
             self._react("pose uncertain", pose)
-        if self._target.unknown_cells(grid) <= _SEEN_FRACTION * len(self._target.cells):
+        if self._target.is_seen(grid):
             self._has_seen_more |= self._target is not NO_TARGET
             if self._react("target seen", pose):
                 return
@@ -114,6 +109,7 @@ class Exploration:
         """Head for the view with the largest utility, or home when none is left."""
         self.driver.stop()
         target = self._next_target(pose) or self._unreachable_target(pose) or self._target_outside(pose)
+        target = target or self._target_through_passage(pose)
         self._target = NO_TARGET if target is None else target
         if target is not None:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
@@ -139,7 +135,6 @@ class Exploration:
         return self._choose_view(pose)
 
     def _turn_around(self, pose: Pose) -> State:
-        self._surroundings.remember(self._window, self._target)
         self.driver.turn_around(pose, self._task.sensor.turn_rad)
         return "at viewpoint"
 
@@ -152,15 +147,15 @@ class Exploration:
         self._failed_views.count_failure(window, failed)
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
         if self._target.occluded and often.any():
-            # The views from before the gap have not opened it, and the last one has taught nothing about it.
-            if self._surroundings.are_as_before(window, self._target):
-                planner = self._make_view_planner(pose)
-                often |= cells_approached_at(planner, planner.candidates(self._widening), cell)
-            self._failed_views.mark_unreachable(window, often)
+            # The views from before the gap have not opened it.
+            planner = self._make_view_planner(pose)
+            approached = cells_approached_at(planner, planner.candidates(self._widening), cell)
+            self._failed_views.mark_unreachable(window, often | approached)
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
         """Give the target up until a path leads to it, then choose another view."""
+        self._passages.close_untried()
         self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
         return self._choose_view(pose)
 
@@ -190,6 +185,7 @@ class Exploration:
             return "approaching gap"
         if not self._retracing:
             self._retracing = True
+            self._passages.add(been)
             self._update_window(pose)
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:
@@ -239,6 +235,23 @@ class Exploration:
         self._update_window(pose)
         return None
 
+    def _target_through_passage(self, pose: Pose) -> Target | None:
+        """A target behind a gap that only the clearance closes, which the robot may now pass without it."""
+        planner = self._make_view_planner(pose)
+        for place in unseen_places(planner):
+            shown = self._passages.open_to(planner, place, self._map.grid)
+            if shown is not None:
+                self._failed_views.reset(planner.window, shown, 0)
+                self._hidden_cells.clear()
+                self._retries = 0
+                self._update_window(pose)
+                target = self._next_target(pose) or self._unreachable_target(pose)
+                if target is not None:
+                    return target
+                self._passages.close_untried()
+        self._update_window(pose)
+        return None
+
     def _make_view_planner(self, pose: Pose) -> ViewPlanner:
         """Close the walls of the map window, and make the view planner for it."""
         closed = self._closed_walls.close(self._window, self._map.grid)
@@ -260,17 +273,6 @@ class Exploration:
 
     # The map within the limits.
 
-    def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
-        def free_space(margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
-            space = grid.free_space(*places, margin_m=margin_m, within=within)
-            blocked = self._widening.limits.blocked(space, self._far_cells, grid.changes)
-            if self._retracing and margin_m == 0.0:
-                blocked &= ~traversed_cells(space, self._history.positions, grid, self._task.config.grid.clearance_m)
-            blocked.flags.writeable = False
-            return replace(space, blocked=blocked)
-
-        return DrivingMap(grid, free_space, margin_m(estimate.pose_cov, self._task.config))
-
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)
         self._drawn_window = None
@@ -279,8 +281,7 @@ class Exploration:
     def _window(self) -> MapWindow:
         """The map window, drawn when somebody looks at it."""
         if self._drawn_window is None:
-            space, limits = self.driver.space, self._widening.limits
-            self._drawn_window = MapWindow.of(self._map.grid, space, limits.rows_and_cols(space), self._task.region)
+            self._drawn_window = self._limited.window(self._map.grid, self.driver.space)
         return self._drawn_window
 
 

@@ -13,6 +13,8 @@ from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
+_SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+
 Region = tuple[float, float, float, float]
 """x0, y0, x1, y1, world frame, metres."""
 
@@ -112,9 +114,9 @@ class Target:
         mask[cells[:, 0], cells[:, 1]] = True
         return mask
 
-    def unknown_cells(self, grid: Grid) -> int:
-        """How many of its cells are still unknown."""
-        return int(np.count_nonzero(grid.unknown(self.cells)))
+    def is_seen(self, grid: Grid) -> bool:
+        """Whether little of it is still unknown."""
+        return bool(np.count_nonzero(grid.unknown(self.cells)) <= _SEEN_FRACTION * len(self.cells))
 
 
 NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0), False)

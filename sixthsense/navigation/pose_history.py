@@ -11,6 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 
 _WELL_KNOWN = 0.5  # a place is worth a revisit if sigma there was at most this share of the present one
 _NEXT_REVISIT = 1.5  # growth of sigma before another revisit is tried
+_MOST_REVISIT = 4.0  # times `revisit_sigma_m`: the most that a revisit may come to need
 
 
 class PoseHistory:
@@ -29,8 +30,6 @@ class PoseHistory:
         """Append the pose of a key scan, with its covariance (3, 3)."""
         self.sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(pose_cov[:2, :2])[-1]), 0.0))
         self._rows.append((pose.x, pose.y, self.sigma_m))
-        if self.sigma_m <= self._explore.revisit_sigma_m:
-            self._revisit_threshold_m = self._explore.revisit_sigma_m
 
     @property
     def positions(self) -> Array:
@@ -53,8 +52,12 @@ class PoseHistory:
         return self.sigma_m > self._much_less_m
 
     def postpone_revisit(self) -> None:
-        """Require a larger uncertainty for the next revisit, whatever the present one achieves."""
-        self._revisit_threshold_m = self._much_less_m = _NEXT_REVISIT * self.sigma_m
+        """Require a larger uncertainty for the next revisit, whatever the present one achieves.
+
+        Far from where it is certain, a robot that comes back by the same way is about as uncertain as before.
+        """
+        self._much_less_m = _NEXT_REVISIT * self.sigma_m
+        self._revisit_threshold_m = min(self._much_less_m, _MOST_REVISIT * self._explore.revisit_sigma_m)
 
     def well_known_places(self) -> Array:
         """(K, 2) positions that were much more certain than the present one."""

@@ -31,7 +31,8 @@ class UnseenPlace:
     """unseen area there that would be visible, according to the map, from the viewpoint that the reason tells"""
     reason: Reason
     """gave up: visible from where the robot can drive; it looked and did not see it; cut off by inflation only: visible
-    from where it could drive without the clearance; unreachable: visible from where it would fit but cannot get to"""
+    from where it could drive if it might touch obstacle cells; unreachable: visible from where it would fit but cannot
+    get to"""
 
 
 def as_reason(text: str) -> Reason:

@@ -6,34 +6,11 @@ import numpy as np
 
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell
 from sixthsense.navigation.gridsearch import Distances, cell_before_gap
-from sixthsense.navigation.map_window import MapWindow, Target
+from sixthsense.navigation.map_window import Target
 from sixthsense.navigation.regions import Cells
 from sixthsense.navigation.view_planner import MAX_VIEWS, Candidates, ViewPlanner
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
-
-
-_AROUND_M = 1.0  # of a viewpoint: obstacles so near to it make the gap before which it lies
-
-
-class Surroundings:
-    """The obstacles around a target's viewpoint, to tell whether a view from it has changed them."""
-
-    def __init__(self) -> None:
-        self._obstacles = np.zeros((0, 0), dtype=np.bool_)
-
-    def remember(self, window: MapWindow, target: Target) -> None:
-        """Remember the obstacles as they are before the view."""
-        self._obstacles = self._around(window, target).copy()
-
-    def are_as_before(self, window: MapWindow, target: Target) -> bool:
-        """Whether the obstacles are the remembered ones."""
-        return np.array_equal(self._around(window, target), self._obstacles)
-
-    @staticmethod
-    def _around(window: MapWindow, target: Target) -> Bools:
-        span, (row, col) = round(_AROUND_M / window.cell_m), target.viewpoint_in(window)
-        return window.obstacles[max(row - span, 0) : row + span + 1, max(col - span, 0) : col + span + 1]
 
 
 def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Target | None:

@@ -125,10 +125,25 @@ def test_an_enclosed_robot_sees_its_enclosure_and_is_done(tmp_path: Path) -> Non
 
 
 def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tmp_path: Path) -> None:
-    made = explored(tmp_path, two_rooms(0.48))
+    made = explored(tmp_path, two_rooms(0.45))
     assert made.outcome == "explored in part"
     assert made.trace.left[0].reason == "cut off by inflation only"
     assert made.trace.left[0].x > 4.0 - 0.3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_door_that_only_the_clearance_closes_is_passed_when_nothing_else_is_left(seed: int, tmp_path: Path) -> None:
+    """The door is wider than the robot by two cells and the noise of its edges."""
+    made = explored(tmp_path, two_rooms(0.52), seed=seed)
+    assert made.outcome == "explored"
+    assert np.array(made.trace.truths)[:, 0].max() > 3.95
+    assert made.metrics["coverage"] >= 0.995
+    assert made.metrics["collisions"] == 0 and made.metrics["home_error_m"] <= 0.2
+
+
+def test_without_the_guard_no_robot_passes_a_door_that_the_clearance_closes(tmp_path: Path) -> None:
+    made = explored(tmp_path, two_rooms(0.52), safety={"guard": False})
+    assert made.outcome == "explored in part" and made.trace.left[0].reason == "cut off by inflation only"
 
 
 def test_a_door_that_noise_has_closed_is_approached_for_another_view(tmp_path: Path, visited: Visited) -> None:
@@ -156,7 +171,7 @@ def test_when_the_path_home_stays_closed_the_robot_retraces_its_own_path(tmp_pat
     # In which run the way back closes hangs on the last digits of all numbers: runs are driven until it does in one.
     for seed in range(32, 64):
         made = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5), seed=seed)
-        assert made.outcome == "explored in part" and made.trace.left[0].reason == "cut off by inflation only"
+        assert made.outcome in ("explored", "explored in part")
         assert made.metrics["home_error_m"] <= 0.2 and made.metrics["collisions"] == 0
         if visited.retraced:
             assert np.array(made.trace.truths)[:, 0].max() > 1.2

@@ -1,0 +1,94 @@
+"""Passages: ways without clearance, which the robot takes when nothing else is left to see, or to come home.
+
+A gap between obstacle cells may be closed by the clearance alone. Through it leads a path on which the robot's disc
+touches no obstacle cell. The guard stops a robot that would touch what its laser sees there; then the passage is closed
+again.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sixthsense.core.geometry import Array
+from sixthsense.navigation.driving_limits import track_cells
+from sixthsense.navigation.gridsearch import Distances, shortest_path
+from sixthsense.navigation.unseen_places import UnseenPlace
+from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.visibility import visible_cells
+from sixthsense.slam.mapping.freespace import Bools, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+
+_PASSED_M = 0.3  # from the end of a passage: a robot so near to it has come through
+
+
+class Passages:
+    """Tracks along which the robot may drive without its clearance."""
+
+    def __init__(self, clearance_m: float, guarded: bool) -> None:
+        """Begin without any; a robot that is not `guarded` opens none."""
+        self._clearance_m = clearance_m
+        self._guarded = guarded
+        self._tracks: list[Array] = []
+        self._tried: set[tuple[int, ...]] = set()
+        """squares that hold the views at their ends"""
+        self._passed = True
+        """whether the robot has come through the latest one"""
+
+    def add(self, positions: Array) -> None:
+        """Let the robot drive where it has been, at `positions` (N, 2), world frame."""
+        self.close_untried()
+        self._tracks.append(positions)
+
+    def open_to(self, planner: ViewPlanner, place: UnseenPlace, grid: Grid) -> Bools | None:
+        """Open a passage to a view of a place that was left; (H, W) the unseen cells that the view shows.
+
+        None if there is none, or if one to there was tried before.
+        """
+        if not self._guarded:
+            return None
+        window, reachable = planner.window, planner.distances.reachable
+        first = window.first[1] * window.cell_m, window.first[0] * window.cell_m
+        passable = window.free & ~self._tight(grid, first, reachable.shape) | reachable
+        here = window.cell(planner.pose.position)
+        beyond = Distances(passable, ~passable, *here).reachable & ~reachable
+        view = planner.gain.viewpoint(beyond, window.cell(np.array([place.x, place.y])))
+        if view is None:
+            return None
+        square = tuple((np.add(view, window.first) // round(_PASSED_M / window.cell_m)).tolist())
+        if square in self._tried:
+            return None
+        self._tried.add(square)
+        cells, _, _ = shortest_path(~passable, here, view)
+        # From the last cell that the robot reaches with its clearance to the first behind the gap.
+        cells = cells[np.flatnonzero(reachable[tuple(cells.T)]).max(initial=0) :]
+        tight_at = np.flatnonzero(window.blocked[tuple(cells.T)])
+        cells = cells[: tight_at.max() + 2] if len(tight_at) else cells
+        self._tracks.append((cells[:, ::-1] + window.first[::-1] + 0.5) * window.cell_m)
+        self._passed = False
+        return visible_cells(planner.gain.closed.opaque, window.unseen, *view, planner.gain.sensor.reach)
+
+    def moved(self, position: Array) -> None:
+        """Take in where the robot is, (2,)."""
+        self._passed = self._passed or math.dist(position, self._tracks[-1][-1]) <= _PASSED_M
+
+    def close_untried(self) -> None:
+        """Close the latest passage unless the robot has come through it."""
+        if not self._passed:
+            self._tracks.pop()
+            self._passed = True
+
+    def unblock(self, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
+        """Clear the `blocked` cells (H, W) of a space along the passages where the robot fits without the clearance."""
+        if not self._tracks:
+            return
+        tight = self._tight(grid, space.origin, blocked.shape)
+        for track in self._tracks:
+            blocked &= tight | ~track_cells(track, space.origin, space.cell_m, blocked.shape)
+
+    def _tight(self, grid: Grid, first: tuple[float, float], shape: tuple[int, int]) -> Bools:
+        """The cells, `shape` of them from the corner `first` on, in which the robot's disc touches an obstacle cell."""
+        space = grid.free_space(margin_m=-self._clearance_m)
+        down, across = (round((first[k] - space.origin[k]) / space.cell_m) for k in (1, 0))
+        return space.window(np.arange(shape[0]) + down, np.arange(shape[1]) + across)
