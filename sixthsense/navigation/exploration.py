@@ -185,7 +185,7 @@ class Exploration:
             return "approaching gap"
         if not self._retracing:
             self._retracing = True
-            self._passages.add(been)
+            self._passages.open_back(been)
             self._update_window(pose)
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:

@@ -31,15 +31,18 @@ class Passages:
         self._clearance_m = clearance_m
         self._guarded = guarded
         self._tracks: list[Array] = []
+        self._driven = np.zeros((0, 2))
         self._tried: set[tuple[int, ...]] = set()
         """squares that hold the views at their ends"""
         self._passed = True
         """whether the robot has come through the latest one"""
 
-    def add(self, positions: Array) -> None:
-        """Let the robot drive where it has been, at `positions` (N, 2), world frame."""
-        self.close_untried()
-        self._tracks.append(positions)
+    def open_back(self, positions: Array) -> None:
+        """Let the robot drive where it has been, at `positions` (N, 2), world frame.
+
+        It has touched nothing there, though its disc may touch an obstacle cell by now: noise makes walls thicker.
+        """
+        self._driven = positions
 
     def open_to(self, planner: ViewPlanner, place: UnseenPlace, grid: Grid) -> Bools | None:
         """Open a passage to a view of a place that was left; (H, W) the unseen cells that the view shows.
@@ -81,14 +84,14 @@ class Passages:
 
     def unblock(self, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
         """Clear the `blocked` cells (H, W) of a space along the passages where the robot fits without the clearance."""
-        if not self._tracks:
-            return
-        tight = self._tight(grid, space.origin, blocked.shape)
-        for track in self._tracks:
-            blocked &= tight | ~track_cells(track, space.origin, space.cell_m, blocked.shape)
+        for tracks, depth_m in ((self._tracks, 0.0), ([self._driven], space.cell_m if self._guarded else 0.0)):
+            if any(map(len, tracks)):
+                tight = self._tight(grid, space.origin, blocked.shape, depth_m)
+                for track in tracks:
+                    blocked &= tight | ~track_cells(track, space.origin, space.cell_m, blocked.shape)
 
-    def _tight(self, grid: Grid, first: tuple[float, float], shape: tuple[int, int]) -> Bools:
-        """The cells, `shape` of them from the corner `first` on, in which the robot's disc touches an obstacle cell."""
-        space = grid.free_space(margin_m=-self._clearance_m)
+    def _tight(self, grid: Grid, first: tuple[float, float], shape: tuple[int, int], depth_m: float = 0.0) -> Bools:
+        """The cells, `shape` of them from `first` on, where the robot reaches `depth_m` into an obstacle cell."""
+        space = grid.free_space(margin_m=-self._clearance_m - depth_m)
         down, across = (round((first[k] - space.origin[k]) / space.cell_m) for k in (1, 0))
         return space.window(np.arange(shape[0]) + down, np.arange(shape[1]) + across)
