@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sixthsense.config import LaserConfig, RRTStarConfig, preset
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
@@ -270,3 +270,13 @@ def test_a_bin_with_few_key_scans_is_left_out_of_the_figure(script):
     assert script.binned([tour, other], [tour, other], np.mean)[0].tolist() == [5.0, 25.0]
     gaps = np.where(tour < 10.0, np.nan, tour)
     assert script.binned([gaps], [gaps], np.mean)[0].tolist() == [15.0, 25.0]
+
+
+@of("narrow_doors")
+def test_the_doors_are_as_wide_as_they_are_said_to_be(script):
+    for wider_m, angle, thick in [(0.05, 0.0, False), (0.1, 0.5, True), (0.17, 0.8, True)]:
+        scene = script.two_rooms(script.Case(wider_m, angle, thick, 0))
+        across = np.array([math.cos(angle), math.sin(angle)])
+        for depth in (0.0, 0.5 * script.THICK_M) if thick else (0.0,):
+            middle = script.DOOR + depth * across
+            assert point_segment_distance(middle, scene.walls).min() == pytest.approx(script.RADIUS_M + 0.5 * wider_m)
