@@ -1,8 +1,7 @@
 """Passages: ways without clearance, which the robot takes when nothing else is left to see, or to come home.
 
-A gap between obstacle cells may be closed by the clearance alone. Through it leads a path on which the robot's disc
-touches no obstacle cell. The guard stops a robot that would touch what its laser sees there; then the passage is closed
-again.
+A gap may be closed by the clearance alone, and by cells that are wider than the walls in them. Whether the robot fits
+is found by trying: the guard stops it before it touches what its laser sees. Then the passage is closed again.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
+_INTO_WALLS = 0.5  # cells that the robot may reach into those of obstacles: a wall is thinner than its cells
 _PASSED_M = 0.3  # from the end of a passage: a robot so near to it has come through
 
 
@@ -53,8 +53,9 @@ class Passages:
             return None
         window, reachable = planner.window, planner.distances.reachable
         first = window.first[1] * window.cell_m, window.first[0] * window.cell_m
-        passable = window.free & ~self._tight(grid, first, reachable.shape) | reachable
+        passable = window.free & ~self._tight(grid, first, reachable.shape, _INTO_WALLS * window.cell_m) | reachable
         here = window.cell(planner.pose.position)
+        passable[here] = True
         beyond = Distances(passable, ~passable, *here).reachable & ~reachable
         view = planner.gain.viewpoint(beyond, window.cell(np.array([place.x, place.y])))
         if view is None:
@@ -64,6 +65,8 @@ class Passages:
             return None
         self._tried.add(square)
         cells, _, _ = shortest_path(~passable, here, view)
+        if not len(cells):
+            return None
         # From the last cell that the robot reaches with its clearance to the first behind the gap.
         cells = cells[np.flatnonzero(reachable[tuple(cells.T)]).max(initial=0) :]
         tight_at = np.flatnonzero(window.blocked[tuple(cells.T)])
@@ -84,7 +87,10 @@ class Passages:
 
     def unblock(self, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
         """Clear the `blocked` cells (H, W) of a space along the passages where the robot fits without the clearance."""
-        for tracks, depth_m in ((self._tracks, 0.0), ([self._driven], space.cell_m if self._guarded else 0.0)):
+        for tracks, depth_m in (
+            (self._tracks, _INTO_WALLS * space.cell_m),
+            ([self._driven], space.cell_m if self._guarded else 0.0),
+        ):
             if any(map(len, tracks)):
                 tight = self._tight(grid, space.origin, blocked.shape, depth_m)
                 for track in tracks:
