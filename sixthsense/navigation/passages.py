@@ -16,6 +16,7 @@ from sixthsense.navigation.gridsearch import Distances, shortest_path
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.navigation.view_planner import ViewPlanner
 from sixthsense.navigation.visibility import visible_cells
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
@@ -52,8 +53,10 @@ class Passages:
         if not self._guarded:
             return None
         window, reachable = planner.window, planner.distances.reachable
-        first = window.first[1] * window.cell_m, window.first[0] * window.cell_m
-        passable = window.free & ~self._tight(grid, first, reachable.shape, _INTO_WALLS * window.cell_m) | reachable
+        (top, left), (height, width) = window.first, reachable.shape
+        margin_m = -self._clearance_m - _INTO_WALLS * window.cell_m
+        tight = grid.inflated(Box(top, left, top + height, left + width), margin_m)
+        passable = window.free & ~tight | reachable
         here = window.cell(planner.pose.position)
         passable[here] = True
         beyond = Distances(passable, ~passable, *here).reachable & ~reachable
@@ -87,17 +90,20 @@ class Passages:
 
     def unblock(self, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
         """Clear the `blocked` cells (H, W) of a space along the passages where the robot fits without the clearance."""
-        for tracks, depth_m in (
-            (self._tracks, _INTO_WALLS * space.cell_m),
-            ([self._driven], space.cell_m if self._guarded else 0.0),
-        ):
-            if any(map(len, tracks)):
-                tight = self._tight(grid, space.origin, blocked.shape, depth_m)
-                for track in tracks:
-                    blocked &= tight | ~track_cells(track, space.origin, space.cell_m, blocked.shape)
+        for track in self._tracks:
+            self._unblock_along(track, _INTO_WALLS * space.cell_m, blocked, space, grid)
+        if len(self._driven):
+            self._unblock_along(self._driven, space.cell_m if self._guarded else 0.0, blocked, space, grid)
 
-    def _tight(self, grid: Grid, first: tuple[float, float], shape: tuple[int, int], depth_m: float = 0.0) -> Bools:
-        """The cells, `shape` of them from `first` on, where the robot reaches `depth_m` into an obstacle cell."""
-        space = grid.free_space(margin_m=-self._clearance_m - depth_m)
-        down, across = (round((first[k] - space.origin[k]) / space.cell_m) for k in (1, 0))
-        return space.window(np.arange(shape[0]) + down, np.arange(shape[1]) + across)
+    def _unblock_along(self, track: Array, depth_m: float, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
+        """Clear the cells along a track where the robot's disc reaches at most `depth_m` into those of obstacles."""
+        first = round(space.origin[1] / space.cell_m), round(space.origin[0] / space.cell_m)
+        cells = np.floor(track[:, ::-1] / space.cell_m).astype(np.int64)
+        (top, left), (bottom, right) = (cells.min(axis=0) - 1).tolist(), (cells.max(axis=0) + 2).tolist()
+        rows, cols = Box(top, left, bottom, right).within(first, blocked.shape)
+        inside = Box(first[0] + rows.start, first[1] + cols.start, first[0] + rows.stop, first[1] + cols.stop)
+        if not blocked[rows, cols].size:
+            return
+        corner = inside.left * space.cell_m, inside.top * space.cell_m
+        along = track_cells(track, corner, space.cell_m, blocked[rows, cols].shape)
+        blocked[rows, cols] &= ~along | grid.inflated(inside, -self._clearance_m - depth_m)

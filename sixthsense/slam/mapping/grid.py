@@ -178,7 +178,9 @@ class Grid:
         )
         blocked = np.ones(shape, dtype=np.bool_)
         first = round(origin[1] / cell_m), round(origin[0] / cell_m)
-        blocked[part] = self._inflated(stencil, first[0] + part[0].start, first[1] + part[1].start, blocked[part].shape)
+        row, col = first[0] + part[0].start, first[1] + part[1].start
+        height, width = blocked[part].shape
+        blocked[part] = self.inflated(Box(row, col, row + height, col + width), margin_m)
         for point in points_world if margin_m > 0.0 else ():
             give_way(blocked, origin, narrow, point, margin_m)
         if within is not None:
@@ -186,12 +188,12 @@ class Grid:
         blocked.flags.writeable = False
         return FreeSpace(blocked, wide.seen, origin, cell_m)
 
-    def _inflated(self, stencil: NDArray[np.int64], row: int, col: int, shape: tuple[int, ...]) -> Bools:
-        """The cells from `row` and `col` on, of the world, that discs (K, 2) about obstacles cover."""
+    def inflated(self, box: Box, margin_m: float) -> Bools:
+        """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
+        stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
         reach = int(stencil.max(initial=0))
-        box = Box(row, col, row + shape[0], col + shape[1]).grown(reach)
-        obstacles = self.part("obstacles", box)
-        return np.asarray(stamped(obstacles, stencil)[reach : reach + shape[0], reach : reach + shape[1]])
+        obstacles = self.part("obstacles", box.grown(reach))
+        return np.asarray(stamped(obstacles, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
 
     @property
     def changes(self) -> Changes:
