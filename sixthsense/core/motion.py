@@ -12,6 +12,7 @@ from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arc import arc, arc_jacobian
 from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.pose_kernels import driven
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two key scans
@@ -20,17 +21,10 @@ _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
     """Propagate a differential drive at constant speed (m/s) and turn rate (rad/s), in steps of at most `step_s`.
 
-    Report eq. 6-7. The heading of a differential drive depends on time alone, so k2 equals k3.
+    Report eq. 6-7.
     """
     steps = max(1, math.ceil(duration_s / step_s - 1e-9))
-    h = duration_s / steps
-    x, y, theta = pose.x, pose.y, pose.theta
-    for _ in range(steps):
-        middle, end = theta + 0.5 * h * turn_rate, theta + h * turn_rate
-        x += h / 6.0 * speed * (math.cos(theta) + 4.0 * math.cos(middle) + math.cos(end))
-        y += h / 6.0 * speed * (math.sin(theta) + 4.0 * math.sin(middle) + math.sin(end))
-        theta = end
-    return Pose(x, y, theta)
+    return Pose(*driven((pose.x, pose.y, pose.theta), float(speed), float(turn_rate), duration_s / steps, steps))
 
 
 def draw(rng: np.random.Generator, distribution: Distribution, scale: float, size: int | None = None) -> Array:

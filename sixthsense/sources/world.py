@@ -12,6 +12,7 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw, rk4, slip_variances
+from sixthsense.core.pose_kernels import Triple, composed, driven
 from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
 from sixthsense.core.source import Command, Tick
 
@@ -47,6 +48,23 @@ def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: f
         if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
             return True
     return False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _driven_among(
+    pose: Triple, control: tuple[float, float, float], steps: int, shift: Triple, walls: Array, radius: float
+) -> tuple[Triple, bool]:
+    """Where a disc comes at a `control` of speed, turn rate and step (s), with a `shift` per step; whether it touched.
+
+    It stops before the step in which it would come closer than `radius` to any of `walls` (M, 4).
+    """
+    speed, turn_rate, step_s = control
+    for _ in range(steps):
+        ahead = composed(driven(pose, speed, turn_rate, step_s, 1), shift)
+        if _touches(pose[0], pose[1], ahead[0], ahead[1], walls, radius):
+            return pose, True
+        pose = ahead
+    return pose, False
 
 
 class World:
@@ -120,15 +138,14 @@ class World:
         steps = max(1, math.ceil(dt / robot.integration_step_s - 1e-9))
         position, heading = slip_variances(noise, v_true * dt, w_true * dt)
         # One slip per tick, distributed evenly over its integration steps.
-        sigma = np.sqrt([position, position, heading])
-        shift = Pose.from_array(sigma * slip / steps)
-        solid = self._solid.at(self._truth.x, self._truth.y)
-        for _ in range(steps):
-            ahead = rk4(self._truth, v_true, w_true, dt / steps) @ shift
-            if _touches(self._truth.x, self._truth.y, ahead.x, ahead.y, solid, self._radius_m):
-                self._collided = True
-                return
-            self._truth = ahead
+        sigmas = math.sqrt(position), math.sqrt(position), math.sqrt(heading)
+        shift = Pose(*(sigma * part / steps for sigma, part in zip(sigmas, slip.tolist(), strict=True)))
+        truth, per_step = self._truth, (shift.x, shift.y, shift.theta)
+        solid, radius = self._solid.at(truth.x, truth.y), float(self._radius_m)
+        found, self._collided = _driven_among(
+            (truth.x, truth.y, truth.theta), (v_true, w_true, dt / steps), steps, per_step, solid, radius
+        )
+        self._truth = Pose(*found)
 
     def _sense(self) -> Scan:
         laser, noise = self._config.laser, self._config.world.laser

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.scans.alignment import (
     GRADIENT,
     HESSIAN,
@@ -24,7 +25,6 @@ from sixthsense.slam.scans.alignment import (
     next_step,
     solved,
 )
-from sixthsense.slam.scans.poses import wrapped
 from sixthsense.slam.scans.scan_store import Returns
 from sixthsense.slam.scans.see_through import compare_views
 

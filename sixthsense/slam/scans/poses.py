@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.pose_kernels import wrapped
 
 
 def compose(a: Array, b: Array) -> Array:
@@ -25,16 +26,6 @@ def _by_rows(kernel: numba.core.dispatcher.Dispatcher, a: Array, b: Array) -> Ar
     a, b = np.ascontiguousarray(a, dtype=np.float64), np.ascontiguousarray(b, dtype=np.float64)
     found = kernel(a.reshape(-1, 3), b.reshape(-1, 3))
     return np.asarray(found[0] if a.ndim == b.ndim == 1 else found)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi), as `wrap_angle` has it."""
-    if -math.pi <= angle < math.pi:
-        return angle
-    inside = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    # The modulo of a tiny negative number rounds up to 2 pi itself.
-    return -math.pi if inside >= math.pi else inside
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
+from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.scans.odometry_prior import informations_in_world
-from sixthsense.slam.scans.poses import between, compose, wrapped
+from sixthsense.slam.scans.poses import between, compose
 
 RNG = np.random.default_rng(0)
 ONE, MANY = RNG.uniform(-4, 4, size=3), RNG.uniform(-4, 4, size=(7, 3))
