@@ -21,7 +21,7 @@ class SafetyConfig(Section):
     """A path with a margin may be this many times as long as the shortest, else the margin is reduced."""
     guard: bool = True
     """Off: commands are not checked."""
-    buffer_m: NonNegative = 0.01
-    """Added to the robot's radius by the guard, to allow for range noise."""
+    buffer_m: NonNegative = 0.02
+    """Added to the robot's radius by the guard, to allow for range noise and for the slip of a robot that turns."""
     creep: Positive = 0.1
     """Lowest speed, m/s, to which obstacles beside the robot's arc can slow it."""

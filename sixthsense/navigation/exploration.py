@@ -21,6 +21,7 @@ from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWin
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
 from sixthsense.navigation.pose_history import PoseHistory
+from sixthsense.navigation.stagnation import Stagnation
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.view_planner import ViewPlanner
@@ -59,7 +60,7 @@ class Exploration:
         self._history = PoseHistory(task.config.explore)
         self._gap_approaches = 0
         self._retries = 0  # of unreachable cells
-        self._stuck_since_arrival = False
+        self._stagnation = Stagnation()
         self._retracing = False
         self._has_seen_more = True  # since the last revisit: else one revisit could follow another for ever
         self._map = self._limited.driving_map(grid, estimate)
@@ -72,7 +73,8 @@ class Exploration:
         self._map = self._limited.driving_map(grid, estimate)
         self._update_window(pose)
         self._history.add(pose, estimate.pose_cov)
-        self._passages.moved(pose.position)
+        if self._passages.moved(pose.position):
+            self._retries = 0  # what was unreachable may no longer be
         if self._history.is_certain:
             self._react("pose certain", pose)
         elif self._history.needs_revisit and (self._has_seen_more or self._history.is_much_less_certain):
@@ -86,18 +88,12 @@ class Exploration:
 
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """React to an event of the drive; whether the exploration is over."""
-        if event == "arrived":
-            self._stuck_since_arrival = False
-        if event == "stuck" and self._stuck_since_arrival:
-            self._react("stuck again", pose)
-        else:
-            self._stuck_since_arrival |= event == "stuck"
-            self._react(event, pose)
+        self._react(event, pose)
         return self.outcome is not None
 
     def _react(self, event: Event, pose: Pose) -> bool:
         """Carry out the transition of the present state; whether there is one."""
-        transition = TRANSITIONS[self.state].get(event)
+        transition = TRANSITIONS[self.state].get(self._stagnation.event(event))
         if transition is None:
             return False
         self.state = _ACTIONS[transition.action](self, pose)
@@ -127,12 +123,16 @@ class Exploration:
         return self.state
 
     def _replan_or_choose_view(self, pose: Pose) -> State:
-        """Without a path, or with a much longer one, choose anew: what was seen on the way may favour another view."""
+        """Without a path, or with a much longer one, choose anew: what was seen on the way may favour another view.
+
+        A target whose path is blocked again and again, while nothing new is seen, is given up.
+        """
         promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
         if self.driver.remaining_m(pose) <= _LONGER * promised_m < math.inf:
             return self.state
-        return self._choose_view(pose)
+        seen_m2 = np.count_nonzero(self._window.seen) * self._window.cell_m**2
+        return self._mark_unreachable(pose) if self._stagnation.blocks_for_good(seen_m2) else self._choose_view(pose)
 
     def _turn_around(self, pose: Pose) -> State:
         self.driver.turn_around(pose, self._task.sensor.turn_rad)
@@ -243,7 +243,6 @@ class Exploration:
             if shown is not None:
                 self._failed_views.reset(planner.window, shown, 0)
                 self._hidden_cells.clear()
-                self._retries = 0
                 self._update_window(pose)
                 target = self._next_target(pose) or self._unreachable_target(pose)
                 if target is not None:

@@ -78,9 +78,12 @@ class Passages:
         self._passed = False
         return visible_cells(planner.gain.closed.opaque, window.unseen, *view, planner.gain.sensor.reach)
 
-    def moved(self, position: Array) -> None:
-        """Take in where the robot is, (2,)."""
-        self._passed = self._passed or math.dist(position, self._tracks[-1][-1]) <= _PASSED_M
+    def moved(self, position: Array) -> bool:
+        """Take in where the robot is, (2,); whether it has just come through the latest passage."""
+        if self._passed or math.dist(position, self._tracks[-1][-1]) > _PASSED_M:
+            return False
+        self._passed = True
+        return True
 
     def close_untried(self) -> None:
         """Close the latest passage unless the robot has come through it."""

@@ -61,8 +61,6 @@ class _View(NamedTuple):
     """of what is seen from it"""
     turn_s: float
     """time to turn towards it"""
-    shown: int
-    """cells that it shows on lines of sight that pass no opaque cell"""
 
 
 def best_view(views: list[_View], distances: Distances, seconds_per_cell: float, overhead_s: float) -> int | None:
@@ -155,20 +153,24 @@ class ViewPlanner:
         # An uncertain robot prefers near targets.
         seconds_per_cell = (1.0 + self.sigma_m / explore.revisit_sigma_m) * window.cell_m / robot.speed
         views: list[_View] = []
+        shown_together = 0
         for k in self.by_distance(candidates.clusters):
-            if len(views) == MAX_VIEWS:
+            if len(views) == MAX_VIEWS and shown_together > candidates.dust:
                 break
             cells = candidates.clusters[k]
             found = self.view_beside(candidates.wanted, cells)
             if found is None:
                 continue
             (row, col), shown = found
+            shown_together += shown
+            if len(views) == MAX_VIEWS:
+                continue
             target = self.target_of(candidates.wanted, cells, (row, col), occluded=False)
             area = max(self.gain.crossed(candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
             ahead = window.point(row, col) - self.pose.position
             turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
-            views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate, shown))
-        if len(views) < MAX_VIEWS and sum(view.shown for view in views) <= candidates.dust:
+            views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate))
+        if shown_together <= candidates.dust:
             return None
         best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
         return None if best is None else views[best].target

@@ -139,7 +139,7 @@ def corridor(width: float) -> Array:
 
 
 def test_the_speed_decreases_with_the_width_of_a_corridor_down_to_creep_speed() -> None:
-    speeds = [guard_before(corridor(width))[0].check(Command(0.5, 0.0)).speed for width in (0.43, 0.5, 0.6, 0.7, 0.9)]
+    speeds = [guard_before(corridor(width))[0].check(Command(0.5, 0.0)).speed for width in (0.45, 0.5, 0.6, 0.7, 0.9)]
     assert speeds == sorted(speeds)
     assert speeds[0] == pytest.approx(CONFIG.safety.creep)
     assert speeds[0] < speeds[2] < speeds[-1] == 0.5
