@@ -18,7 +18,15 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
 from sixthsense.slam.association.agreement import predicted_cov
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
-from sixthsense.slam.association.matching import Indices, Innovations, assign, compare, matches_nis
+from sixthsense.slam.association.matching import (
+    Indices,
+    Innovations,
+    assign,
+    compare,
+    compare_known,
+    matches_nis,
+    without_barely_covered,
+)
 from sixthsense.slam.association.pre_gate import pre_gate
 from sixthsense.slam.association.rivals import best_agreed
 from sixthsense.slam.association.wall_alignment import Alignment, align
@@ -124,6 +132,7 @@ class Associator:
             squares = np.array([records[k].shape.square_m2(self._crookedness.excess) for k in near])
             noise = noise_of_pairs(sightings, squares)
             innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near], noise)
+            innovation = without_barely_covered(innovation, fits, near, self._match_gate)
             rows, cols, squared = self._assigned(innovation, noise, joint)
             free = squared.min(axis=1) > self._new_gate
             free[rows] = False
@@ -159,7 +168,7 @@ class Associator:
         misread: set[LandmarkId] = set()
         nis = 0.0
         if old:
-            innovation, joint = _of_known(sightings, old, estimate, estimator)
+            innovation, joint = compare_known(sightings, old, estimate, estimator)
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
             nis = matches_nis(innovation, [sightings[old[k]] for k in kept], kept, joint)
@@ -176,7 +185,7 @@ class Associator:
         old = [i for i in sightings if i in known]
         if not old:
             return 0.0, 0
-        innovation, joint = _of_known(sightings, old, estimate, estimator)
+        innovation, joint = compare_known(sightings, old, estimate, estimator)
         return matches_nis(innovation, [sightings[i] for i in old], np.arange(len(old)), joint), 2 * len(old)
 
     def cull(self) -> list[LandmarkId]:
@@ -286,13 +295,3 @@ class Associator:
         extent = ends(Pose(), other)[None]
         here = Alignment(Pose(), 1.0)
         return not pre_gate([one], other_known, here, np.zeros(1), extent, self._gate_sigmas, self._config).apart[0, 0]
-
-
-def _of_known(
-    sightings: Mapping[LandmarkId, Sighting], known: list[LandmarkId], estimate: Estimate, estimator: Estimator
-) -> tuple[Innovations, Array]:
-    """Innovations of the sightings of landmarks that are known, each of its own one, and the joint covariance."""
-    order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-    near, seen = np.array([order[i] for i in known]), [sightings[i] for i in known]
-    joint = estimator.joint_covariance(known)
-    return compare(seen, estimate, near, joint, np.eye(len(known), dtype=np.bool_)), joint

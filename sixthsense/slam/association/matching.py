@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import Sighting, innovations, predict
-from sixthsense.slam.association.pre_gate import Mask
-from sixthsense.slam.estimators.base import Estimate
+from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict
+from sixthsense.slam.association.pre_gate import Mask, PreGate
+from sixthsense.slam.estimators.base import Estimate, Estimator
 
 Indices = NDArray[np.int64]
+
+_LEAST_COVERED = 0.5
+"""of what the wall covers that covers most of a sighting"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +63,27 @@ def compare(
     squared = (a * a * S[..., 1, 1] - 2 * a * b * S[..., 0, 1] + b * b * S[..., 0, 0]) / det
     squared = np.where(plausible, squared, np.inf)
     return Innovations(values, squared, np.log(det), by_pose, by_landmark, predicted, walls)
+
+
+def compare_known(
+    sightings: Mapping[LandmarkId, Sighting], known: list[LandmarkId], estimate: Estimate, estimator: Estimator
+) -> tuple[Innovations, Array]:
+    """Innovations of the sightings of landmarks that are known, each of its own one, and the joint covariance."""
+    order = {i: k for k, i in enumerate(estimate.ids.tolist())}
+    near, seen = np.array([order[i] for i in known]), [sightings[i] for i in known]
+    joint = estimator.joint_covariance(known)
+    return compare(seen, estimate, near, joint, np.eye(len(known), dtype=np.bool_)), joint
+
+
+def without_barely_covered(innovation: Innovations, fits: PreGate, near: Indices, gate: float) -> Innovations:
+    """The innovations, infinite for walls that cover much less of a sighting than another one inside the gate.
+
+    Two walls that meet at a small angle are one beside the other where
+    they meet. A short piece of the one passes the gate of both, though it lies beyond what is known of the other.
+    """
+    most = np.where(innovation.squared < gate, fits.covered[:, near], 0.0).max(axis=1, initial=0.0)
+    barely = fits.coverable[:, near] < _LEAST_COVERED * most[:, None]
+    return replace(innovation, squared=np.where(barely, np.inf, innovation.squared))
 
 
 def assign(innovation: Innovations, gate: float) -> tuple[Indices, Indices]:

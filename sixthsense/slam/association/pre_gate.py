@@ -34,6 +34,10 @@ class PreGate:
     """(m, n) far enough apart for the sighting to be of another landmark"""
     sigmas: Array
     """(m,) upper bound of the sigma of a point, or of a wall's middle, in the world; m"""
+    covered: Array
+    """(m, n) share of a sighted wall that lies on what is known of the landmark; 1 for points"""
+    coverable: Array
+    """(m, n) likewise, if the robot is as far from its estimate as two sigmas"""
 
 
 def pre_gate(
@@ -54,6 +58,7 @@ def pre_gate(
     """
     shape = len(sightings), len(estimate.ids)
     plausible, apart = np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
+    covered, coverable = np.ones(shape), np.ones(shape)
     own = _world_sigmas(sightings, estimate)
     pose, is_aligned = aligned.pose, aligned.explained >= cfg.align.enough
     walls = np.array([s.is_wall for s in sightings], dtype=bool)
@@ -77,7 +82,10 @@ def pre_gate(
             reach = np.clip(gate_sigmas * own[rows], _OFFSET_LIMIT_M, cfg.pre_gate_m)
         plausible[np.ix_(rows, cols)] = in_line & (angle < turn) & (offset < reach[:, None])
         apart[np.ix_(rows, cols)] = ~(in_line & (angle < _ANGLE_LIMITS_RAD[0]) & (offset <= cfg.new_separation_m))
-    return PreGate(plausible, apart, own)
+        length = np.hypot(*(sighted[:, 1] - sighted[:, 0]).T)[:, None]
+        covered[np.ix_(rows, cols)] = np.clip(-near.gap / length, 0.0, 1.0)
+        coverable[np.ix_(rows, cols)] = np.clip((2.0 * own[rows, None] - near.gap) / length, 0.0, 1.0)
+    return PreGate(plausible, apart, own, covered, coverable)
 
 
 def _world_sigmas(sightings: Sequence[Sighting], estimate: Estimate) -> Array:

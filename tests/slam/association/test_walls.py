@@ -308,6 +308,20 @@ def test_a_wall_is_matched_again_and_its_other_side_is_a_new_one():
     assert sorted(np.round(associator.records[0].extent[:, 1], 6)) == [-1.0, 1.4]
 
 
+def test_of_two_walls_that_meet_the_one_is_matched_that_covers_the_sighting():
+    """The piece lies on the first wall, but noise has put it onto the line of the second, which ends there."""
+    bend, certain = 0.008, np.diag([1e-8, 1e-8])
+    first = Sighting(Kind.WALL, np.array([0.0, 2.0]), certain, (0.0, 4.0))
+    second = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), certain, (-4.0, 0.0))
+    estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
+    estimator.update(associator.associate([first, second], estimator).sightings)
+    assert len(associator.records) == 2
+    piece = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.05, 0.9))
+    assert list(associator.associate([piece], estimator).sightings) == [0]
+    beyond = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.9, 0.05))
+    assert list(associator.associate([beyond], estimator).sightings) == [1]
+
+
 def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
     for step, fused_in in ((0.0, True), (0.2, False)):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
