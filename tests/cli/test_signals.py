@@ -21,8 +21,9 @@ ENDLESS = ("run", "rectangle", "--task", "tour", "--max-time", "1e6", "--out", "
 
 
 def listen() -> None:
-    """In the child: Ctrl-C is not ignored, as it is in what a shell runs in the background."""
+    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def start(*args: str, **options: object) -> subprocess.Popen[str]:
@@ -117,7 +118,8 @@ def test_a_terminal_that_is_closed_ends_a_run_in_order(here):
         "import fcntl, os, sys, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
         f"os.execv(sys.executable, [sys.executable, '-m', 'sixthsense.cli', *{ENDLESS!r}])"
     )
-    process = subprocess.Popen([sys.executable, "-c", code], stdin=follower, stdout=follower, stderr=follower)
+    streams = {"stdin": follower, "stdout": follower, "stderr": follower}
+    process = subprocess.Popen([sys.executable, "-c", code], preexec_fn=listen, **streams)
     os.close(follower)
     wait_until(lambda: has_record(here / "x.partial"))
     os.close(leader)
