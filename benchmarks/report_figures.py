@@ -34,7 +34,7 @@ ROUGH: dict[str, Any] = {
     "features": {**CORNERS, "lines": {"least_squares": False}},
     "task": "tour",
     "max_time": 80.0,
-    "seed": 2,
+    "seed": 4,
 }
 
 

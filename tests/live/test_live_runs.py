@@ -41,8 +41,9 @@ def _compiled() -> None:
 
 
 def listen() -> None:
-    """In the child: Ctrl-C is not ignored, as it is in what a shell runs in the background."""
+    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @contextmanager
