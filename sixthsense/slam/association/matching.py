@@ -78,8 +78,8 @@ def compare_known(
 def without_barely_covered(innovation: Innovations, fits: PreGate, near: Indices, gate: float) -> Innovations:
     """The innovations, infinite for walls that cover much less of a sighting than another one inside the gate.
 
-    Two walls that meet at a small angle are one beside the other where
-    they meet. A short piece of the one passes the gate of both, though it lies beyond what is known of the other.
+    Two walls that meet at a small angle are one beside the other where they meet. A short piece of the one passes the
+    gate of both, though it lies beyond what is known of the other.
     """
     most = np.where(innovation.squared < gate, fits.covered[:, near], 0.0).max(axis=1, initial=0.0)
     barely = fits.coverable[:, near] < _LEAST_COVERED * most[:, None]
