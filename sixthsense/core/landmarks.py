@@ -149,6 +149,16 @@ def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Arr
     return z, by_pose, by_landmark
 
 
+def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
+    """(2m, 3 + 2m) Jacobian of m predicted sightings by the pose and the landmarks, in order."""
+    m = len(by_pose)
+    H = np.zeros((2 * m, 3 + 2 * m))
+    H[:, :3] = by_pose.reshape(2 * m, 3)
+    for k in range(m):
+        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
+    return H
+
+
 def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
     """(..., 2) z - predicted; the angle of those marked in `walls` is wrapped."""
     difference = z - predicted

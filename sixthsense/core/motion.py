@@ -101,6 +101,13 @@ class Odometry:
         terms = _composed_terms(first.wheels, later.wheels, by_first, by_later)
         return Odometry(first.motion @ motion, cov, terms)
 
+    def inverse(self) -> Odometry:
+        """The motion back, with the same error, for the present parameters of the wheels."""
+        back = self.motion.inverse()
+        by_motion = -Pose(theta=back.theta).adjoint()
+        by_motion[:2, 2] = back.y, -back.x
+        return Odometry(back, by_motion @ self.cov @ by_motion.T)
+
     def with_wheels(self, values: Wheels) -> Odometry:
         """The same increment for other parameters of the wheels, to first order."""
         if self.wheels is None or self.wheels.values == values:

@@ -195,3 +195,13 @@ def test_composed_odometry_keeps_what_one_part_knows_of_the_wheels():
     for folded in (plain.then(known), known.then(plain)):
         assert folded.wheels is not None and folded.wheels.values == terms.values
     assert plain.then(plain).wheels is None
+
+
+def test_a_motion_back_undoes_a_motion_and_has_its_error() -> None:
+    rng = np.random.default_rng(5)
+    motion, root = Pose(1.2, -0.4, 0.9), 1e-4 * rng.normal(size=(3, 3))
+    back = Odometry(motion, root @ root.T).inverse()
+    assert np.allclose((motion @ back.motion).array(), 0.0, atol=1e-12)
+    errors = root @ rng.normal(size=(3, 20_000))
+    rows = np.array([Pose.from_array(motion.array() + error).inverse().array() for error in errors.T])
+    assert np.allclose(back.cov, np.cov(rows.T), rtol=0.05, atol=0.05 * np.abs(back.cov).max())

@@ -13,7 +13,8 @@ from scipy.linalg import solve_triangular
 
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array
-from sixthsense.slam.association.matching import Indices, Innovations, stacked_jacobian
+from sixthsense.core.landmarks import stacked_jacobian
+from sixthsense.slam.association.matching import Indices, Innovations
 
 _MAX_NODES = 5_000  # visited of the search tree; the best hypothesis so far is then taken
 

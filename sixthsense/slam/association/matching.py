@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict
+from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict, stacked_jacobian
 from sixthsense.slam.association.pre_gate import Mask, PreGate
 from sixthsense.slam.estimators.base import Estimate, Estimator
 
@@ -146,13 +146,3 @@ def block_diagonal(blocks: Array) -> Array:
     matrix = np.zeros((n, 2, n, 2))
     matrix[np.arange(n), :, np.arange(n), :] = blocks
     return matrix.reshape(2 * n, 2 * n)
-
-
-def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
-    """(2m, 3 + 2m) Jacobian of m predicted sightings by the pose and the landmarks, in order."""
-    m = len(by_pose)
-    H = np.zeros((2 * m, 3 + 2 * m))
-    H[:, :3] = by_pose.reshape(2 * m, 3)
-    for k in range(m):
-        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
-    return H

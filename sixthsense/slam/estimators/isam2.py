@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
-from scipy.linalg import block_diag
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.chi_square import chi_square_quantile
@@ -25,15 +24,17 @@ from sixthsense.slam.estimators.base import (
     check_sightings,
     check_wheels,
 )
-from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, noise_of, to_pose, to_pose2
+from sixthsense.slam.estimators.isam2_chain import Chain, map_gain
+from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
+from sixthsense.slam.estimators.isam2_joint import JointCovariances
 from sixthsense.slam.estimators.isam2_links import LinkFactors
 from sixthsense.slam.estimators.isam2_prior import PriorFactor
-from sixthsense.slam.estimators.isam2_sightings import SightingFactors
+from sixthsense.slam.estimators.isam2_sightings import SightingFactors, point_factor
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_walls import exact_factor, measurement, wall_frame
+from sixthsense.slam.estimators.isam2_walls import exact_factor, wall_factor, wall_frame
 from sixthsense.slam.estimators.isam2_wheels import KEY as WHEELS
 from sixthsense.slam.estimators.isam2_wheels import motion_factor, prior_factor, start_factor
 
@@ -61,7 +62,9 @@ class ISAM2:
         """number of poses, solved and waiting"""
         self._landmarks = Landmarks()
         self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
-        self._solution = Solution(self._solver, self._landmarks, self._head)
+        self._chain = Chain()
+        self._solution = Solution(self._solver, self._landmarks, self._head, self._chain)
+        self._joint = JointCovariances(self._solver, self._solution, self._head)
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -97,6 +100,7 @@ class ISAM2:
         """Add the present pose and the sightings from it; solve if there are any."""
         check_sightings(sightings)
         guess = self._head.pose @ self._head.motion(self._pending).motion
+        is_spare = bool(sightings) and self._adds_nothing(guess, sightings)
         self._add_pose(guess)
         if not sightings:
             return
@@ -105,11 +109,12 @@ class ISAM2:
         for (i, sighting), is_new in zip(sightings.items(), is_first, strict=True):
             if is_new:
                 self._landmarks.add(i, guess, sighting, self._unsolved.values)
-            add = self._wall_factor if sighting.is_wall else self._point_factor
-            self._unsolved.graph.add(add(self._landmarks.keys[i], guess, sighting, is_new))
-        places = self._solve_waiting()
-        for (i, sighting), place, is_new in zip(sightings.items(), places[first:], is_first, strict=True):
+            self._unsolved.graph.add(self._factor(self._landmarks.keys[i], guess, sighting, is_new))
+        places = self._solve_waiting(self._chain.due())[first:]
+        for (i, sighting), place, is_new in zip(sightings.items(), places, is_first, strict=True):
             self._factors.add(self._poses - 1, i, place, sighting, is_new)
+        if is_spare:
+            self._chain.spare(self._poses - 1)
         self._relinearize(guess)
         self._solution.update(self._last_solved)
         if self._poses % _REJECT_PERIOD == 0:
@@ -121,7 +126,8 @@ class ISAM2:
         if not links:
             return []
         first = self._unsolved.graph.size()
-        for link in links:
+        self._chain.keep({pose for link in links for pose in (link.before, link.after)})
+        for link in map(self._chain.attached, links):
             self._guess_by(link)
             self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
         guess = self._pose_at(self._poses - 1)
@@ -163,19 +169,7 @@ class ISAM2:
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
-        keys = [self._landmarks.keys[i] for i in ids]
-        if not keys:
-            return self._head.propagated(self._head.cov(), self._pending)
-        # GTSAM answers in the order of the query, each variable in its own tangent.
-        by_tangent, cov = self._solution.landmarks().by_tangent, self._head.cov()
-        to_world, of_head = [by_tangent[i] for i in ids], self._head.is_solved
-        joint = self._solver.joint_covariance([*self._head.keys(), *keys] if of_head else keys)
-        to_axes = block_diag(*([self._head.to_world()] if of_head else []), *to_world)
-        joint = to_axes @ joint @ to_axes.T
-        if not of_head:  # landmarks of an earlier run, and the start
-            joint = block_diag(cov, joint)
-        joint[: len(cov), : len(cov)] = cov
-        return self._head.propagated(0.5 * (joint + joint.T), self._pending)
+        return self._joint.read(ids, self._pending)
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, smoothed with all sightings so far."""
@@ -209,6 +203,7 @@ class ISAM2:
             start = Odometry(self._head.pose, self._head.cov()[:3, :3]).then(self._pending)
             self._unsolved.graph.add(start_factor(key, start, self._head.wheels is not None))
         else:
+            self._unsolved.motions[self._poses] = self._step, self._unsolved.graph.size()
             self._unsolved.graph.add(motion_factor(key - 1, key, self._step, self._head.wheels is not None))
         self._poses += 1
         self._step = STANDSTILL
@@ -223,33 +218,53 @@ class ISAM2:
         self._unsolved.poses[link.after - first] = guess
         self._unsolved.values.update(X(link.after), to_pose2(guess))
 
-    def _solve_waiting(self) -> list[int]:
-        """Give the solver what waits for it; the places of its factors."""
-        places = self._solver.update(self._unsolved.graph, self._unsolved.values)
+    def _solve_waiting(self, spare: int | None = None) -> list[int]:
+        """Give the solver what waits for it, and take a spare pose out of the graph; the places of what waited."""
+        waiting, gone = self._unsolved, []
+        if spare is not None:
+            gone = self._take_out(spare)
+        places = self._solver.update(waiting.graph, waiting.values, gone)
+        if spare is not None:
+            self._chain.placed(spare + 1, places.pop())
+        for pose, (motion, at) in waiting.motions.items():
+            self._chain.add(pose, motion, places[at])
         # New ones each time: a factor that is sent twice counts twice.
         self._unsolved, self._pending = Unsolved(), self._step
         return places
 
+    def _take_out(self, pose: int) -> list[int]:
+        """Take a pose out of the chain, and give the motion over it to the solver; the places of its factors."""
+        before = self._chain.before(pose)
+        relative = self._pose_at(before).inverse() @ self._pose_at(pose)
+        sightings = self._factors.of_pose(pose)
+        self._factors.drop(sightings)
+        motions, joined = self._chain.take_out(pose, relative)
+        self._unsolved.graph.add(joined)
+        return sorted([*motions, *sightings])
+
     def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
-        self._prior.renumber(before, after)
-        self._factors.renumber(before, after)
-        self._links.renumber(before, after)
+        for numbered in (self._prior, self._factors, self._chain, self._links):
+            numbered.renumber(before, after)
 
-    def _point_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
-        bearing, distance, cov = sighting.bearing_range()
-        noise = self._with_loss(noise_of(cov))
-        return gtsam.BearingRangeFactor2D(X(self._poses - 1), key, gtsam.Rot2(bearing), distance, noise)
+    def _adds_nothing(self, guess: Pose, sightings: Mapping[LandmarkId, Sighting]) -> bool:
+        """Whether the sightings from a pose, of which there are some, say next to nothing of the landmarks."""
+        least = self._config.least_gain
+        if not least or self._head.wheels is not None or not sightings.keys() <= self._landmarks.keys.keys():
+            return False
+        estimate, ids = self._solution.landmarks(), list(sightings)
+        row = {i: k for k, i in enumerate(estimate.keys)}
+        rows = [row[i] for i in ids]
+        joint = self._joint.known(ids, self._pending)
+        return map_gain(guess, joint, estimate.means[rows], estimate.walls()[rows], list(sightings.values())) < least
 
-    def _wall_factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
+    def _factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
+        pose = X(self._poses - 1)
+        if not sighting.is_wall:
+            return point_factor(key, pose, sighting, self._loss)
         if self._head.wheels is not None and not is_new:
-            return exact_factor(key, X(self._poses - 1), sighting, self._with_loss(noise_of(sighting.cov)))
+            return exact_factor(key, pose, sighting, self._loss)
         frame = wall_frame(guess, sighting) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
-        place, root = measurement(guess, frame, sighting, is_new)
-        noise = self._with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root))
-        return gtsam.BetweenFactorPose2(key, X(self._poses - 1), to_pose2(place), noise)
-
-    def _with_loss(self, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Base:
-        return noise if self._loss is None else gtsam.noiseModel.Robust.Create(self._loss, noise)
+        return wall_factor((key, frame), (pose, guess), sighting, is_new, self._loss)
 
     def _relinearize(self, guess: Pose) -> None:
         """Iterate while the newest pose is farther than the threshold from its linearization point."""

@@ -13,6 +13,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.base import Link
 
+Loss = gtsam.noiseModel.mEstimator.Base
+
 _FLOOR = 1e-6  # smallest sigma (m, rad) of a pose's factor: a certain motion or start would make the system singular
 _FLOOR_COV = _FLOOR**2 * np.eye(3)
 
@@ -38,13 +40,18 @@ def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
     return gtsam.noiseModel.Gaussian.Covariance(cov, False)
 
 
-def loss_of(config: ISAM2Config) -> gtsam.noiseModel.mEstimator.Base | None:
+def loss_of(config: ISAM2Config) -> Loss | None:
     """The configured loss on landmarks' factors; None for squares."""
     if config.robust == "huber":
         return gtsam.noiseModel.mEstimator.Huber.Create(config.robust_scale)
     if config.robust == "cauchy":
         return gtsam.noiseModel.mEstimator.Cauchy.Create(config.robust_scale)
     return None
+
+
+def with_loss(noise: gtsam.noiseModel.Gaussian, loss: Loss | None) -> gtsam.noiseModel.Base:
+    """The noise, under a loss if there is one."""
+    return noise if loss is None else gtsam.noiseModel.Robust.Create(loss, noise)
 
 
 def link_factor(before: int, after: int, link: Link) -> gtsam.NonlinearFactor:

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
+import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, with_loss
 
 _FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("first", np.bool_),
            ("z", np.float64, (2,)), ("information", np.float64, (2, 2)))  # fmt: skip
+
+
+def point_factor(point: int, pose: int, sighting: Sighting, loss: Loss | None) -> gtsam.NonlinearFactor:
+    """The sighting of a point as a factor between the variables with these keys."""
+    bearing, distance, cov = sighting.bearing_range()
+    return gtsam.BearingRangeFactor2D(pose, point, gtsam.Rot2(bearing), distance, with_loss(noise_of(cov), loss))
 
 
 class SightingFactors:
@@ -33,6 +41,11 @@ class SightingFactors:
         """Places of the factors of these landmarks, ascending."""
         rows = self._rows[: self._count]
         return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
+
+    def of_pose(self, pose: int) -> list[int]:
+        """Places of the factors of the sightings from a pose, ascending."""
+        rows = self._rows[: self._count]
+        return sorted(rows["place"][rows["pose"] == pose].tolist())
 
     def drop(self, places: Collection[int]) -> None:
         """Remove the sightings whose factors have these places."""

@@ -7,6 +7,7 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import to_pose
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_solver import Solver
@@ -19,27 +20,35 @@ _POINT = np.eye(2)  # a point's errors are those in GTSAM's tangent
 class Solution:
     """Poses and landmarks of the last solution, its head included."""
 
-    def __init__(self, solver: Solver, landmarks: Landmarks, head: Head) -> None:
+    def __init__(self, solver: Solver, landmarks: Landmarks, head: Head, chain: Chain) -> None:
         """Begin without a solution."""
-        self._solver, self._landmarks, self._head = solver, landmarks, head
-        self._poses = np.zeros((0, 3))
+        self._solver, self._landmarks, self._head, self._chain = solver, landmarks, head, chain
+        self.count = 0
+        """of solutions so far"""
+        self._poses: Array | None = np.zeros((0, 3))
+        """all poses, once they were asked for"""
+        self._in_graph = np.zeros((0, 3))
         self._has_read = True
         """whether poses and landmarks are those of the last solution"""
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
-        self._has_read = False
+        self._has_read, self._poses = False, None
+        self.count += 1
         self._head.update(last)
 
     def pose_at(self, k: int) -> Pose:
         """The pose of update k, which is solved."""
-        if self._has_read:
+        if self._poses is not None:
             return Pose.from_array(self._poses[k])
-        return to_pose(self._solver.isam.calculateEstimatePose2(X(k)))
+        anchor, relative = self._chain.anchored(k)
+        return to_pose(self._solver.isam.calculateEstimatePose2(X(anchor))) @ relative.motion
 
     def poses(self) -> Array:
         """(K, 3) all solved poses."""
         self.read()
+        if self._poses is None:
+            self._poses = self._chain.all_poses(self._in_graph)
         return self._poses
 
     def landmarks(self) -> Landmarks:
@@ -61,7 +70,7 @@ class Solution:
             points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
             points = points[: np.count_nonzero(~is_wall)]  # GTSAM adds empty rows for vectors of another size: wheels
         # In the order of their keys: the letter of walls comes before that of poses, then the number.
-        walls, self._poses = np.split(frames, [np.count_nonzero(is_wall)])
+        walls, self._in_graph = np.split(frames, [np.count_nonzero(is_wall)])
         means, axes = lines(walls)
         landmarks.means = np.empty((len(is_wall), 2))
         landmarks.means[is_wall], landmarks.means[~is_wall] = means, points

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.isam2_factors import to_pose2
 from sixthsense.slam.estimators.isam2_walls import wall_frame
 
@@ -22,6 +23,8 @@ class Unsolved:
 
     graph: gtsam.NonlinearFactorGraph = field(default_factory=gtsam.NonlinearFactorGraph)
     values: gtsam.Values = field(default_factory=gtsam.Values)
+    motions: dict[int, tuple[Odometry, int]] = field(default_factory=dict)
+    """to each of its poses from the one before, and the place of the factor in `graph`"""
     poses: list[Pose] = field(default_factory=list)
     """of updates since the last solved one, by odometry or by a link"""
     guessed: set[int] = field(default_factory=set)

@@ -13,6 +13,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import Sighting
+from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, to_pose2, with_loss
 
 # Sigma along the wall. The first sighting fixes the origin: GTSAM's logarithm of a Pose2 couples tangential uncertainty
 # into the normal residual, by half of the angle's residual.
@@ -54,13 +55,23 @@ def lines(frames: Array) -> tuple[Array, Array]:
     return np.column_stack([alpha, c * frames[:, 0] + s * frames[:, 1]]), axes
 
 
-def exact_factor(wall: int, pose: int, sighting: Sighting, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """A later sighting as a factor between the variables with these keys; `noise` is of (alpha, d).
+def wall_factor(
+    wall: tuple[int, Pose], pose: tuple[int, Pose], sighting: Sighting, is_first: bool, loss: Loss | None
+) -> gtsam.NonlinearFactor:
+    """A sighting as a factor between two poses of GTSAM, each a key and its value."""
+    (key, frame), (at, guess) = wall, pose
+    place, root = measurement(guess, frame, sighting, is_first)
+    noise = with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root), loss)
+    return gtsam.BetweenFactorPose2(key, at, to_pose2(place), noise)
+
+
+def exact_factor(wall: int, pose: int, sighting: Sighting, loss: Loss | None) -> gtsam.NonlinearFactor:
+    """A later sighting as a factor between the variables with these keys.
 
     GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
     residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
     """
-    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, sighting))
+    return gtsam.CustomFactor(with_loss(noise_of(sighting.cov), loss), [wall, pose], Residual(wall, pose, sighting))
 
 
 class Residual:

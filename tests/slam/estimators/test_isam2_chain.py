@@ -1,0 +1,151 @@
+"""Poses that add nothing to the map are taken out of the smoother's graph."""
+
+import dataclasses
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from sixthsense.config import ISAM2Config
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Sighting, predict, predict_walls
+from sixthsense.core.motion import Odometry
+from sixthsense.core.wheels import WheelEstimate, Wheels
+from sixthsense.evaluation.metrics import nees_band
+from sixthsense.slam.estimators import Link
+from sixthsense.slam.estimators.isam2_chain import map_gain
+from sixthsense.testing.estimation import POINTS, START, driven, joint_state, make, noisy, sight, step
+
+SPARING = ISAM2Config(undo_probability=1.0, least_gain=0.05)
+KEEPING = dataclasses.replace(SPARING, least_gain=0.0)
+WALLS = np.array([[0.0, -6.0], [math.pi / 2, -5.0], [math.pi, -6.0]])
+WALL_COV = np.diag([1e-5, 1e-4])
+
+
+def sightings_from(true, rng):
+    """Of all points and walls."""
+    z = predict_walls(true, WALLS)[0] + rng.multivariate_normal(np.zeros(2), WALL_COV, len(WALLS))
+    walls = {10 + k: Sighting(Kind.WALL, z[k], WALL_COV, (-1.0, 1.0)) for k in range(len(WALLS))}
+    return sight(true, range(len(POINTS)), rng) | walls
+
+
+def circling(config, seed, steps=200, at=lambda estimator, k, true: None):
+    """A smoother after rounds among the same landmarks, and the true poses (K, 3)."""
+    rng, true, truth = np.random.default_rng(seed), START, []
+    smoother = make("isam2", START, np.zeros((3, 3)), config)
+    for k in range(steps):
+        smoother.predict(step())
+        true = true @ noisy(step(), rng)
+        smoother.update(sightings_from(true, rng))
+        truth.append(true.array())
+        at(smoother, k, true)
+    return smoother, np.array(truth)
+
+
+def in_graph(smoother):
+    """Number of poses that the solver has."""
+    return len(gtsam.utilities.allPose2s(smoother._solver.isam.calculateEstimate()).keys()) - len(WALLS)
+
+
+def test_the_gain_is_what_the_sightings_say_of_the_landmarks():
+    """As the ratio of the determinants of the landmarks' covariance without and with them."""
+    estimator = driven("ekf")
+    estimate, joint = joint_state(estimator)
+    true = estimate.pose
+    seen = sight(true, estimate.ids.tolist(), np.random.default_rng(1))
+    found = map_gain(true, joint, estimate.landmarks, estimate.walls, [seen[i] for i in estimate.ids.tolist()])
+    _, by_pose, by_landmark = predict(true, estimate.landmarks, estimate.walls)
+    H = np.zeros((10, 13))
+    H[:, :3] = by_pose.reshape(10, 3)
+    for k in range(5):
+        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
+    after = np.linalg.inv(np.linalg.inv(joint) + H.T @ H / 0.05**2)
+    ratio = np.linalg.det(joint[3:, 3:]) / np.linalg.det(after[3:, 3:])
+    assert found == pytest.approx(0.5 * math.log(ratio) / 5, rel=1e-6)
+
+
+def test_the_graph_stops_growing_where_the_robot_has_been():
+    sizes = []
+    smoother, truth = circling(
+        SPARING, 0, 400, lambda estimator, k, _: k % 100 == 99 and sizes.append(in_graph(estimator))
+    )
+    assert sizes[-1] < 1.2 * sizes[1] and sizes[-1] < 120
+    assert smoother.trajectory().shape == truth.shape
+    assert in_graph(circling(KEEPING, 0, 100)[0]) == 100
+
+
+def test_the_whole_trajectory_stays_near_that_with_all_poses():
+    """Poses that were taken out move with those they are fixed to."""
+    (one, truth), (two, _) = circling(SPARING, 1), circling(KEEPING, 1)
+    gap, off = one.trajectory() - two.trajectory(), two.trajectory() - truth
+    gap[:, 2], off[:, 2] = wrap_angle(gap[:, 2]), wrap_angle(off[:, 2])
+    assert np.abs(gap).max() < 0.06
+    assert np.sqrt((one.trajectory()[:, :2] - truth[:, :2]) ** 2).mean() < 1.3 * np.sqrt(off[:, :2] ** 2).mean()
+    few = [0, 57, 120, 199]
+    assert np.allclose(one.poses_at(few), one.trajectory()[few], rtol=0.0, atol=1e-12)
+
+
+def test_pose_and_map_are_consistent_with_poses_taken_out():
+    """40 runs with many more key poses than stay."""
+    runs, rows = 40, []
+    for seed in range(runs):
+        smoother, truth = circling(SPARING, seed, 80)
+        estimate, joint = joint_state(smoother)
+        order = np.argsort(estimate.ids)
+        error = estimate.pose.array() - truth[-1]
+        landmarks = (
+            estimate.landmarks - np.vstack([POINTS, WALLS])[np.searchsorted([*range(5), 10, 11, 12], estimate.ids)]
+        )
+        error[2], landmarks[estimate.walls, 0] = wrap_angle(error[2]), wrap_angle(landmarks[estimate.walls, 0])
+        whole = np.append(error, landmarks.ravel())
+        rows.append([error @ np.linalg.solve(joint[:3, :3], error), whole @ np.linalg.solve(joint, whole)])
+        assert len(order) == 8 and in_graph(smoother) < 60
+    for values, freedom in zip(np.array(rows).T, (3, 19), strict=True):
+        low, high = nees_band(runs, freedom, confidence=0.99)
+        assert low < values.mean() < high
+
+
+def test_a_link_to_a_pose_that_was_taken_out_is_one_to_the_pose_it_is_fixed_to():
+    (one, truth), (two, _) = circling(SPARING, 3, 100), circling(KEEPING, 3, 100)
+    gone = next(k for k in range(20, 100) if one._chain.anchored(k)[0] != k)
+    for before, after in ((gone, 99), (3, gone)):
+        motion = Pose.from_array(truth[before]).inverse() @ Pose.from_array(truth[after])
+        for smoother in (one, two):
+            ids = smoother.link([Link(before, after, Odometry(motion, 1e-4 * np.eye(3)))])
+        assert np.abs(one.trajectory()[:, :2] - two.trajectory()[:, :2]).max() < 0.06
+        one.unlink(ids)
+        two.unlink(ids)
+
+
+def test_poses_with_links_stay():
+    smoother = make("isam2", isam2=SPARING)
+    rng, true = np.random.default_rng(0), START
+    for k in range(80):
+        smoother.predict(step())
+        true = true @ noisy(step(), rng)
+        smoother.update(sightings_from(true, rng))
+        if k:
+            smoother.link([Link(k - 1, k, Odometry(step().motion, 1e-2 * np.eye(3)))])
+    assert in_graph(smoother) == 80
+
+
+def test_with_the_wheels_as_a_variable_all_poses_stay():
+    smoother = make("isam2", isam2=SPARING)
+    smoother.estimate_wheels(WheelEstimate(Wheels(), 1e-4 * np.eye(4)))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        smoother.update(sightings_from(START, rng))
+    assert in_graph(smoother) == 60
+
+
+def test_poses_are_taken_out_across_the_change_to_a_solver_with_qr():
+    """Cholesky is given up in mid-drive: all places of factors change."""
+
+    def change(estimator, k, _):
+        if k == 60:
+            estimator._solver._switch_to_qr()
+
+    (one, _), (two, _) = circling(SPARING, 4, 120, change), circling(SPARING, 4, 120)
+    assert in_graph(one) == in_graph(two)
+    assert np.allclose(one.trajectory(), two.trajectory(), atol=2e-3)
