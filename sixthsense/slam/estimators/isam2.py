@@ -24,7 +24,7 @@ from sixthsense.slam.estimators.base import (
     check_sightings,
     check_wheels,
 )
-from sixthsense.slam.estimators.isam2_chain import Chain, map_gain
+from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_joint import JointCovariances
@@ -133,7 +133,8 @@ class ISAM2:
         guess = self._pose_at(self._poses - 1)
         ids = self._links.add(self._solve_waiting()[first:])
         self._solution.update(self._last_solved)
-        if self._is_far(guess, self._head.pose):
+        off = to_pose2(guess).localCoordinates(to_pose2(self._head.pose))
+        if np.abs(off).max() > self._config.relinearize_threshold:
             self._converge()
         return ids
 
@@ -220,10 +221,13 @@ class ISAM2:
 
     def _solve_waiting(self, spare: int | None = None) -> list[int]:
         """Give the solver what waits for it, and take a spare pose out of the graph; the places of what waited."""
-        waiting, gone = self._unsolved, []
+        waiting = self._unsolved
+        gone: list[int] = []
         if spare is not None:
-            gone = self._take_out(spare)
-        places = self._solver.update(waiting.graph, waiting.values, gone)
+            gone, joined = self._chain.take_out(spare, self._pose_at)
+            gone += self._factors.drop_pose(spare)
+            waiting.graph.add(joined)
+        places = self._solver.update(waiting.graph, waiting.values, sorted(gone))
         if spare is not None:
             self._chain.placed(spare + 1, places.pop())
         for pose, (motion, at) in waiting.motions.items():
@@ -231,16 +235,6 @@ class ISAM2:
         # New ones each time: a factor that is sent twice counts twice.
         self._unsolved, self._pending = Unsolved(), self._step
         return places
-
-    def _take_out(self, pose: int) -> list[int]:
-        """Take a pose out of the chain, and give the motion over it to the solver; the places of its factors."""
-        before = self._chain.before(pose)
-        relative = self._pose_at(before).inverse() @ self._pose_at(pose)
-        sightings = self._factors.of_pose(pose)
-        self._factors.drop(sightings)
-        motions, joined = self._chain.take_out(pose, relative)
-        self._unsolved.graph.add(joined)
-        return sorted([*motions, *sightings])
 
     def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
         for numbered in (self._prior, self._factors, self._chain, self._links):
@@ -251,11 +245,7 @@ class ISAM2:
         least = self._config.least_gain
         if not least or self._head.wheels is not None or not sightings.keys() <= self._landmarks.keys.keys():
             return False
-        estimate, ids = self._solution.landmarks(), list(sightings)
-        row = {i: k for k, i in enumerate(estimate.keys)}
-        rows = [row[i] for i in ids]
-        joint = self._joint.known(ids, self._pending)
-        return map_gain(guess, joint, estimate.means[rows], estimate.walls()[rows], list(sightings.values())) < least
+        return self._joint.map_gain(guess, sightings, self._pending) < least
 
     def _factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
         pose = X(self._poses - 1)
@@ -286,10 +276,6 @@ class ISAM2:
             shift[:, 2] = wrap_angle(shift[:, 2])
             if np.abs(shift).max() <= 0.1 * self._config.relinearize_threshold:
                 return
-
-    def _is_far(self, one: Pose, other: Pose) -> bool:
-        """Whether two poses are farther apart than the threshold of relinearization."""
-        return bool(np.abs(to_pose2(one).localCoordinates(to_pose2(other))).max() > self._config.relinearize_threshold)
 
     def _remove(self, places: list[int]) -> None:
         """Take factors out of the graph and solve."""

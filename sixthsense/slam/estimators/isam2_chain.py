@@ -8,7 +8,7 @@ certain, and stays consistent, because poses are chosen by covariances and not b
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -65,12 +65,14 @@ class Chain:
         """The pose to take out next, if there is one."""
         return self._spare[0] if len(self._spare) > _WINDOW else None
 
-    def take_out(self, pose: int, relative: Pose) -> tuple[list[int], gtsam.NonlinearFactor]:
-        """Take a solved pose out, which is at `relative` from the pose before it, and whose next one is solved, too.
+    def take_out(self, pose: int, pose_at: Callable[[int], Pose]) -> tuple[list[int], gtsam.NonlinearFactor]:
+        """Take a solved pose out, whose next one is solved, too; `pose_at` is of the present solution.
 
         Returns the places of the motions to it and on from it, and the factor of both together, to be `placed`.
         """
-        step, after = self._steps.pop(pose), self._steps[pose + 1]
+        step, after = self._steps[pose], self._steps[pose + 1]
+        relative = pose_at(step.before).inverse() @ pose_at(pose)
+        del self._steps[pose]
         self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), -1)
         self._spare.remove(pose)
         self._gone.append(pose)
@@ -82,10 +84,6 @@ class Chain:
     def placed(self, pose: int, place: int) -> None:
         """Take in the place of the factor of the motion to a pose."""
         self._steps[pose] = self._steps[pose]._replace(place=place)
-
-    def before(self, pose: int) -> int:
-        """The pose in the graph before this one."""
-        return self._steps[pose].before
 
     def anchored(self, pose: int) -> tuple[int, Odometry]:
         """The pose in the graph that a pose is fixed to, itself if it was not taken out, and where it is from there."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.linalg import block_diag
 
-from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.slam.estimators.isam2_chain import map_gain
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
@@ -53,3 +54,10 @@ class JointCovariances:
             return self.read(ids, pending)
         rows = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in ids)])
         return np.asarray(self._last[np.ix_(rows, rows)])
+
+    def map_gain(self, pose: Pose, sightings: Mapping[LandmarkId, Sighting], pending: Odometry) -> float:
+        """What sightings of known landmarks from the pose after a motion say of these in the mean, nats."""
+        landmarks = self._solution.landmarks()
+        row = {i: k for k, i in enumerate(landmarks.keys)}
+        rows, joint = [row[i] for i in sightings], self.known(list(sightings), pending)
+        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(sightings.values()))

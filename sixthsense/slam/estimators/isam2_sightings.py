@@ -42,10 +42,12 @@ class SightingFactors:
         rows = self._rows[: self._count]
         return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
 
-    def of_pose(self, pose: int) -> list[int]:
-        """Places of the factors of the sightings from a pose, ascending."""
+    def drop_pose(self, pose: int) -> list[int]:
+        """Remove the sightings from a pose; the places of their factors."""
         rows = self._rows[: self._count]
-        return sorted(rows["place"][rows["pose"] == pose].tolist())
+        places: list[int] = rows["place"][rows["pose"] == pose].tolist()
+        self.drop(places)
+        return places
 
     def drop(self, places: Collection[int]) -> None:
         """Remove the sightings whose factors have these places."""
