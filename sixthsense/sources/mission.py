@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene import Scene, SceneError, check_placement
 
 
@@ -14,7 +14,8 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
 
     An exploration has no goals.
 
-    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall.
+    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, and for
+    a start outside the building from which the laser reaches no wall.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
@@ -32,5 +33,21 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     if config.task != "goal":
         goal = None
     start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
+    _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     return start, goals, config.robot.radius or scene.radius
+
+
+def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
+    """Raise SceneError for a start outside the bounds of the walls and farther than `range_m` from all of them.
+
+    A start within the bounds may see no wall, in a hall that is larger than the laser's range.
+    """
+    low, high = scene.walls.min(axis=(0, 1)), scene.walls.max(axis=(0, 1))
+    place = np.array([start.x, start.y])
+    distance_m = float(point_segment_distance(place, scene.walls).min())
+    if distance_m > range_m and ((place < low) | (place > high)).any():
+        raise SceneError(
+            f"start: found ({start.x:g}, {start.y:g}), outside the building and {distance_m:.3g} m from its nearest "
+            f"wall, allowed: at most the laser's range {range_m:g} m"
+        )

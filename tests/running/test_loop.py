@@ -15,7 +15,7 @@ from sixthsense.loop import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam.key_scans import KeyScans
 from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import SceneError, load_scene
+from sixthsense.sources.scene import Scene, SceneError, load_scene
 from sixthsense.sources.world import World
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
@@ -212,6 +212,20 @@ def test_a_mission_that_cannot_be_is_refused_by_the_fields_name(changes: dict[st
         mission(load_scene("rectangle"), config)
     with pytest.raises(SceneError, match=said):
         run(config)
+
+
+def test_a_start_outside_the_building_must_have_a_wall_within_reach() -> None:
+    scene = load_scene("rectangle")
+    right = float(scene.walls[:, :, 0].max())
+    reach = preset().laser.max_range
+    mission(scene, preset(start=(right + reach - 0.1, 0.5, 0.0)))
+    with pytest.raises(SceneError, match=r"outside the building and 10\.1 m from its nearest wall"):
+        mission(scene, preset(start=(right + reach + 0.1, 0.5, 0.0)))
+    # In a hall larger than the range no wall is in reach at first, and yet the robot is where it should be.
+    hall = Scene(
+        "hall", np.array([[[-50.0, y], [50.0, y]] for y in (-50.0, 50.0)]), Pose(), 0.2, None, (), scene.region
+    )
+    mission(hall, preset())
 
 
 def test_a_mission_is_the_configurations_or_else_the_scenes() -> None:
