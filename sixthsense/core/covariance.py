@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numba
 import numpy as np
@@ -65,3 +66,15 @@ def covariance_fault(cov: Array, lowest: float) -> str:
         return "an asymmetric matrix"
     smallest = float(np.linalg.eigvalsh(cov)[0])
     return f"an eigenvalue of {smallest:.3g}" if smallest < lowest * scale else ""
+
+
+def are_covariances(values: Sequence[Array]) -> bool:
+    """Whether all are valid (3, 3) covariances, by one call for all; `check_covariance` says what is wrong with one."""
+    if not values or any(np.shape(value) != (3, 3) for value in values):
+        return False
+    covs = np.array(values, dtype=np.float64)
+    if not np.isfinite(covs).all():
+        return False
+    slack = COVARIANCE_SLACK * np.abs(covs).max(axis=(1, 2))
+    is_symmetric = np.abs(covs - covs.transpose(0, 2, 1)).max(axis=(1, 2)) <= slack
+    return bool((is_symmetric & (np.linalg.eigvalsh(covs)[:, 0] >= -slack)).all())

@@ -7,9 +7,11 @@ from sixthsense.slam.estimators.base import (
     Link,
     PoseGraphEstimator,
     PriorMapEstimator,
+    ReducibleEstimator,
     WheelEstimator,
     estimates_wheels,
     keeps_poses,
+    takes_out_poses,
     takes_prior_map,
 )
 from sixthsense.slam.estimators.factory import ESTIMATORS, EstimatorFactory, make_estimator, register_estimator
@@ -23,10 +25,12 @@ __all__ = [
     "Link",
     "PoseGraphEstimator",
     "PriorMapEstimator",
+    "ReducibleEstimator",
     "WheelEstimator",
     "estimates_wheels",
     "keeps_poses",
     "make_estimator",
     "register_estimator",
+    "takes_out_poses",
     "takes_prior_map",
 ]

@@ -10,11 +10,11 @@ from typing import Protocol, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.covariance import COVARIANCE_SLACK, check_covariance, covariance_fault
+from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate
+from sixthsense.core.wheels import WheelEstimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +122,33 @@ def keeps_poses(estimator: Estimator) -> TypeGuard[PoseGraphEstimator]:
     return all(callable(getattr(estimator, name, None)) for name in ("link", "unlink", "poses_at"))
 
 
+class ReducibleEstimator(PoseGraphEstimator, Protocol):
+    """An estimator out of whose graph poses can be taken.
+
+    12. The motion to a pose that is taken out, and on from it, become one. Its links are lost, and its row of
+        `trajectory` stays, in a fixed place relative to a pose before it.
+    """
+
+    def take_out(self, updates: Sequence[int]) -> list[int]:
+        """Take out the poses of some updates, ascending and after those of earlier calls, and solve.
+
+        Returns the ids of the links that are lost, which are unknown from then on. Raises KeyError, with the state
+        unchanged, for another order, for the first pose and for the last one.
+        """
+        ...
+
+
+def takes_out_poses(estimator: Estimator) -> TypeGuard[ReducibleEstimator]:
+    """Whether poses can be taken out of an estimator's graph."""
+    return keeps_poses(estimator) and callable(getattr(estimator, "take_out", None))
+
+
 class WheelEstimator(Estimator, Protocol):
     """An estimator that can estimate the wheels' parameters with the pose.
 
-    11. Odometry's dependence on the parameters is used, with the prior and the parameters' correlation with pose and
+    13. Odometry's dependence on the parameters is used, with the prior and the parameters' correlation with pose and
         landmarks. Odometry that does not depend on them is used as without this option.
-    12. What sightings do not determine keeps its prior.
+    14. What sightings do not determine keeps its prior.
     """
 
     def estimate_wheels(self, prior: WheelEstimate) -> None:
@@ -170,8 +191,8 @@ class LandmarkPrior:
 class PriorMapEstimator(Estimator, Protocol):
     """An estimator that can begin with the landmarks of an earlier run.
 
-    13. The landmarks keep their ids and count as known. Their joint covariance is used as evidence once.
-    14. A landmark that is forgotten leaves the marginal covariance of the others.
+    15. The landmarks keep their ids and count as known. Their joint covariance is used as evidence once.
+    16. A landmark that is forgotten leaves the marginal covariance of the others.
     """
 
     def start_from(self, prior: LandmarkPrior) -> None:
@@ -186,29 +207,6 @@ class PriorMapEstimator(Estimator, Protocol):
 def takes_prior_map(estimator: Estimator) -> TypeGuard[PriorMapEstimator]:
     """Whether an estimator can begin with the landmarks of an earlier run."""
     return callable(getattr(estimator, "start_from", None))
-
-
-def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:
-    """Raise RuntimeError if the estimator has begun, ValueError for an invalid prior."""
-    if has_begun:
-        raise RuntimeError("start_from: found a call after the first motion or update, allowed: before both")
-    n = len(prior.ids)
-    if len(np.unique(prior.ids)) != n:
-        raise ValueError("prior: found ids that repeat, allowed: each landmark once")
-    if prior.landmarks.shape != (n, 2) or not np.isfinite(prior.landmarks).all():
-        raise ValueError(f"prior: found means {prior.landmarks.shape}, allowed: finite numbers, ({n}, 2)")
-    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK) if n else None
-    if prior.cov.shape != (2 * n, 2 * n) or fault:
-        raise ValueError(f"prior: found {fault or prior.cov.shape}, allowed: a covariance, ({2 * n}, {2 * n})")
-
-
-def check_wheels(prior: WheelEstimate, has_begun: bool) -> None:
-    """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
-    if has_begun:
-        raise RuntimeError("estimate_wheels: found a call after the first motion or update, allowed: before both")
-    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK)
-    if prior.cov.shape != (PARAMETERS, PARAMETERS) or fault:
-        raise ValueError(f"prior of wheels: found {fault or prior.cov.shape}, allowed: a covariance, (4, 4)")
 
 
 class Trajectory:
@@ -251,32 +249,3 @@ def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
         fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
         found = f"sighting of landmark {list(sightings)[k]}: found {fault}"
         raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")
-
-
-def _are_covariances(values: Sequence[Array]) -> bool:
-    """Whether all are valid (3, 3) covariances, by one call for all; `check_covariance` says what is wrong with one."""
-    if not values or any(np.shape(value) != (3, 3) for value in values):
-        return False
-    covs = np.array(values, dtype=np.float64)
-    if not np.isfinite(covs).all():
-        return False
-    slack = COVARIANCE_SLACK * np.abs(covs).max(axis=(1, 2))
-    is_symmetric = np.abs(covs - covs.transpose(0, 2, 1)).max(axis=(1, 2)) <= slack
-    return bool((is_symmetric & (np.linalg.eigvalsh(covs)[:, 0] >= -slack)).all())
-
-
-def check_links(links: Sequence[Link], poses: int) -> None:
-    """Raise KeyError for a link to a pose that is not one of the `poses` so far, ValueError for an invalid one."""
-    are_covariances = _are_covariances([link.relative.cov for link in links])
-    for k, link in enumerate(links):
-        for pose in (link.before, link.after):
-            if not 0 <= pose < poses:
-                raise KeyError(f"link {k}: found pose {pose}, allowed: 0 to {poses - 1}")
-        if link.before == link.after:
-            raise ValueError(f"link {k}: found pose {link.after} at both ends, allowed: two poses")
-        if not are_covariances:
-            check_covariance(f"link {k}", link.relative.cov)
-        if not np.isfinite(link.relative.motion.array()).all():
-            raise ValueError(f"link {k}: found {link.relative.motion}, allowed: finite numbers")
-        if not link.loss_scale > 0.0:
-            raise ValueError(f"link {k}: found loss_scale {link.loss_scale}, allowed: above 0")

@@ -22,7 +22,8 @@ from sixthsense.core.landmarks import (
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.wheels import Wheels
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_prior, check_sightings
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_sightings
+from sixthsense.slam.estimators.checks import check_prior
 from sixthsense.slam.estimators.triangle import selected
 
 

@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import rotation_generator
 from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate
-from sixthsense.slam.estimators.base import check_wheels
+from sixthsense.slam.estimators.checks import check_wheels
 from sixthsense.slam.estimators.ekf import EKF
 
 

@@ -15,15 +15,8 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Sighting
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import (
-    Estimate,
-    LandmarkPrior,
-    Link,
-    check_links,
-    check_prior,
-    check_sightings,
-    check_wheels,
-)
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_sightings
+from sixthsense.slam.estimators.checks import check_links, check_prior, check_wheels
 from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
@@ -115,7 +108,7 @@ class ISAM2:
             self._factors.add(self._poses - 1, i, place, sighting, is_new)
         if is_spare:
             self._chain.spare(self._poses - 1)
-        self._relinearize(guess)
+        self._solver.relinearize(self._last_solved, guess)
         self._solution.update(self._last_solved)
         if self._poses % _REJECT_PERIOD == 0:
             self._reject_outliers()
@@ -127,11 +120,12 @@ class ISAM2:
             return []
         first = self._unsolved.graph.size()
         self._chain.keep({pose for link in links for pose in (link.before, link.after)})
-        for link in map(self._chain.attached, links):
+        attached = [self._chain.attached(link) for link in links]
+        for link in attached:
             self._guess_by(link)
             self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
         guess = self._pose_at(self._poses - 1)
-        ids = self._links.add(self._solve_waiting()[first:])
+        ids = self._links.add([(link.before, link.after) for link in attached], self._solve_waiting()[first:])
         self._solution.update(self._last_solved)
         off = to_pose2(guess).localCoordinates(to_pose2(self._head.pose))
         if np.abs(off).max() > self._config.relinearize_threshold:
@@ -145,6 +139,17 @@ class ISAM2:
             self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
             self._solution.update(self._last_solved)
             self._converge()
+
+    def take_out(self, updates: Sequence[int]) -> list[int]:
+        """Take the poses of updates out of the graph, and solve; the ids of their links, which are lost."""
+        if self._unsolved.poses:
+            self._solve_waiting()
+            self._solution.update(self._last_solved)
+        self._chain.check_takeable(updates)
+        lost = self._links.of_poses(updates)
+        self._solve_waiting(updates, self._links.drop(lost))
+        self._solution.update(self._last_solved)
+        return lost
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks with all their factors: their information about the poses is lost."""
@@ -219,22 +224,21 @@ class ISAM2:
         self._unsolved.poses[link.after - first] = guess
         self._unsolved.values.update(X(link.after), to_pose2(guess))
 
-    def _solve_waiting(self, spare: int | None = None) -> list[int]:
-        """Give the solver what waits for it, and take a spare pose out of the graph; the places of what waited."""
+    def _solve_waiting(self, spare: Sequence[int] = (), gone: Sequence[int] = ()) -> list[int]:
+        """Give the solver what waits, and take out spare poses and the factors at `gone`; the places of what waited."""
         waiting = self._unsolved
-        gone: list[int] = []
-        if spare is not None:
-            gone, joined = self._chain.take_out(spare, self._pose_at)
-            gone += self._factors.drop_pose(spare)
-            waiting.graph.add(joined)
-        places = self._solver.update(waiting.graph, waiting.values, sorted(gone))
-        if spare is not None:
-            self._chain.placed(spare + 1, places.pop())
+        joined = self._chain.take_out(spare, self._pose_at, self._head.wheels is not None)
+        for factor in joined.factors:
+            waiting.graph.add(factor)
+        last = None if waiting.poses else self._last_solved
+        gone = sorted([*gone, *joined.gone, *self._factors.drop_poses(spare)])
+        places = self._solver.update(waiting.graph, waiting.values, gone, last)
+        self._chain.placed(joined.followers, places[len(places) - len(joined.followers) :])
         for pose, (motion, at) in waiting.motions.items():
             self._chain.add(pose, motion, places[at])
         # New ones each time: a factor that is sent twice counts twice.
         self._unsolved, self._pending = Unsolved(), self._step
-        return places
+        return places[: len(places) - len(joined.followers)]
 
     def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
         for numbered in (self._prior, self._factors, self._chain, self._links):
@@ -256,21 +260,11 @@ class ISAM2:
         frame = wall_frame(guess, sighting) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
         return wall_factor((key, frame), (pose, guess), sighting, is_new, self._loss)
 
-    def _relinearize(self, guess: Pose) -> None:
-        """Iterate while the newest pose is farther than the threshold from its linearization point."""
-        linearized = to_pose2(guess)
-        for _ in range(self._config.iterations - 1):
-            solved = self._solver.isam.calculateEstimatePose2(self._last_solved)
-            if np.abs(linearized.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
-                return
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
-            linearized = solved
-
     def _converge(self) -> None:
         """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
         for _ in range(_MAX_ITERATIONS):
             before = self._solution.poses()
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
+            self._solver.iterate()
             self._solution.update(self._last_solved)
             shift = self._solution.poses() - before
             shift[:, 2] = wrap_angle(shift[:, 2])
@@ -281,8 +275,7 @@ class ISAM2:
         """Take factors out of the graph and solve."""
         self._factors.drop(places)
         self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
-        for _ in range(self._config.iterations - 1):
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
+        self._solver.iterate(self._config.iterations - 1)
         self._solution.update(self._last_solved)
 
     def _reject_outliers(self) -> None:

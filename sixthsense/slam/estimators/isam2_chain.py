@@ -2,8 +2,8 @@
 
 A graph with every key pose grows for ever, also where the robot has been often. What a pose adds is measured as in Ila,
 Porta and Andrade-Cetto, IEEE Transactions on Robotics 26(1), 2010: by the information that its sightings have on the
-landmarks. A pose that is taken out leaves its motion to the next one. Its sightings are lost: the estimate is less
-certain, and stays consistent, because poses are chosen by covariances and not by what was measured.
+landmarks. A pose that is taken out leaves its motion to the next one. Its sightings and links are lost: the estimate is
+less certain, and stays consistent, because poses are chosen by covariances and not by what was measured.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_wheels import motion_factor
 
+_UNPLACED = -1  # the place of a factor that the graph does not have yet
 _WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their sightings, too
 
 
@@ -35,6 +36,17 @@ class _Step(NamedTuple):
     """of its factor"""
 
 
+class Joined(NamedTuple):
+    """What replaces the motions to poses that were taken out, and on from them."""
+
+    gone: list[int]
+    """places of the factors of these motions"""
+    followers: list[int]
+    """the poses that followed them"""
+    factors: list[gtsam.NonlinearFactor]
+    """of the motions to the followers, to be `placed`"""
+
+
 class Chain:
     """Which poses are in the graph, the motions between them, and where the others lie."""
 
@@ -43,11 +55,12 @@ class Chain:
         self._steps: dict[int, _Step] = {}
         self._spare: list[int] = []
         """poses that add nothing, the oldest first"""
-        self._anchors: list[int] = []
-        """the pose that each pose which was taken out is fixed to, in order of `_gone`"""
-        self._gone: list[int] = []
-        self._relative: list[Odometry] = []
-        """from the anchor, with at most the uncertainty of the motion between"""
+        self._relative: dict[int, tuple[int, Odometry]] = {}
+        """the pose that each pose which was taken out is fixed to, and where it is from there"""
+        self._gone = np.zeros((64, 2), dtype=np.int64)
+        """poses that were taken out, ascending, and those they are fixed to"""
+        self._motions = np.zeros((64, 3))
+        """from these to those"""
 
     def add(self, pose: int, motion: Odometry, place: int) -> None:
         """Add a solved pose, whose motion from the pose before it has its factor at that place."""
@@ -61,36 +74,59 @@ class Chain:
         """Take in that these poses stay."""
         self._spare = [pose for pose in self._spare if pose not in poses]
 
-    def due(self) -> int | None:
+    def due(self) -> list[int]:
         """The pose to take out next, if there is one."""
-        return self._spare[0] if len(self._spare) > _WINDOW else None
+        return self._spare[:1] if len(self._spare) > _WINDOW else []
 
-    def take_out(self, pose: int, pose_at: Callable[[int], Pose]) -> tuple[list[int], gtsam.NonlinearFactor]:
-        """Take a solved pose out, whose next one is solved, too; `pose_at` is of the present solution.
+    def take_out(self, poses: Sequence[int], pose_at: Callable[[int], Pose], with_wheels: bool) -> Joined:
+        """Take solved poses out, ascending and after those of earlier calls, whose next ones are solved, too.
 
-        Returns the places of the motions to it and on from it, and the factor of both together, to be `placed`.
+        `pose_at` is of the present solution.
         """
-        step, after = self._steps[pose], self._steps[pose + 1]
-        relative = pose_at(step.before).inverse() @ pose_at(pose)
-        del self._steps[pose]
-        self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), -1)
-        self._spare.remove(pose)
-        self._gone.append(pose)
-        self._anchors.append(step.before)
-        self._relative.append(Odometry(relative, step.motion.cov))
-        motion = self._steps[pose + 1].motion
-        return [step.place, after.place], motion_factor(X(step.before), X(pose + 1), motion, with_wheels=False)
+        gone: list[int] = []
+        for pose in poses:
+            step, after = self._steps[pose], self._steps[pose + 1]
+            relative = pose_at(step.before).inverse() @ pose_at(pose)
+            del self._steps[pose]
+            gone += [place for place in (step.place, after.place) if place != _UNPLACED]
+            self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), _UNPLACED)
+            self._fix(pose, step.before, Odometry(relative, step.motion.cov))
+        out = set(poses)
+        self._spare = [pose for pose in self._spare if pose not in out]
+        followers = [pose + 1 for pose in poses if pose + 1 not in out]
+        factors = [self._factor_to(pose, with_wheels) for pose in followers]
+        return Joined(gone, followers, factors)
 
-    def placed(self, pose: int, place: int) -> None:
-        """Take in the place of the factor of the motion to a pose."""
-        self._steps[pose] = self._steps[pose]._replace(place=place)
+    def _fix(self, pose: int, anchor: int, relative: Odometry) -> None:
+        n = len(self._relative)
+        if n == len(self._gone):
+            self._gone = np.concatenate([self._gone, np.zeros_like(self._gone)])
+            self._motions = np.concatenate([self._motions, np.zeros_like(self._motions)])
+        self._gone[n], self._motions[n] = (pose, anchor), relative.motion.array()
+        # The pose has at most the uncertainty of the motion from its anchor.
+        self._relative[pose] = anchor, relative
+
+    def _factor_to(self, pose: int, with_wheels: bool) -> gtsam.NonlinearFactor:
+        step = self._steps[pose]
+        return motion_factor(X(step.before), X(pose), step.motion, with_wheels)
+
+    def check_takeable(self, poses: Sequence[int]) -> None:
+        """Raise KeyError for a pose that cannot be taken out."""
+        n = len(self._relative)
+        least = int(self._gone[n - 1, 0]) if n else 0
+        for pose in poses:
+            if pose <= least or pose not in self._steps or pose + 1 not in self._steps:
+                raise KeyError(f"updates: found {pose}, allowed: ascending, after {least}, and before the last")
+            least = pose
+
+    def placed(self, poses: Sequence[int], places: Sequence[int]) -> None:
+        """Take in the places of the factors of the motions to some poses."""
+        for pose, place in zip(poses, places, strict=True):
+            self._steps[pose] = self._steps[pose]._replace(place=place)
 
     def anchored(self, pose: int) -> tuple[int, Odometry]:
         """The pose in the graph that a pose is fixed to, itself if it was not taken out, and where it is from there."""
-        k = int(np.searchsorted(self._gone, pose))
-        if k == len(self._gone) or self._gone[k] != pose:
-            return pose, STANDSTILL
-        return self._anchors[k], self._relative[k]
+        return self._relative.get(pose, (pose, STANDSTILL))
 
     def attached(self, link: Link) -> Link:
         """A link between the poses in the graph that its poses are fixed to."""
@@ -103,19 +139,21 @@ class Chain:
     def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
         """Renumber the factors: those at the places `before` are now at `after`."""
         moved = dict(zip(before, after, strict=True))
-        self._steps = {k: step._replace(place=moved.get(step.place, -1)) for k, step in self._steps.items()}
+        self._steps = {k: step._replace(place=moved.get(step.place, _UNPLACED)) for k, step in self._steps.items()}
 
     def all_poses(self, kept: Array) -> Array:
         """(K, 3) all poses, of those (m, 3) that are in the graph."""
-        if not self._gone:
+        n = len(self._relative)
+        if not n:
             return kept
-        poses = np.empty((len(kept) + len(self._gone), 3))
+        (gone, anchors), relative = self._gone[:n].T, self._motions[:n]
+        poses = np.empty((len(kept) + n, 3))
         is_kept = np.ones(len(poses), dtype=np.bool_)
-        is_kept[self._gone] = False
+        is_kept[gone] = False
         poses[is_kept] = kept
-        at, relative = poses[self._anchors], np.array([relative.motion.array() for relative in self._relative])
+        at = poses[anchors]
         c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
-        poses[self._gone] = np.column_stack([
+        poses[gone] = np.column_stack([
             at[:, 0] + c * relative[:, 0] - s * relative[:, 1],
             at[:, 1] + s * relative[:, 0] + c * relative[:, 1],
             wrap_angle(at[:, 2] + relative[:, 2]),

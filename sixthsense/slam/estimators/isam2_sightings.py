@@ -42,10 +42,12 @@ class SightingFactors:
         rows = self._rows[: self._count]
         return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
 
-    def drop_pose(self, pose: int) -> list[int]:
-        """Remove the sightings from a pose; the places of their factors."""
+    def drop_poses(self, poses: Sequence[int]) -> list[int]:
+        """Remove the sightings from some poses; the places of their factors."""
+        if not poses:
+            return []
         rows = self._rows[: self._count]
-        places: list[int] = rows["place"][rows["pose"] == pose].tolist()
+        places: list[int] = rows["place"][np.isin(rows["pose"], poses)].tolist()
         self.drop(places)
         return places
 

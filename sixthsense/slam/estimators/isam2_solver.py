@@ -9,7 +9,8 @@ import gtsam
 import numpy as np
 
 from sixthsense.config import ISAM2Config
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.slam.estimators.isam2_factors import to_pose2
 
 T = TypeVar("T")
 
@@ -28,17 +29,41 @@ class Solver:
         self._config, self._on_renumber = config, on_renumber
         self._by_qr = False
 
-    def update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = ()) -> list[int]:
+    def update(
+        self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = (), last: int | None = None
+    ) -> list[int]:
         """Add factors and values, remove the factors at the places `gone`, and solve; the places of the new factors.
 
-        Raises RuntimeError when QR finds no solution either.
+        The variable with the key `last` is eliminated last, so that its covariance costs little; by default those of
+        the new factors are. Raises RuntimeError when QR finds no solution either.
         """
+        groups = extra = None
+        if last is not None:
+            groups, extra = gtsam.KeyGroupMap(), gtsam.KeyList()
+            groups.insert2(last, 1)
+            extra.push_back(last)
         try:
-            return list(self.isam.update(graph, values, list(gone)).getNewFactorsIndices())
+            result = self.isam.update(graph, values, list(gone), groups, None, extra)
+            return list(result.getNewFactorsIndices())
         except RuntimeError:
             # Before it fails the solver has added the new factors to its graph and removed the old ones.
             places = self._switch_to_qr()
             return places[len(places) - graph.size() :]
+
+    def iterate(self, count: int = 1) -> None:
+        """Solve again from the present solution."""
+        for _ in range(count):
+            self.update(gtsam.NonlinearFactorGraph(), gtsam.Values())
+
+    def relinearize(self, key: int, guess: Pose) -> None:
+        """Iterate while the pose with this key, linearized at `guess`, is farther than the threshold from there."""
+        linearized = to_pose2(guess)
+        for _ in range(self._config.iterations - 1):
+            solved = self.isam.calculateEstimatePose2(key)
+            if np.abs(linearized.localCoordinates(solved)).max() <= self._config.relinearize_threshold:
+                return
+            self.iterate()
+            linearized = solved
 
     def covariance(self, key: int) -> Array:
         """Marginal covariance of a variable, in its own tangent."""

@@ -7,7 +7,9 @@ its own links contradict the graph then, or if it has made more other links cont
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +56,21 @@ class Closings:
         """Links to old key scans: target, source, pose (3,) of the source in the target's frame, information (3, 3)."""
         return [link for group in self._groups.values() for link in group.measured]
 
+    @property
+    def own_keys(self) -> set[int]:
+        """Key scans of the revisits' own links."""
+        return {k for group in self._groups.values() for pair in group.pairs[: group.own] for k in pair}
+
+    def take_out(self, keys: Collection[int]) -> None:
+        """Take in that key scans have left the graph with their links, none of which were a revisit's own."""
+        gone = set(keys)
+        for group in self._groups.values():
+            lost = [not gone.isdisjoint(pair) for pair in group.pairs]
+            self._graph.forget(list(compress(group.pairs, lost)))
+            stays = [not is_lost for is_lost in lost]
+            group.ids, group.pairs = list(compress(group.ids, stays)), list(compress(group.pairs, stays))
+            group.measured = list(compress(group.measured, stays))
+
     def link(self, key: int) -> None:
         """Link a new key scan to those before it, and to old ones around those that they are linked to."""
         self._keep(*self._graph.link(key, self._graph.near_linked(key)))
@@ -70,6 +87,8 @@ class Closings:
         """
         last, own = key, {source for _, source in self._groups[self._latest].pairs}
         for k in range(key - 1, self._graph.first, -1):
+            if not self._graph.is_kept[k]:
+                break
             if k in own:
                 last = k
                 continue

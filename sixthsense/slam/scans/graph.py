@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.estimators import Link, PoseGraphEstimator
+from sixthsense.slam.estimators import Link, PoseGraphEstimator, takes_out_poses
 from sixthsense.slam.scans.alignment import SUMS
 from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 
-_RECENT = 4  # key scans before a key scan that it is linked to
+RECENT = 4  # key scans before a key scan that it is linked to
 _OLD = 4  # most links of a key scan to old ones
 _OLD_AGE = 20  # key scans; nearer ones are of the same pass
 _LINKED_LATELY = 6  # key scans back from the newest whose old partners' neighbours are linked
@@ -54,6 +54,7 @@ class ScanGraph:
         """of a key scan: the older ones of another pass that it is linked to"""
         self._links = np.zeros(64, dtype=np.int64)
         """links of each key scan to earlier ones"""
+        self._is_kept = np.ones(64, dtype=np.bool_)
         self.count = 0
         self.first = 0
         """index of the first key scan since the robot was put where it is, or carried"""
@@ -67,11 +68,17 @@ class ScanGraph:
         """(K, 3) `T_world_laser` of the key scans; a view."""
         return self._rows[: self.count]
 
+    @property
+    def is_kept(self) -> NDArray[np.bool_]:
+        """(K,) which key scans are in the estimator's graph; a view. The poses of others follow their neighbours'."""
+        return self._is_kept[: self.count]
+
     def add(self, pose: Array, mount: Mount) -> None:
         """Add the newest key scan at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             self._links = np.concatenate([self._links, np.zeros_like(self._links)])
+            self._is_kept = np.concatenate([self._is_kept, np.ones_like(self._is_kept)])
             self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[self.count], self.mount = pose, mount
         points = self.store.returns.points[self.count]
@@ -95,7 +102,7 @@ class ScanGraph:
 
     def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
         """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
-        recent = self._align(np.arange(max(self.first, key - _RECENT), key), key, RECENT_GATES_M)
+        recent = self._align(np.arange(max(self.first, key - RECENT), key), key, RECENT_GATES_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old)
@@ -130,6 +137,13 @@ class ScanGraph:
             self._refresh_near(rows)
         return ids
 
+    def take_out(self, keys: list[int]) -> None:
+        """Take key scans out of the estimator's graph: nothing is linked to them any more."""
+        assert takes_out_poses(self.estimator)
+        self.estimator.take_out(keys)
+        self._is_kept[keys] = False
+        self.refresh()
+
     def forget(self, pairs: list[tuple[int, int]]) -> None:
         """Forget that these pairs (target, source) are linked."""
         for target, source in pairs:
@@ -151,7 +165,8 @@ class ScanGraph:
         for other in linked:
             for old in self.old_links.get(other, ()):
                 around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - _OLD_AGE)))
-        return self.nearest(key, np.array(sorted(around), dtype=np.int64))
+        candidates = np.array(sorted(around), dtype=np.int64)
+        return self.nearest(key, candidates[self.is_kept[candidates]])
 
     def nearest(self, key: int, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
         """Those of the candidates whose views overlap that of a key scan most, by their poses."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
+from sixthsense.slam.estimators import takes_out_poses
 from sixthsense.slam.front_end import RevisitCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
@@ -24,6 +25,7 @@ from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.odometry_prior import has_slipped
 from sixthsense.slam.scans.place_search import Hypothesis, PlaceSearch
 from sixthsense.slam.scans.poses import between, compose
+from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.scans.verification import verified
@@ -59,6 +61,7 @@ class Revisits:
         self._config, self._graph = config, graph
         self._uncertainty = UncertaintyGraph()
         self.closings = Closings(graph, self._uncertainty)
+        self._thinning = Thinning(graph, self.closings, self._uncertainty)
         self._search = PlaceSearch(config, graph)
         self._votes: list[_Vote] = []
         self._travelled = np.zeros(64)
@@ -110,9 +113,11 @@ class Revisits:
         if self._travelled[key] - self._looked_m >= _PERIOD_M:
             self._looked_m = float(self._travelled[key])
             self._look_around(key)
+        if takes_out_poses(self._graph.estimator):
+            self._thinning.look(key)
 
     def _look_around(self, key: int) -> None:
-        old = np.arange(max(0, key - _OLD_AGE))
+        old = np.flatnonzero(self._graph.is_kept[: max(0, key - _OLD_AGE)])
         if not len(old):
             return
         sigma_m, sigma_rad = self._uncertainty.sigmas(key, self._graph.poses)

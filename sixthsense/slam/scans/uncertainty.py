@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+
+_CHAIN = -2  # the group of arcs between consecutive key scans
 
 
 class UncertaintyGraph:
@@ -19,11 +21,15 @@ class UncertaintyGraph:
         self._variances = np.zeros((128, 3))
         self._group = np.zeros(128, dtype=np.int64)
         self._count = 0
+        self._stand_ins: dict[int, int] = {}
+        """of a key scan that was taken out: the one before it"""
 
     def add(
-        self, before: int, after: int, position_m2: float, heading_rad2: float, group: int = -1, bias_m: float = 0.0
+        self, before: int, after: int, position_m2: float, heading_rad2: float, group: int = _CHAIN, bias_m: float = 0.0
     ) -> None:
         """Add an arc with the variances of position and heading; arcs of a `group` can be removed together.
+
+        Without a group it belongs to the chain from each key scan to the next.
 
         `bias_m` is a sigma of position that all arcs have in common: on a path these add up, not their squares.
         """
@@ -38,10 +44,28 @@ class UncertaintyGraph:
 
     def remove(self, groups: Collection[int]) -> None:
         """Remove the arcs of these groups."""
-        kept = np.flatnonzero(~np.isin(self._group[: self._count], list(groups)))
+        self._keep(np.flatnonzero(~np.isin(self._group[: self._count], list(groups))))
+
+    def _keep(self, kept: NDArray[np.int64]) -> None:
         for rows in (self._ends, self._variances, self._group):
             rows[: len(kept)] = rows[kept]
         self._count = len(kept)
+
+    def take_out(self, keys: Sequence[int]) -> None:
+        """Take key scans out, ascending: their arcs of the chain are joined, and others lost.
+
+        What was known of one is from then on what is known of the one before it.
+        """
+        ends, variances = self._ends[: self._count], self._variances[: self._count]
+        is_chain = self._group[: self._count] == _CHAIN
+        is_lost = ~is_chain & np.isin(ends, keys).any(axis=1)
+        for key in keys:
+            (to,), (on,) = (np.flatnonzero(is_chain & ~is_lost & (ends[:, k] == key)) for k in (1, 0))
+            self._stand_ins[key] = int(ends[to, 0])
+            ends[on, 0] = ends[to, 0]
+            variances[on] += variances[to]
+            is_lost[to] = True
+        self._keep(np.flatnonzero(~is_lost))
 
     def sigmas(self, source: int, poses: Array) -> tuple[Array, Array]:
         """(K,) sigmas of position, m, and of heading, rad, relative to key scan `source`; infinite where unconnected.
@@ -56,6 +80,7 @@ class UncertaintyGraph:
         order = np.argsort(tails, kind="stable")
         first = np.searchsorted(tails[order], np.arange(len(poses) + 1))
         found = _spread(source, first, heads[order], variances[order], poses)
+        found[list(self._stand_ins)] = found[list(self._stand_ins.values())]
         return np.sqrt(found[:, 0]), np.sqrt(found[:, 1])
 
 

@@ -1,0 +1,112 @@
+"""Poses that are taken out of the smoother's graph by request, with their links."""
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Pose
+from sixthsense.core.motion import Odometry, WheelTerms
+from sixthsense.core.wheels import WheelEstimate, Wheels
+from sixthsense.slam.estimators import Link, takes_out_poses
+from sixthsense.testing.estimation import assert_same, driven, joint_state, make, step
+from sixthsense.testing.links import linked
+
+
+def seen(smoother, before, after, off=0.01):
+    """A link that differs a little from where a smoother has the poses."""
+    poses = [Pose.from_array(row) for row in smoother.trajectory()[[before, after]]]
+    return Link(before, after, Odometry(poses[0].inverse() @ poses[1] @ Pose(off, -off, off), 1e-3 * np.eye(3)))
+
+
+def test_of_the_shipped_estimators_the_smoother_alone_takes_poses_out():
+    assert takes_out_poses(make("isam2")) and not takes_out_poses(make("ekf-invariant"))
+
+
+@pytest.mark.parametrize("gone", [[3], [1, 2, 3], [2, 4, 6], [1, 2, 4, 5, 6]])
+def test_without_links_nothing_is_lost(gone):
+    whole, less = linked("isam2"), linked("isam2")
+    assert less.take_out(gone) == []
+    assert_same(joint_state(whole), joint_state(less), 1e-6)
+    assert np.allclose(less.trajectory(), whole.trajectory(), atol=1e-9)
+    assert np.array_equal(less.poses_at([3, 0, 7]), less.trajectory()[[3, 0, 7]])
+
+
+def test_links_of_a_pose_that_is_taken_out_are_lost_and_others_stay():
+    less, other = linked("isam2"), linked("isam2")
+    links = [seen(less, 1, 6), seen(less, 0, 4), seen(less, 2, 4)]
+    ids = less.link(links)
+    other.link(links[:1])
+    assert less.take_out([4]) == ids[1:]
+    assert_same(joint_state(other), joint_state(less), 1e-5)
+    with pytest.raises(KeyError):
+        less.unlink(ids[1:2])
+    less.unlink(ids[:1])
+    other.unlink(ids[:1])
+    assert_same(joint_state(other), joint_state(less), 1e-5)
+
+
+def test_a_pose_that_was_taken_out_stays_where_it_was_beside_the_one_before_it():
+    smoother = linked("isam2")
+    smoother.take_out([4])
+    before = smoother.trajectory()
+    smoother.link([Link(0, 3, Odometry(Pose(2.0, 1.0, 1.9), 1e-6 * np.eye(3)))])
+    after = smoother.trajectory()
+    assert np.abs(after - before).max() > 0.1
+    kept, moved = (Pose.from_array(rows[3]).inverse() @ Pose.from_array(rows[4]) for rows in (before, after))
+    assert np.allclose(kept.array(), moved.array(), atol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", [[0], [7], [8], [-1], [4, 3], [5, 5], [2]])
+def test_another_order_and_the_ends_are_refused(wrong):
+    smoother = linked("isam2")
+    smoother.take_out([2])
+    before = joint_state(smoother), smoother.trajectory()
+    with pytest.raises(KeyError, match="updates: found"):
+        smoother.take_out(wrong)
+    assert_same(before[0], joint_state(smoother))
+    assert np.array_equal(before[1], smoother.trajectory())
+
+
+def test_no_pose_changes_nothing():
+    smoother = linked("isam2")
+    before = joint_state(smoother)
+    assert smoother.take_out([]) == []
+    assert_same(before, joint_state(smoother), 1e-7)
+
+
+def test_sightings_from_a_pose_that_is_taken_out_are_lost():
+    smoother, whole = driven("isam2"), driven("isam2")
+    smoother.take_out([3, 4])
+    (found, cov), (_, all_cov) = joint_state(smoother), joint_state(whole)
+    assert len(found.ids) == 5 and len(smoother.trajectory()) == len(whole.trajectory())
+    # Means differ, and with them what the same sightings say: by a hundredth here.
+    assert np.linalg.eigvalsh(1.01 * cov - all_cov).min() > 0.0
+    smoother.predict(step())
+    smoother.update({})
+    assert len(smoother.trajectory()) == len(whole.trajectory()) + 1
+
+
+def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():
+    whole, less = (make("isam2") for _ in range(2))
+    prior, jacobian = WheelEstimate(Wheels(), 1e-4 * np.eye(4)), np.eye(3, 4)
+    for smoother in (whole, less):
+        smoother.estimate_wheels(prior)
+        for _ in range(6):
+            smoother.predict(Odometry(step().motion, step().cov, WheelTerms(Wheels(), 0.1 * jacobian)))
+            smoother.update({})
+        smoother.link([seen(smoother, 0, 5)])
+    less.take_out([2, 3])
+    assert_same(joint_state(whole), joint_state(less), 1e-5)
+    assert np.allclose(whole.wheels().cov, less.wheels().cov, rtol=1e-3)
+    assert np.allclose(whole.wheels().values.array(), less.wheels().values.array(), atol=1e-5)
+
+
+def test_poses_leave_across_the_change_to_a_solver_with_qr():
+    one, two = linked("isam2"), linked("isam2")
+    for smoother in (one, two):
+        smoother.link([seen(smoother, 1, 6), seen(smoother, 0, 4)])
+        smoother.take_out([2])
+    one._solver._switch_to_qr()
+    for smoother in (one, two):
+        assert smoother.take_out([4]) == [1]
+        smoother.unlink([0])
+    assert_same(joint_state(one), joint_state(two), 1e-5)
