@@ -16,6 +16,7 @@ from sixthsense.campaign.plan import PlannedRun, scene_digest
 from sixthsense.campaign.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
+from sixthsense.core.interrupt import deferred_interrupt
 
 REACH_S = 5.0
 """timeout for the scheduler to answer, and for its first worker to connect"""
@@ -44,7 +45,8 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
         warnings.simplefilter("ignore")
         stack.enter_context(dask.config.set(_SETTINGS))
         if scheduler is None:
-            with _terminal_blocked():
+            # A cluster that is stopped half started leaves processes, and says so when Python ends.
+            with deferred_interrupt() as interrupted, _terminal_blocked():
                 cluster = distributed.LocalCluster(
                     n_workers=workers or dask.system.CPU_COUNT,
                     threads_per_worker=1,
@@ -54,6 +56,8 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
                     silence_logs=logging.CRITICAL,
                 )
                 stack.callback(_close_quietly, cluster.close)
+            if interrupted():
+                raise KeyboardInterrupt
             client = distributed.Client(cluster)
         else:
             client = _reach(distributed, scheduler)

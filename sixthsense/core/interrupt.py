@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +17,8 @@ from typing import Any
 
 AGAIN_S = 2.0
 """A second Ctrl-C within this time of the first raises, in a later block too."""
+
+_RESENT_S = 0.05
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -36,18 +39,30 @@ class CommandSignals:
         self.is_last = False
         """whether the process ends with the command: later signals are ignored"""
         self._presses_s: list[float] = []
+        self._is_swallowed = False
 
     def note(self, number: int) -> bool:
         """Note a signal and return whether it interrupts: SIGTERM and SIGHUP, which may be sent twice, do so once.
 
         The third Ctrl-C within two seconds ends the process at once.
         """
-        is_first, self.number = self.number == 0, self.number or number
+        is_first, self.number = self.number == 0 or self._is_swallowed, self.number or number
+        self._is_swallowed = False
         if number == signal.SIGINT:
             self._presses_s = [*self._presses_s[-2:], time.monotonic()]
             if len(self._presses_s) == 3 and self._presses_s[-1] - self._presses_s[0] < AGAIN_S:
                 os._exit(128 + number)
         return not self.is_over and (is_first or number == signal.SIGINT)
+
+    def swallowed(self) -> None:
+        """Take in that the interrupt was raised where Python drops exceptions, and send the signal again soon.
+
+        It drops them in finalizers and in callbacks of weak references, which run anywhere.
+        """
+        self._is_swallowed, self._presses_s = True, self._presses_s[:-1]
+        again = threading.Timer(_RESENT_S, os.kill, (os.getpid(), self.number))
+        again.daemon = True
+        again.start()
 
     def exit_code(self, code: int) -> int:
         """The exit code of a command that ends with `code`: 128 plus the signal that ended it, if one has."""
@@ -71,13 +86,21 @@ def command_signals() -> Iterator[CommandSignals]:
         if command.note(number):
             raise KeyboardInterrupt
 
+    def dropped(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt) and command.number and not command.is_over:
+            command.swallowed()
+        else:
+            report(unraisable)
+
+    report, sys.unraisablehook = sys.unraisablehook, dropped
+
     command.taken = tuple(n for n in ENDING if signal.getsignal(n) not in (signal.SIG_IGN, None))
     before = {number: signal.signal(number, interrupt) for number in command.taken}
     _command = command
     try:
         yield command
     finally:
-        _command = None
+        _command, sys.unraisablehook = None, report
         for number, handler in before.items():
             signal.signal(number, signal.SIG_IGN if command.is_last else handler)
 

@@ -1,13 +1,15 @@
 import math
 import os
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
 
 from sixthsense.config import preset
 from sixthsense.core import interrupt
-from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.core.interrupt import command_signals, deferred_interrupt
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 
@@ -74,3 +76,46 @@ def test_another_thread_runs_without_a_handler():
     thread.start()
     thread.join()
     assert said == [False]
+
+
+SWALLOWING = """
+import os, signal, time, weakref
+from sixthsense.core.interrupt import command_signals
+
+class Kept:
+    pass
+
+def stop(_):
+    os.kill(os.getpid(), signal.{name})
+    time.sleep(0.01)
+
+with command_signals() as signals:
+    try:
+        kept = Kept()
+        callback = weakref.ref(kept, stop)
+        del kept
+        time.sleep(20)
+    except KeyboardInterrupt:
+        print("interrupted by", signals.number)
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_interrupt_that_python_drops_in_a_finalizer_comes_again(name):
+    code = SWALLOWING.format(name=name)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=15)
+    assert done.stdout == f"interrupted by {getattr(signal, name).value}\n" and done.stderr == ""
+
+
+def test_other_exceptions_that_python_drops_are_told_as_before(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+
+    class Failing:
+        def __del__(self):
+            raise ValueError("in a finalizer")
+
+    with command_signals():
+        Failing()
+    assert [each.exc_type for each in told] == [ValueError]
+    assert sys.unraisablehook == told.append
