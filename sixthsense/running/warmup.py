@@ -98,6 +98,7 @@ def warm_up() -> None:
     mapper = Mapper(config.grid, 0.2)
     mapper.add(lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
     mapper.grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
+    mapper.grid.compose([mapper.grid.submap()])
     _warm_up_choice()
     _keep_imports()
 

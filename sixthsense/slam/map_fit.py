@@ -39,7 +39,7 @@ class Obstacles(NamedTuple):
     def of(cls, evidence: Submap, config: GridConfig) -> Obstacles:
         """Those of a map with cells as `config` says, with a metre of unknown cells around them."""
         rim = round(1.0 / config.cell_m)
-        low, high = evidence.corners - np.array([[rim], [-rim]])
+        low, high = np.array(evidence.box.corners) - np.array([[rim], [-rim]])
         shape = tuple((high - low + 1).tolist())
         rows, cols = (evidence.cells - low).T
         occupied, seen = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)

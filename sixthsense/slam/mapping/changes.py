@@ -20,9 +20,19 @@ class Box(NamedTuple):
     right: int
     """column past the last"""
 
+    @property
+    def corners(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Row, col of the first and of the last cell."""
+        return (self.top, self.left), (self.bottom - 1, self.right - 1)
+
     def grown(self, cells: int) -> Box:
         """The same and the cells around it."""
         return Box(self.top - cells, self.left - cells, self.bottom + cells, self.right + cells)
+
+    def aligned(self, side: int) -> Box:
+        """The box of the squares of `side` cells, counted from the world's origin, that it touches."""
+        top, left = self.top // side * side, self.left // side * side
+        return Box(top, left, -(-self.bottom // side) * side, -(-self.right // side) * side)
 
     def within(self, first: tuple[int, int], shape: tuple[int, ...]) -> tuple[slice, slice]:
         """The rows and columns of it in an array of `shape` whose cell (0, 0) is `first`."""

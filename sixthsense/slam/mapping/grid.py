@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,7 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box, Changes, Revision
+from sixthsense.slam.mapping.changes import Box, Changes
 from sixthsense.slam.mapping.evidence import (
     Cells,
     EvidenceRules,
@@ -29,20 +29,11 @@ from sixthsense.slam.mapping.evidence import (
 from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, Ellipse, FreeSpace, cell_box
 from sixthsense.slam.mapping.growth import grown_box
 from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
-from sixthsense.slam.mapping.submap import Submap, add_submap, mark_obstacles, submap_of
+from sixthsense.slam.mapping.masks import Masks, masks_of
+from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, TILE, Places, Tiles
 
 __all__ = ["FreeSpace", "Grid", "line_cells"]
-
-
-class _Drawn(NamedTuple):
-    """Masks of a grid, (H, W)."""
-
-    box: Box
-    revision: Revision
-    seen: Bools
-    covered: Bools
-    """by the inflation of an obstacle"""
 
 
 class Grid:
@@ -80,10 +71,12 @@ class Grid:
         self._box = Box(0, 0, 0, 0)
         self._scans = 0
         self._tiles, self._cells = Tiles(), Cells.empty(0)
-        self._drawn: _Drawn | None = None
+        self._drawn: Masks | None = None
 
-    def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> None:
+    def add(self, T_world_robot: Pose, scan: Scan, walls_robot: Array) -> Box:
         """Count one scan taken at `T_world_robot`, and the (W, 2, 2) wall segments (robot frame, metres) fitted to it.
+
+        Returns the box of the cells that may have changed, without inflation.
 
         A beam with a return hits the cell of its end and passes those before it. A beam without one (at or beyond
         the scan's maximum) passes all cells up to the maximum, or none if so configured. A NaN, zero or negative range
@@ -121,9 +114,11 @@ class Grid:
             self._box = before
             raise
         (top, left), (bottom, right) = (low + self._tiles.first).tolist(), (high + self._tiles.first).tolist()
-        self._changes.add(Box(top, left, bottom + 1, right + 1))
+        box = Box(top, left, bottom + 1, right + 1)
+        self._changes.add(box)
         self._scans += 1
         count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
+        return box
 
     def submap(self) -> Submap:
         """The evidence of this grid, to compose another one."""
@@ -132,14 +127,21 @@ class Grid:
     def compose(self, submaps: Sequence[Submap]) -> None:
         """Replace all evidence by that of submaps in the order of their scans."""
         self.clear()
-        corners = np.concatenate([np.zeros((0, 2)), *(submap.corners for submap in submaps)])
-        if len(corners) == 0:
-            return
-        self._grow(corners)
-        for submap in submaps:
+        boxes = [submap.box for submap in submaps if len(submap.cells)]
+        if boxes:
+            self.recompose(submaps, boxes)
+
+    def recompose(self, submaps: Sequence[Submap], boxes: Sequence[Box]) -> None:
+        """Replace the evidence in the tiles that boxes touch by that of submaps in the order of their scans."""
+        self._grow(np.array([corner for box in boxes for corner in box.corners]))
+        touched = self._tiles.touched_by(boxes)
+        erase(self._cells, self._tiles.index, self._tiles.among(touched), self._offsets)
+        for submap in (whole.within(touched, self._tiles) for whole in submaps):
             places = self._make_room(submap.cells, submap.hits > 0)
             add_submap(self._cells, self._tiles.index, places, submap, self._rules)
-        mark_obstacles(self._cells, self._tiles.index, self._tiles.squares, self._offsets, self._rules)
+        mark_obstacles(self._cells, self._tiles.index, self._tiles.among(touched), self._offsets, self._rules)
+        for box in boxes:
+            self._changes.add(box.aligned(TILE))
 
     def mark_seen(self, cells: NDArray[np.int64]) -> None:
         """Mark cells (N, 2), row, col from the world's origin, as seen."""
@@ -249,26 +251,22 @@ class Grid:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
         return np.where(self.obstacles, 100, np.where(self.seen, 0, -1)).astype(np.int8)
 
-    def _draw_masks(self) -> _Drawn:
+    def _draw_masks(self) -> Masks:
         """Seen cells and inflation of the whole map; kept, and drawn again where it has changed."""
-        changes, box, drawn = self.changes, self._box, self._drawn
-        since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
-        if drawn is None or since is None:
-            drawn = _Drawn(box, changes.revision, self._whole("seen"), self._whole("cover") > 0)
-        else:
-            rows, cols = since.grown(self._reach).within((box.top, box.left), drawn.seen.shape)
-            part = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
-            drawn.seen[rows, cols], drawn.covered[rows, cols] = self.part("seen", part), self.part("cover", part) > 0
-            drawn = drawn._replace(revision=changes.revision)
-        self._drawn = drawn
-        return drawn
+        self._counted()
+        self._check_size()
+        self._drawn = masks_of(self, self._box, self._reach, self._drawn)
+        return self._drawn
 
     def _whole(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"]) -> NDArray[Any]:
         """(H, W) what is kept of all cells; InputError if they are more than 100 million."""
         self._counted()
+        self._check_size()
+        return self.part(name, self._box)
+
+    def _check_size(self) -> None:
         box = self._box
         cell_box(np.array([box.top, box.left], dtype=np.float64), np.array([box.bottom, box.right], dtype=np.float64))
-        return self.part(name, box)
 
     def _make_room(self, cells: NDArray[np.int64], hit: Bools) -> Places:
         """(N,) the places of cells (N, 2) within the box, with tiles for them and for the inflation of those hit."""

@@ -9,10 +9,12 @@ import numpy as np
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap, weakened
+from sixthsense.slam.mapping.tiles import TILE
 
 SCANS_PER_SUBMAP = 10
 """Key scans of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
@@ -42,7 +44,7 @@ class Mapper:
 
     A key scan that nobody looks at costs nothing. Where the grid was read since the last key scan, as a navigator
     reads it, the next one is drawn at once. When a key scan that is drawn has moved by half a cell, its submap is drawn
-    again, and the grid is composed of the submaps.
+    again, and the tiles that it touches are composed of all submaps that touch them.
     """
 
     def __init__(self, config: GridConfig, radius_m: float) -> None:
@@ -58,8 +60,10 @@ class Mapper:
         """mean range of each scan, m: the lever of its heading"""
         self._trajectory: Callable[[], Array] = lambda: np.zeros((0, 3))
         """returns (K, 3) present poses, the first ones those of the scans"""
-        self._submaps: list[Submap] = []
-        """of `SCANS_PER_SUBMAP` scans each, from the first on; made when the grid is composed for the first time"""
+        self._submaps: dict[int, Submap] = {}
+        """of `SCANS_PER_SUBMAP` scans each, by number; drawn when scans begin to move"""
+        self._boxes: list[Box] = []
+        """of the cells that each scan which is in the grid may have changed"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
         self._earlier: Submap | None = None
@@ -98,11 +102,12 @@ class Mapper:
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
             self._clear()
             self.rebuilds += 1
-            self._drawn_at = np.zeros((0, 3))
+            self._drawn_at, self._boxes = np.zeros((0, 3)), []
+            self._submaps = {}
         self.grid.complete()
         if self._earlier is not None:
             self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
-        self._scans, self._mean_ranges, self._submaps = [], [], []
+        self._scans, self._mean_ranges, self._submaps = [], [], {}
 
     def _clear(self) -> None:
         """Remove the evidence of all scans of this run."""
@@ -113,39 +118,77 @@ class Mapper:
         self._draw()
 
     def _draw(self) -> None:
-        """Draw the scans that are due, and compose the grid anew if one that is drawn has moved."""
+        """Draw the scans that are due, and compose anew what those have changed that are drawn and have moved."""
         drawn = len(self._drawn_at)
         if drawn == len(self._scans):
             return
         poses = self._trajectory()[: len(self._scans)]
-        moved = self._moved(poses[:drawn])
+        shift = self._shift(poses[:drawn])
+        moved = shift > self._tolerance_m
         if moved.any():
-            drawn = self._compose(moved, poses)
+            self._redraw(moved, poses)
             self.rebuilds += 1
-        self._add(self.grid, slice(drawn, None), poses)
-        self._drawn_at = np.vstack([self._drawn_at[:drawn], poses[drawn:]])
+        elif shift.any():
+            self._draw_ahead()
+        for k in range(drawn, len(poses)):
+            self._boxes.append(self._add(self.grid, k, poses))
+        self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
 
-    def _moved(self, poses: Array) -> Bools:
-        """(D,) which of the scans that are drawn have moved by half a cell, to their present poses (D, 3)."""
+    def _shift(self, poses: Array) -> Array:
+        """(D,) by how much each scan that is drawn shows its surroundings elsewhere from its present pose (D, 3), m."""
         shift = poses - self._drawn_at
         lever_m = np.array(self._mean_ranges[: len(poses)])
-        displacement = np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m
-        return np.asarray(displacement > self._tolerance_m)
+        return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) + np.abs(wrap_angle(shift[:, 2])) * lever_m)
 
-    def _compose(self, moved: Bools, poses: Array) -> int:
-        """Compose the grid of submaps, those with a moved scan drawn again; the number of scans that are in it."""
+    def _redraw(self, moved: Bools, poses: Array) -> None:
+        """Draw submaps with a moved scan again, and compose the tiles that these touch, or touched, of all submaps.
+
+        The scans after the last whole submap are drawn again, too.
+        """
         count = len(moved) // SCANS_PER_SUBMAP
-        for k in range(count):
-            scans = slice(k * SCANS_PER_SUBMAP, (k + 1) * SCANS_PER_SUBMAP)
-            if k == len(self._submaps) or moved[scans].any():
-                own = Grid(self._config, self._radius_m)
-                self._add(own, scans, poses)
-                self._submaps[k : k + 1] = [own.submap()]
-                self._drawn_at[scans] = poses[scans]
-        self.grid.compose([*self._base, *self._submaps])
-        return count * SCANS_PER_SUBMAP
+        rest = range(count * SCANS_PER_SUBMAP, len(moved))
+        boxes = [self._boxes[k] for k in rest]
+        for m in np.unique(np.flatnonzero(moved[: rest.start]) // SCANS_PER_SUBMAP).tolist():
+            scans = _scans_of(m)
+            boxes += self._boxes[scans]
+            self._drawn_at[scans] = poses[scans]
+            self._submaps[m] = self._drawn(m)
+            boxes += self._boxes[scans]
+        near = [m for m in range(count) if _meet(self._boxes[_scans_of(m)], boxes)]
+        for m in near:
+            if m not in self._submaps:
+                self._submaps[m] = self._drawn(m)
+        self.grid.recompose([*self._base, *(self._submaps[m] for m in near)], boxes)
+        for k in rest:
+            self._boxes[k] = self._add(self.grid, k, poses)
+            self._drawn_at[k] = poses[k]
 
-    def _add(self, grid: Grid, scans: slice, poses: Array) -> None:
-        """Add scans to a grid at their present poses, rows of `poses` (K, 3)."""
-        for (scan, walls), row in zip(self._scans[scans], poses[scans], strict=True):
-            grid.add(Pose.from_array(row), scan, walls)
+    def _draw_ahead(self) -> None:
+        """Draw a submap that will be needed when scans move, which they do by little: many at once would take long."""
+        for m in range(len(self._drawn_at) // SCANS_PER_SUBMAP - 1, -1, -1):
+            if m not in self._submaps:
+                self._submaps[m] = self._drawn(m)
+                return
+
+    def _drawn(self, m: int) -> Submap:
+        """A submap of scans where they are drawn."""
+        own, scans = Grid(self._config, self._radius_m), _scans_of(m)
+        self._boxes[scans] = [self._add(own, k, self._drawn_at) for k in range(scans.start, scans.stop)]
+        return own.submap()
+
+    def _add(self, grid: Grid, k: int, poses: Array) -> Box:
+        """Add a scan to a grid at its row of `poses` (K, 3); the box of the cells that it may have changed."""
+        scan, walls = self._scans[k]
+        return grid.add(Pose.from_array(poses[k]), scan, walls)
+
+
+def _scans_of(m: int) -> slice:
+    """The scans of a submap."""
+    return slice(m * SCANS_PER_SUBMAP, (m + 1) * SCANS_PER_SUBMAP)
+
+
+def _meet(some: list[Box], others: list[Box]) -> bool:
+    """Whether the tiles of any of the boxes may be those of any of the others."""
+    a, b = (np.array([box.aligned(TILE) for box in boxes]) for boxes in (some, others))
+    low, high = np.maximum(a[:, None, :2], b[None, :, :2]), np.minimum(a[:, None, 2:], b[None, :, 2:])
+    return bool((low < high).all(axis=2).any())

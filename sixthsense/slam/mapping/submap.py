@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.tiles import ROW, SHIFT, TILE, Index, Places, Tiles, slot
@@ -26,16 +27,22 @@ class Submap(NamedTuple):
     """(N,) likewise"""
     seen: Bools
     """(N,) likewise"""
-    corners: NDArray[np.int64]
-    """(2, 2) least and greatest row, col; (0, 2) of an empty submap"""
+    box: Box
+    """that holds the cells"""
 
     @classmethod
     def of(cls, cells: NDArray[np.int64], hits: Ints, passes: Ints, seen: Bools) -> Submap:
         """The submap of (N,) cells, none of them twice."""
-        corners = np.zeros((0, 2), dtype=np.int64)
+        box = Box(0, 0, 0, 0)
         if len(cells):
-            corners = np.array([[column.min() for column in cells.T], [column.max() for column in cells.T]])
-        return cls(cells, hits, passes, seen, corners)
+            (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
+            box = Box(top, left, bottom + 1, right + 1)
+        return cls(cells, hits, passes, seen, box)
+
+    def within(self, squares: Bools, tiles: Tiles) -> Submap:
+        """The part of it in squares (R, C) of the tiles' index."""
+        kept = _in_squares(self.cells, tiles.first, squares)
+        return Submap(self.cells[kept], self.hits[kept], self.passes[kept], self.seen[kept], self.box)
 
 
 def submap_of(cells: Cells, tiles: Tiles) -> Submap:
@@ -59,7 +66,18 @@ def weakened(submap: Submap, rules: EvidenceRules) -> Submap:
     shrunk = (submap.passes * (hits / np.maximum(submap.hits, 1))).astype(np.int32)
     passes = np.where(is_free, np.minimum(submap.passes, most + 1), np.minimum(shrunk, most))
     seen = np.zeros_like(submap.seen)
-    return Submap(submap.cells, hits.astype(np.int32), passes.astype(np.int32), seen, submap.corners)
+    return Submap(submap.cells, hits.astype(np.int32), passes.astype(np.int32), seen, submap.box)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _in_squares(cells: NDArray[np.int64], first: tuple[int, int], squares: Bools) -> NDArray[np.int64]:
+    """Which of the cells (N, 2) are in squares (R, C) that begin at the cell `first`."""
+    kept, count = np.empty(len(cells), np.int64), 0
+    for i in range(len(cells)):
+        if squares[(cells[i, 0] - first[0]) >> SHIFT, (cells[i, 1] - first[1]) >> SHIFT]:
+            kept[count] = i
+            count += 1
+    return kept[:count]
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -87,12 +105,33 @@ def add_submap(cells: Cells, index: Index, places: Places, submap: Submap, rules
 def mark_obstacles(
     cells: Cells, index: Index, squares: NDArray[np.int64], stencil: Places, rules: EvidenceRules
 ) -> None:
-    """Mark the obstacles of tiles in (T, 2) `squares`, which have none yet; `stencil` (K,) offsets to cover."""
+    """Mark the obstacles of the tiles in (T, 2) `squares`, which have none yet; `stencil` (K,) offsets to cover."""
     hits, passes = cells.hits, cells.passes
-    for cell in range(len(squares) << (2 * SHIFT)):
-        if hits[cell] > 0 and hits[cell] >= rules.min_hits and passes[cell] <= rules.passes_per_hit * hits[cell]:
-            cells.obstacles[cell] = True
-            square = squares[cell >> (2 * SHIFT)]
-            row, col = (square[0] << SHIFT) + ((cell >> SHIFT) & (TILE - 1)), (square[1] << SHIFT) + (cell & (TILE - 1))
-            for offset in stencil:
-                cells.cover[slot(index, row * ROW + col + offset)] += 1
+    for row, col in squares:
+        first = np.int64(index[row, col]) << (2 * SHIFT)
+        for cell in range(first, first + TILE * TILE):
+            if hits[cell] > 0 and hits[cell] >= rules.min_hits and passes[cell] <= rules.passes_per_hit * hits[cell]:
+                cells.obstacles[cell] = True
+                place = _place(row, col, cell)
+                for offset in stencil:
+                    cells.cover[slot(index, place + offset)] += 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def erase(cells: Cells, index: Index, squares: NDArray[np.int64], stencil: Places) -> None:
+    """Remove the evidence of the tiles in (T, 2) `squares`; `stencil` (K,) offsets that an obstacle covers."""
+    for row, col in squares:
+        first = np.int64(index[row, col]) << (2 * SHIFT)
+        for cell in range(first, first + TILE * TILE):
+            if cells.obstacles[cell]:
+                place = _place(row, col, cell)
+                for offset in stencil:
+                    cells.cover[slot(index, place + offset)] -= 1
+            cells.hits[cell], cells.passes[cell], cells.stamp[cell] = 0, 0, 0
+            cells.seen[cell], cells.obstacles[cell] = False, False
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _place(row: int, col: int, cell: int) -> int:
+    """The place of a cell in the tile of a square."""
+    return ((row << SHIFT) + ((cell >> SHIFT) & (TILE - 1))) * ROW + (col << SHIFT) + (cell & (TILE - 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -80,6 +81,19 @@ class Tiles:
             for across in steps:
                 squares[(rows + down) >> SHIFT, (cols + across) >> SHIFT] = True
         return squares
+
+    def touched_by(self, boxes: Sequence[Box]) -> NDArray[np.bool_]:
+        """(R, C) the squares that boxes touch."""
+        height, width = self.index.shape
+        squares = np.zeros((height, width), dtype=np.bool_)
+        for box in boxes:
+            rows, cols = box.aligned(TILE).within(self.first, (TILE * height, TILE * width))
+            squares[rows.start >> SHIFT : rows.stop >> SHIFT, cols.start >> SHIFT : cols.stop >> SHIFT] = True
+        return squares
+
+    def among(self, wanted: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """(N, 2) the squares (R, C) that are wanted and have a tile."""
+        return np.asarray(np.argwhere(wanted & (self.index >= 0)))
 
     def part(self, pool: NDArray[Any], box: Box) -> NDArray[Any]:
         """(H, W) what a flat array has of the cells in a box, 0 or False where there is no tile."""

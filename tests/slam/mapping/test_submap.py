@@ -133,3 +133,54 @@ def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.Monk
     shift = np.abs(mapper._drawn_at - moved[: len(mapper._drawn_at)])
     assert shift.max() == 0.0
     assert mapper.grid.obstacles.sum() == pytest.approx(drawn(moved[: count + 2]).obstacles.sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiles_composed_anew_are_as_if_all_were(seed: int) -> None:
+    """Submaps that move by turns, some of them far: evidence, obstacles and inflation, cell for cell."""
+    rng, count = np.random.default_rng(seed), 8
+    config = GridConfig(min_hits=2, passes_per_hit=3.0)
+    rows = poses(5 * count) + np.array([1.5 * (seed % 2), 0.0, 0.0]) * np.arange(5 * count)[:, None]
+    submaps = [drawn(rows[5 * k : 5 * k + 5], config).submap() for k in range(count)]
+    partly, whole = Grid(config, 0.2), Grid(config, 0.2)
+    partly.compose(submaps)
+    masks = partly.free_space()
+    for _ in range(4):
+        before = list(submaps)
+        moved = rng.choice(count, 2, replace=False).tolist()
+        for k in moved:
+            shift = rng.normal(0.0, 1.0, 3) * (3.0, 3.0, 0.5)
+            submaps[k] = drawn(rows[5 * k : 5 * k + 5] + shift, config).submap()
+        partly.recompose(submaps, [s.box for k in moved for s in (before[k], submaps[k])])
+        whole.compose(submaps)
+        box = Box(*partly._box)
+        for name in ("hits", "passes", "cover", "seen", "obstacles"):
+            assert np.array_equal(partly.part(name, box), whole.part(name, box)), name
+        masks = partly.free_space()  # those of the time before are brought up to date
+        assert np.array_equal(masks.blocked, partly.part("cover", box) > 0)
+        assert np.array_equal(masks.seen, partly.seen)
+
+
+def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long corridor of which one end moves: as many submaps are composed as lie there."""
+    mapper, given, recompose = Mapper(GridConfig(), 0.2), [], Grid.recompose
+    monkeypatch.setattr(
+        Grid, "recompose", lambda self, submaps, boxes: (given.append(len(submaps)), recompose(self, submaps, boxes))
+    )
+    count = 12 * SCANS_PER_SUBMAP
+    rows = np.array([[1.0 * k, 0.0, 0.0] for k in range(count + 2)])
+    scan = look(np.zeros(3))
+    for k in range(count):
+        mapper.add(rows[: k + 1].copy, scan, NO_WALLS)
+        assert mapper.grid.seen.any()
+    moved = rows.copy()
+    moved[3, 1] += 0.1
+    mapper.add(moved[: count + 1].copy, scan, NO_WALLS)
+    assert mapper.grid.seen.any() and mapper.rebuilds == 1
+    assert len(given) == 1 and 1 <= given[0] <= 3
+    again = Mapper(GridConfig(), 0.2)
+    for k in range(count + 1):
+        again.add(moved[: k + 1].copy, scan, NO_WALLS)
+        assert again.grid.seen.any()
+    for name in ("seen", "obstacles"):
+        assert np.array_equal(getattr(mapper.grid, name), getattr(again.grid, name))
