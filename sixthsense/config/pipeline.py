@@ -189,7 +189,7 @@ class ISAM2Config(Section):
     """Scale of the loss, in whitened error."""
     undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
     """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
-    least_gain: NonNegative = 0.0
+    least_gain: NonNegative = 0.02
     """A key pose is taken out of the graph whose sightings say less than this of each landmark, nats; 0: none is."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -47,17 +48,17 @@ class JointCovariances:
         self._of, self._pending = self._solution.count, pending
         return joint
 
-    def known(self, ids: Sequence[LandmarkId], pending: Odometry) -> Array:
-        """As `read`, but out of the last one if that has all of the landmarks."""
-        is_present = self._of == self._solution.count and self._pending is pending
-        if not is_present or not self._rows.keys() >= set(ids):
-            return self.read(ids, pending)
-        rows = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in ids)])
-        return np.asarray(self._last[np.ix_(rows, rows)])
-
     def map_gain(self, pose: Pose, sightings: Mapping[LandmarkId, Sighting], pending: Odometry) -> float:
-        """What sightings of known landmarks from the pose after a motion say of these in the mean, nats."""
-        landmarks = self._solution.landmarks()
+        """What sightings of known landmarks from the pose after a motion say of these in the mean, nats.
+
+        Infinite where nobody has asked for their joint covariance: who matches sightings has, and for the gain alone it
+        would cost too much.
+        """
+        is_present = self._of == self._solution.count and self._pending is pending
+        if not is_present or not self._rows.keys() >= sightings.keys():
+            return math.inf
+        asked = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in sightings)])
+        landmarks, joint = self._solution.landmarks(), self._last[np.ix_(asked, asked)]
         row = {i: k for k, i in enumerate(landmarks.keys)}
-        rows, joint = [row[i] for i in sightings], self.known(list(sightings), pending)
+        rows = [row[i] for i in sightings]
         return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(sightings.values()))
