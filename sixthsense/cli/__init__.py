@@ -61,7 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     with command_signals() as signals:
         try:
             code = _run(args)
-        except KeyboardInterrupt:
+        except BaseException as error:
+            if not _is_interrupt(error):
+                raise
             signals.is_over = True
             _say("sixthsense: interrupted")
             code = INTERRUPTED
@@ -69,6 +71,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = signals.exit_code(_flushed(code))
         signals.is_last = argv is None
     return code
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Whether an error is an interrupt, or follows from one: an interrupted module in C "fails to initialize"."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _run(args: list[str]) -> int:

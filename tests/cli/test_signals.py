@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import sixthsense as ss
+from sixthsense import cli
 from sixthsense.record.contents import has_record, reason_not_a_run
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -192,3 +193,19 @@ def test_a_signal_while_a_run_is_saved_keeps_no_view_open(here, monkeypatch):
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
     assert done.returncode == 143 and "stays open" not in done.stderr
     assert outcome(here / "x") == "tour ended"
+
+
+def test_an_interrupt_that_a_module_in_c_turns_into_another_error_is_one(monkeypatch, capsys):
+    def interrupted(args):
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli, "_run", interrupted)
+    assert cli.main(["run"]) == 130
+    assert capsys.readouterr().err == "sixthsense: interrupted\n"
+
+    def broken(args):
+        raise ImportError("no such module")
+
+    monkeypatch.setattr(cli, "_run", broken)
+    with pytest.raises(ImportError, match="no such module"):
+        cli.main(["run"])
