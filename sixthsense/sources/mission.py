@@ -15,7 +15,7 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     An exploration has no goals.
 
     Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, and for
-    a start outside the building from which the laser reaches no wall.
+    a start outside region and building from which the laser reaches no wall.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
@@ -33,7 +33,9 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     if config.task != "goal":
         goal = None
     start = check_placement(scene, start, goal, config.region, config.robot.radius, tour)
-    _check_building_in_reach(scene, start, config.laser.max_range)
+    x0, y0, x1, y1 = config.region or scene.region
+    if not (x0 <= start.x <= x1 and y0 <= start.y <= y1):
+        _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     return start, goals, config.robot.radius or scene.radius
 

@@ -221,6 +221,8 @@ def test_a_start_outside_the_building_must_have_a_wall_within_reach() -> None:
     mission(scene, preset(start=(right + reach - 0.1, 0.5, 0.0)))
     with pytest.raises(SceneError, match=r"outside the building and 10\.1 m from its nearest wall"):
         mission(scene, preset(start=(right + reach + 0.1, 0.5, 0.0)))
+    # A region says where the robot is meant to be, walls or not.
+    mission(scene, preset(start=(right + reach + 0.1, 0.5, 0.0), region=(-50.0, -50.0, 50.0, 50.0)))
     # In a hall larger than the range no wall is in reach at first, and yet the robot is where it should be.
     hall = Scene(
         "hall", np.array([[[-50.0, y], [50.0, y]] for y in (-50.0, 50.0)]), Pose(), 0.2, None, (), scene.region
