@@ -166,6 +166,42 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
     return np.asarray(difference)
 
 
+def sighting_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """(..., 2) innovations of sightings, and (..., 2, 2) their covariances about the predictions.
+
+    The error of a fitted line is a turn about the centre of its returns and a shift there, independent of each other:
+    `cov` tells where the centre is. About the foot of its perpendicular, a turn by delta also moves the offset d by
+    d delta^2 / 2, which for a short wall is more than the sigma of the shift and always to the same side. So the
+    distance of the predicted line is taken from the centre. To first order it is that of `innovations`, with `cov`.
+    """
+    values = innovations(z, predicted, walls)
+    cov = np.broadcast_to(cov, (*values.shape, 2))
+    if not walls.any():
+        return values, cov
+    turn, lever = values[..., 0], line_lever(cov)
+    c, s = np.cos(turn), np.sin(turn)
+    turned = lever * c + z[..., 1] * s  # the centre's place along the predicted line
+    gap = z[..., 1] * c - lever * s - predicted[..., 1]
+    values[..., 1] = np.where(walls, gap + turned * turn, values[..., 1])
+    along, across = cov[..., 0, 0], cov[..., 1, 1] - lever * cov[..., 0, 1]
+    about = np.stack([along, turned * along, turned * along, across + turned * turned * along], axis=-1)
+    return values, np.where(walls[..., None, None], about.reshape(*about.shape[:-1], 2, 2), cov)
+
+
+def line_lever(cov: Array) -> Array:
+    """(...) where along a line, from the foot of its perpendicular, its offset does not depend on its direction, m.
+
+    `cov` (..., 2, 2) of alpha and d.
+    """
+    return np.asarray(cov[..., 0, 1] / cov[..., 0, 0])
+
+
+def line_point(line: Array, lever: float) -> Array:
+    """(2,) the point of a line (2,), alpha and d, that lies `lever` along it from the foot of its perpendicular, m."""
+    c, s = math.cos(line[0]), math.sin(line[0])
+    return np.array([line[1] * c - lever * s, line[1] * s + lever * c])
+
+
 def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
     """The landmark (2,) of a sighting from a pose, world frame; its Jacobians by pose (2, 3) and by z (2, 2)."""
     if not sighting.is_wall:
@@ -187,12 +223,16 @@ def rotation_generator(landmarks: Array, walls: NDArray[np.bool_] | None = None)
 
 
 def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[Array, Array]:
-    """Landmarks (m, 2) after the world is translated by `by` (2,), and the Jacobians (m, 2, 2) of that."""
+    """Landmarks (m, 2) after the world is translated by `by` (2,), or each by its own (m, 2), and the Jacobians.
+
+    The Jacobians (m, 2, 2) are by the landmarks.
+    """
+    by = np.broadcast_to(by, landmarks.shape)
     moved, jacobian = landmarks + by, np.tile(np.eye(2), (len(landmarks), 1, 1))
     normal, along = _axes(landmarks[walls, 0])
     moved[walls, 0] = landmarks[walls, 0]
-    moved[walls, 1] = landmarks[walls, 1] + normal @ by
-    jacobian[walls, 1, 0] = along @ by
+    moved[walls, 1] = landmarks[walls, 1] + (normal * by[walls]).sum(axis=1)
+    jacobian[walls, 1, 0] = (along * by[walls]).sum(axis=1)
     return moved, jacobian
 
 

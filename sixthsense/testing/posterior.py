@@ -7,6 +7,7 @@ posterior by a part of itself, whatever the noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -17,13 +18,13 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator
-from sixthsense.testing.batch import Log, Posterior, batch_posterior, sighting_jacobian, to_robot
+from sixthsense.testing.batch import Log, Posterior, batch_posterior, jacobian, sighting_jacobian, to_robot
 from sixthsense.testing.estimation import fed, joint_state, make
 from sixthsense.testing.laws import Laws
 
 LAWS = Laws()
 
-NOISE = 5e-4  # m and rad; GTSAM drops the correlations of a covariance whose off-diagonal is below 1e-9
+NOISE = 2.5e-4  # m and rad; GTSAM drops the correlations of a covariance whose off-diagonal is below 1e-9
 TOLERANCE = 0.01  # of a sigma, and of a variance in any direction
 # Away from the world's origin, where the offset of a wall depends strongly on its angle.
 START = Pose(4.0, -3.0, 0.4)
@@ -121,6 +122,28 @@ def reference_of(estimator: Estimator) -> Posterior:
     return Posterior(estimate.ids.tolist(), np.append(estimate.pose.array(), estimate.landmarks), joint, angles)
 
 
+def _linearized(state: Array, sighting: Sighting) -> tuple[Array, Array, Array]:
+    """Jacobian (2, 5) of a sighting by pose and landmark, its innovation (2,), and the covariance (2, 2) of that.
+
+    The error of a wall's sighting is a turn about the place where direction and offset are independent, and a shift.
+    """
+    pose, landmark = state[:3], state[3:]
+    if not sighting.is_wall:
+        H = sighting_jacobian(pose, landmark, False)
+        return H, sighting.z - to_robot(pose, landmark, False), sighting.cov
+    alpha, d = (float(value) for value in sighting.z)
+    (var, mixed), (_, of_offset) = sighting.cov.tolist()
+    place = np.array([d * math.cos(alpha), d * math.sin(alpha)])
+    place += mixed / var * np.array([-math.sin(alpha), math.cos(alpha)])
+
+    def residual(x: Array) -> Array:
+        line = to_robot(x[:3], x[3:], True)
+        gap = math.cos(line[0]) * place[0] + math.sin(line[0]) * place[1] - line[1]
+        return np.array([wrap_angle(alpha - float(line[0])), gap])
+
+    return -jacobian(residual, state), residual(state), np.diag([var, of_offset - mixed**2 / var])
+
+
 def corrected(prior: Posterior, sightings: dict[LandmarkId, Sighting]) -> Posterior:
     """A prior after sightings of its landmarks, in information form: H^T R^-1 H is added, linearized at the prior."""
     information = np.linalg.inv(prior.cov)
@@ -128,12 +151,8 @@ def corrected(prior: Posterior, sightings: dict[LandmarkId, Sighting]) -> Poster
     for i, sighting in sightings.items():
         k = prior.ids.index(i)
         at = np.append(np.arange(3), 3 + 2 * k + np.arange(2))
-        pose, landmark = prior.mean[:3], prior.mean[at[3:]]
-        H = sighting_jacobian(pose, landmark, sighting.is_wall)
-        innovation = sighting.z - to_robot(pose, landmark, sighting.is_wall)
-        if sighting.is_wall:
-            innovation[0] = wrap_angle(float(innovation[0]))
-        weight = np.linalg.inv(sighting.cov)
+        H, innovation, cov = _linearized(prior.mean[at], sighting)
+        weight = np.linalg.inv(cov)
         information[np.ix_(at, at)] += H.T @ weight @ H
         gradient[at] += H.T @ weight @ innovation
     cov = np.linalg.inv(information)

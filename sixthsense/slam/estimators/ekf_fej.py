@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting, initialize_landmark, rotation_generator
+from sixthsense.core.landmarks import Sighting, rotation_generator
 from sixthsense.slam.estimators.base import Estimate
-from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.estimators.ekf import EKF, first_estimate
 
 
 class AnchoredEKF(EKF):
@@ -26,6 +26,8 @@ class AnchoredEKF(EKF):
     there. `estimate` and `joint_covariance` transport it to errors about the estimates, which have moved on since.
     """
 
+    _has_centres = True
+
     def __init__(self, start: Pose, start_cov: Array) -> None:
         super().__init__(start, start_cov)
         self._point = np.zeros(2)
@@ -37,17 +39,21 @@ class AnchoredEKF(EKF):
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         return dataclasses.replace(super().estimate(), pose_cov=self.joint_covariance([]))
 
-    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
-        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order, about their estimates."""
-        joint = super().joint_covariance(ids)
-        slots = np.array([self._slots[i] for i in ids], dtype=np.int64)
-        walls = self._walls[slots]
+    def _about_estimates(self, joint: Array, slots: NDArray[np.int64]) -> Array:
         robot = rotation_generator(self._pose.position - self._point)
-        landmarks = rotation_generator(self._means[slots], walls) - rotation_generator(self._anchors[slots], walls)
+        landmarks = self._turned(self._means[slots], slots) - self._turned(self._anchors[slots], slots)
         u = np.concatenate([robot, [0.0], landmarks.ravel()])
         # T joint T^T with T = I + u e_theta^T: from the null vector at the points to that at the estimates
         half = np.outer(u, joint[:, 2] + 0.5 * joint[2, 2] * u)
         return np.asarray(joint + (half + half.T))
+
+    def _turned(self, landmarks: Array, slots: NDArray[np.int64]) -> Array:
+        """(k, 2) the change of landmarks in `slots` by a turn of the world: a wall's centre stays where it is."""
+        walls, centres = self._walls[slots], self._centres[slots]
+        change = rotation_generator(landmarks, walls)
+        alpha = landmarks[walls, 0]
+        change[walls, 1] = np.sin(alpha) * centres[walls, 0] - np.cos(alpha) * centres[walls, 1]
+        return change
 
     def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
         return self._point, self._anchors[slots]
@@ -56,8 +62,9 @@ class AnchoredEKF(EKF):
         self._anchors = self._means.copy()
 
     def _on_added(self, sightings: Collection[Sighting]) -> None:
-        at = Pose(self._point[0], self._point[1], self._pose.theta)
-        self._anchors = np.vstack([self._anchors, *(initialize_landmark(at, sighting)[0] for sighting in sightings)])
+        at, centres = Pose(self._point[0], self._point[1], self._pose.theta), self._centres[-len(sightings) :]
+        anchors = [first_estimate(at, s, centre)[0] for s, centre in zip(sightings, centres, strict=True)]
+        self._anchors = np.vstack([self._anchors, *anchors])
 
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         self._anchors = self._anchors[slots]

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Sighting, sighting_innovations
 from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, with_loss
 
 _FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("first", np.bool_),
-           ("z", np.float64, (2,)), ("information", np.float64, (2, 2)))  # fmt: skip
+           ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip
 
 
 def point_factor(point: int, pose: int, sighting: Sighting, loss: Loss | None) -> gtsam.NonlinearFactor:
@@ -33,8 +33,7 @@ class SightingFactors:
         """Add a sighting of landmark `i` from the pose with that index, whose factor has that place in the graph."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        information = np.linalg.inv(sighting.cov)
-        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_first, sighting.z, information)
+        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_first, sighting.z, sighting.cov)
         self._count += 1
 
     def places(self, ids: Collection[LandmarkId]) -> list[int]:
@@ -78,6 +77,6 @@ class SightingFactors:
         points = np.column_stack([c * gap[:, 0] + s * gap[:, 1], -s * gap[:, 0] + c * gap[:, 1]])
         foot = np.cos(landmark[:, 0]) * pose[:, 0] + np.sin(landmark[:, 0]) * pose[:, 1]
         walls = np.column_stack([wrap_angle(landmark[:, 0] - pose[:, 2]), landmark[:, 1] - foot])
-        off = rows["z"] - np.where(rows["wall"][:, None], walls, points)
-        off[:, 0] = np.where(rows["wall"], wrap_angle(off[:, 0]), off[:, 0])
-        return np.einsum("ni,nij,nj->n", off, rows["information"], off), rows["place"]
+        predicted = np.where(rows["wall"][:, None], walls, points)
+        off, cov = sighting_innovations(rows["z"], rows["cov"], predicted, rows["wall"])
+        return np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]), rows["place"]

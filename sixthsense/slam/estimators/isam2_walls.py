@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Sighting
+from sixthsense.core.landmarks import Sighting, line_lever, line_point
 from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, to_pose2, with_loss
 
 # Sigma along the wall. The first sighting fixes the origin: GTSAM's logarithm of a Pose2 couples tangential uncertainty
@@ -32,17 +32,20 @@ def measurement(pose: Pose, frame: Pose, sighting: Sighting, is_first: bool) -> 
     """A sighting as the robot's pose in the wall's frame, and the square root of its information (3, 3), robot's axes.
 
     In the wall's frame y is the distance to the wall and the heading is its angle, for any prediction: nothing is
-    linearized. In the robot's frame a turn of the wall would shift it by d/2 times the square of the turn. Of the
-    predicted `pose` and `frame` only the robot's place along the wall is used.
+    linearized. In the robot's frame a turn of the wall would shift it by d/2 times the square of the turn. The errors
+    of the sighting are a turn about the centre of its returns and a shift there, which are independent. Of the
+    predicted `pose` and `frame` only the centre's place along the wall is used.
     """
-    along = (frame.inverse() @ pose).x
-    measured = Pose(along, -float(sighting.z[1]), 0.5 * math.pi - float(sighting.z[0]))
-    # In the wall's axes the errors of (y, theta) are minus those of (d, alpha).
-    root = np.zeros((3, 3))
-    root[0, 0] = 1.0 / (_FIRST_M if is_first else _LATER_M)
-    root[1:, 1:] = np.linalg.cholesky(np.linalg.inv(sighting.cov[::-1, ::-1])).T
-    root[:, :2] = root[:, :2] @ rotation(measured.theta)  # GTSAM's residual is in the measured pose's own axes
-    return measured, root
+    alpha, lever = float(sighting.z[0]), float(line_lever(sighting.cov))
+    x, y = line_point(sighting.z, lever)
+    centre = Pose(x, y, alpha - 0.5 * math.pi)  # axes of the wall
+    along = (frame.inverse() @ pose @ centre).x
+    of_direction = float(sighting.cov[0, 0])
+    of_place = float(sighting.cov[1, 1]) - lever * float(sighting.cov[0, 1])
+    sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_place), math.sqrt(of_direction)])
+    # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
+    to_centre = centre.inverse()
+    return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
 
 
 def lines(frames: Array) -> tuple[Array, Array]:
@@ -71,22 +74,28 @@ def exact_factor(wall: int, pose: int, sighting: Sighting, loss: Loss | None) ->
     GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
     residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
     """
-    return gtsam.CustomFactor(with_loss(noise_of(sighting.cov), loss), [wall, pose], Residual(wall, pose, sighting))
+    variances = sighting.cov[0, 0], sighting.cov[1, 1] - line_lever(sighting.cov) * sighting.cov[0, 1]
+    noise = with_loss(noise_of(np.diag(variances)), loss)
+    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, sighting))
 
 
 class Residual:
-    """Predicted less measured (alpha, d) of a wall's sighting, with its Jacobians; called by GTSAM."""
+    """Predicted less measured direction of a wall, and place of the centre of its returns; called by GTSAM.
+
+    The two have independent errors.
+    """
 
     def __init__(self, wall: int, pose: int, sighting: Sighting) -> None:
         """Between the variables with these keys."""
-        self._wall, self._pose = wall, pose
-        self._alpha, self._distance = (float(value) for value in sighting.z)
+        self._wall, self._pose, self._alpha = wall, pose, float(sighting.z[0])
+        self._centre = line_point(sighting.z, float(line_lever(sighting.cov)))
 
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""
         pose = values.atPose2(self._wall).between(values.atPose2(self._pose))  # in the wall's frame
-        x, y, theta = pose.x(), pose.y(), pose.theta()
+        c, s = math.cos(pose.theta()), math.sin(pose.theta())
+        x, y = rotation(pose.theta()) @ self._centre
         if jacobians is not None:
-            jacobians[0] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, x]])
-            jacobians[1] = np.array([[0.0, 0.0, -1.0], [-math.sin(theta), -math.cos(theta), 0.0]])
-        return np.array([wrap_angle(0.5 * math.pi - theta - self._alpha), -y - self._distance])
+            jacobians[0] = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, pose.x() + x]])
+            jacobians[1] = np.array([[0.0, 0.0, -1.0], [-s, -c, -x]])
+        return np.array([wrap_angle(0.5 * math.pi - pose.theta() - self._alpha), -pose.y() - y])

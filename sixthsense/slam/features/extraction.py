@@ -173,10 +173,6 @@ def _wall_sightings(
     for (alpha, d, aa, ad, dd, low, high, *deviation), own in zip(walls.tolist(), bearings, strict=True):
         if not aa <= config.walls.max_sigma_rad**2:
             continue
-        # A line turns about the middle of its returns, so an error of its angle lengthens d by d/2 times its square.
-        # The mean of that is taken out, its variance added.
-        dd += 0.5 * (d * aa) ** 2
-        d -= 0.5 * d * aa
         # With its normal towards the laser the wall lies at the distance -d.
         in_laser = Sighting(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
         z, _, by_z = initialize_landmark(mount, in_laser)

@@ -27,12 +27,9 @@ def problem(seed, sightings=4, landmarks=5):
         sub = joint[np.ix_(index, index)]
         squared[i, j] = joint_nis(sub, by_pose[j : j + 1], by_landmark[j : j + 1], values[i, j], noise[i : i + 1])
     walls = np.zeros(landmarks, dtype=bool)
-    return Innovations(values, squared, np.zeros_like(squared), by_pose, by_landmark, predicted, walls), joint, noise
-
-
-def of_pairs(innovation, noise):
-    """(m, k, 2, 2) the covariance of each sighting against every landmark."""
-    return np.repeat(noise[:, None], innovation.squared.shape[1], axis=1)
+    pairs = np.repeat(noise[:, None], landmarks, axis=1)
+    innovation = Innovations(values, pairs, squared, np.zeros_like(squared), by_pose, by_landmark, predicted, walls)
+    return innovation, joint, noise
 
 
 def nis_of(innovation, joint, noise, pairs):
@@ -61,7 +58,7 @@ def exhaustive(innovation, joint, noise, gate, probability):
 def test_the_largest_jointly_compatible_set_is_found(seed):
     innovation, joint, noise = problem(seed)
     gate = float(chi2.ppf(0.999, 2))
-    rows, cols = jointly_compatible(innovation, joint, of_pairs(innovation, noise), gate, 0.999)
+    rows, cols = jointly_compatible(innovation, joint, gate, 0.999)
     count, nis = exhaustive(innovation, joint, noise, gate, 0.999)
     assert len(rows) == count and len(set(cols.tolist())) == len(cols)
     assert nis_of(innovation, joint, noise, np.column_stack([rows, cols])) == pytest.approx(nis, rel=1e-6)
@@ -70,19 +67,19 @@ def test_the_largest_jointly_compatible_set_is_found(seed):
 def test_each_alone_may_pass_where_both_together_cannot():
     """Two landmarks sighted with opposite shifts: a shift of the robot explains either one, but not both."""
     by_pose, by_landmark = np.tile(np.array([[-1.0, 0, 0], [0, -1.0, 0]]), (2, 1, 1)), np.tile(np.eye(2), (2, 1, 1))
-    joint, noise = np.diag([1.0, 1.0, 1e-9] + [1e-4] * 4), np.tile(1e-4 * np.eye(2), (2, 1, 1))
+    joint, noise = np.diag([1.0, 1.0, 1e-9] + [1e-4] * 4), np.tile(1e-4 * np.eye(2), (2, 2, 1, 1))
     values = np.full((2, 2, 2), 9.0)
     values[0, 0], values[1, 1] = (0.9, 0.0), (-0.9, 0.0)
     squared = np.where(np.eye(2, dtype=bool), 0.81, np.inf)
     walls = np.zeros(2, dtype=bool)
-    innovation = Innovations(values, squared, np.zeros((2, 2)), by_pose, by_landmark, np.zeros((2, 2)), walls)
-    rows, _ = jointly_compatible(innovation, joint, of_pairs(innovation, noise), 13.8, 0.999)
+    innovation = Innovations(values, noise, squared, np.zeros((2, 2)), by_pose, by_landmark, np.zeros((2, 2)), walls)
+    rows, _ = jointly_compatible(innovation, joint, 13.8, 0.999)
     assert len(rows) == 1
 
 
 def test_the_search_ends_in_a_room_full_of_ambiguous_matches(monkeypatch):
     monkeypatch.setattr("sixthsense.slam.association.joint_compatibility._MAX_NODES", 300)
-    innovation, joint, noise = problem(1, 14, 14)
+    innovation, joint, _ = problem(1, 14, 14)
     innovation.squared[:] = 1.0
-    rows, cols = jointly_compatible(innovation, 100.0 * joint, of_pairs(innovation, noise), 13.8, 0.999)
+    rows, cols = jointly_compatible(innovation, 100.0 * joint, 13.8, 0.999)
     assert len(rows) and len(set(cols.tolist())) == len(cols)

@@ -34,26 +34,26 @@ def across(seen, known):
     S = np.diag([0.005**2 + 1e-6, 0.05**2 + 0.005**2 + 1e-6])
     squared = np.einsum("mki,mki->mk", values, values @ np.linalg.inv(S))
     log_det = np.full((m, k), np.log(np.linalg.det(S)))
-    innovation = Innovations(values, squared, log_det, by_pose, by_landmark, np.zeros((k, 2)), np.ones(k, bool))
-    return innovation, predicted_cov(innovation, joint), noise
+    innovation = Innovations(values, noise, squared, log_det, by_pose, by_landmark, np.zeros((k, 2)), np.ones(k, bool))
+    return innovation, predicted_cov(innovation, joint)
 
 
 @pytest.mark.parametrize("shift", [-0.06, -0.045, 0.0, 0.02])
 def test_a_stepped_wall_is_not_matched_with_itself_after_a_shift_that_a_pillar_contradicts(shift):
-    innovation, predicted, noise = stepped_wall(shift)
-    rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
+    innovation, predicted = stepped_wall(shift)
+    rows, cols, _ = best_agreed(innovation, predicted, GATE)
     assert dict(zip(rows.tolist(), cols.tolist(), strict=True)) == {0: 1, 1: 2, 2: 3, 3: 4, 4: 5}
 
 
 def test_the_likeliest_assignment_alone_would_drop_the_pillar():
-    innovation, predicted, noise = stepped_wall(-0.045)
-    rows, cols, _ = agreed(innovation, predicted, noise, *assign(innovation, GATE), GATE)
+    innovation, predicted = stepped_wall(-0.045)
+    rows, cols, _ = agreed(innovation, predicted, *assign(innovation, GATE), GATE)
     assert dict(zip(rows.tolist(), cols.tolist(), strict=True)) == {0: 0, 1: 1, 2: 2, 3: 3}
 
 
 def test_of_sets_that_match_all_sightings_the_one_with_the_least_innovation_is_taken():
-    innovation, predicted, noise = stepped_wall(-0.02, pillar=False)
-    rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
+    innovation, predicted = stepped_wall(-0.02, pillar=False)
+    rows, cols, _ = best_agreed(innovation, predicted, GATE)
     assert (cols - rows == 1).all()
 
 
@@ -67,15 +67,15 @@ def test_a_set_gains_nothing_by_a_sighting_that_has_no_match_in_the_gate():
 def test_two_matches_do_not_beat_three_because_one_of_them_lies_outside_its_own_gate():
     """A pillar was moved by 0.19 m, and beside the wall is a face 0.185 m from another: both say the same shift."""
     known = np.array([0.0, 0.1, 0.2, 0.385, 10.0])
-    innovation, predicted, noise = across(np.array([0.01, 0.09, 0.2, 9.81]), known)
+    innovation, predicted = across(np.array([0.01, 0.09, 0.2, 9.81]), known)
     assert innovation.squared[3, 4] > GATE > innovation.squared[2, 3]
-    rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
+    rows, cols, _ = best_agreed(innovation, predicted, GATE)
     assert dict(zip(rows.tolist(), cols.tolist(), strict=True)) == {0: 0, 1: 1, 2: 2}
 
 
 def test_without_a_plausible_pair_nothing_is_matched():
-    innovation, predicted, noise = stepped_wall(5.0)
-    rows, cols, _ = best_agreed(innovation, predicted, noise, GATE)
+    innovation, predicted = stepped_wall(5.0)
+    rows, cols, _ = best_agreed(innovation, predicted, GATE)
     assert len(rows) == len(cols) == 0
 
 
