@@ -33,7 +33,8 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import geodesic_distances, shortest_path
-from sixthsense.navigation.visibility import mark_visible, nearest_viewpoint
+from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.visibility import mark_visible
 from sixthsense.running.warmup import warm_up
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import load_scene
@@ -117,14 +118,15 @@ class _View:
         """The cell to drive to, and the unseen cell beside seen ones that is visible from there."""
         frontier = np.argwhere(self._area & ~self.seen & ~self.given_up & binary_dilation(self.seen, np.ones((3, 3))))
         reachable = np.isfinite(lengths)
+        viewpoints = Viewpoints(reachable, self._solid, 0.95 * self._reach)
         away, places = distance_transform_edt(~reachable, return_indices=True)
         if len(frontier):
             rows, cols = frontier.T
             costs = lengths[places[0, rows, cols], places[1, rows, cols]] + away[rows, cols]
             for row, col in frontier[np.argsort(costs, kind="stable")].tolist():
-                found = nearest_viewpoint(reachable, self._solid, row, col, 0.95 * self._reach)
-                if found >= 0:
-                    return divmod(int(found), lengths.shape[1]), (row, col)
+                found = viewpoints.nearest((row, col))
+                if found is not None:
+                    return found, (row, col)
                 self.given_up[row, col] = True
         return None, (0, 0)
 

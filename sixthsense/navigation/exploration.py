@@ -259,7 +259,8 @@ class Exploration:
         distances, sigma_m = self._distances(pose), self._history.sigma_m
         self._hidden_cells.update(window, distances.reachable)
         gain = ViewGain(closed, task.sensor, task.radius_m)
-        return ViewPlanner(gain, failed_views, pose, sigma_m, distances, task.config, self._hidden_cells)
+        viewpoints, hidden = gain.viewpoints(distances.reachable), self._hidden_cells
+        return ViewPlanner(gain, failed_views, pose, sigma_m, distances, viewpoints, task.config, hidden)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""

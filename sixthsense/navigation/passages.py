@@ -60,7 +60,7 @@ class Passages:
         here = window.cell(planner.pose.position)
         passable[here] = True
         beyond = Distances(passable, ~passable, *here).reachable & ~reachable
-        view = planner.gain.viewpoint(beyond, window.cell(np.array([place.x, place.y])))
+        view = planner.gain.viewpoints(beyond).nearest(window.cell(np.array([place.x, place.y])))
         if view is None:
             return None
         square = tuple((np.add(view, window.first) // round(_PASSED_M / window.cell_m)).tolist())

@@ -56,12 +56,12 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     clusters = frontier_clusters(edge, planner.tile)
     if not clusters:
         return []
-    viewpoints = _viewpoints(planner)
+    viewpoints = {reason: planner.gain.viewpoints(allowed) for reason, allowed in _viewpoints(planner).items()}
     hidden = window.unseen.copy()
     visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
     for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
-            view = planner.gain.viewpoint(allowed, centre)
+            view = allowed.nearest(centre)
             if view is not None and planner.gain.shown(hidden, *view) > 0:
                 mark_visible(visible[reason], planner.gain.closed.opaque, hidden, *view, planner.gain.sensor.reach)
                 break

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from sixthsense.config import LaserConfig
 from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.closed_walls import ClosedMap
-from sixthsense.navigation.visibility import expected_gain, gapless_reach, nearest_viewpoint
+from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.visibility import expected_gain, gapless_reach
 from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -71,14 +72,12 @@ class ViewGain:
         top, left = (max(k - around, 0) for k in cell)
         part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)
         fitting = window.seen[part] & ~too_near(window.obstacles[part], radius)
-        index = nearest_viewpoint(fitting, window.obstacles[part], cell[0] - top, cell[1] - left, span)
-        row, col = divmod(int(index), fitting.shape[1])
-        return self.shown(wanted, row + top, col + left) if index >= 0 else 0
+        view = Viewpoints(fitting, window.obstacles[part], span).nearest((cell[0] - top, cell[1] - left))
+        return 0 if view is None else self.shown(wanted, view[0] + top, view[1] + left)
 
-    def viewpoint(self, allowed: Bools, cell: tuple[int, int]) -> tuple[int, int] | None:
-        """The nearest of the `allowed` cells (H, W) that has a cell in view; None if none has."""
-        index = nearest_viewpoint(allowed, self.closed.window.obstacles, *cell, self.sensor.reach)
-        return divmod(int(index), allowed.shape[1]) if index >= 0 else None
+    def viewpoints(self, allowed: Bools) -> Viewpoints:
+        """The search among the `allowed` cells (H, W) for one that has a cell in view."""
+        return Viewpoints(allowed, self.closed.window.obstacles, self.sensor.reach)
 
     def _gain(self, obstacles: Bools, wanted: Bools, row: int, col: int) -> int:
         depth = round(_GAIN_DEPTH_M / self.closed.window.cell_m)

@@ -28,6 +28,7 @@ from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
 from sixthsense.navigation.view_gain import ViewGain
+from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.without_clearance import distances_without_clearance, fitting_cells
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -100,6 +101,8 @@ class ViewPlanner:
     """largest standard deviation of its position"""
     distances: Distances
     """from the robot over free space, in cells"""
+    viewpoints: Viewpoints
+    """the search among the cells that it can reach"""
     config: Config
     hidden: HiddenCells
     """centres of clusters that no reachable cell of this map sees, or beside which no view shows anything"""
@@ -206,7 +209,7 @@ class ViewPlanner:
         centre = centre_cell(cells)
         if self.hidden.has(*centre):
             return None
-        view = self.gain.viewpoint(self.distances.reachable, centre)
+        view = self.viewpoints.nearest(centre)
         shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
         if view is None or shown == 0:
             self.hidden.add(*centre)
@@ -233,7 +236,7 @@ class ViewPlanner:
         visible: set[int] = set()
         edge = self.gain.closed.edge[are_beside(unreachable, self.gain.closed.edge)]
         for cells in frontier_clusters(edge, self.tile):
-            if self.gain.viewpoint(self.distances.reachable, centre_cell(cells)) is not None:
+            if self.viewpoints.nearest(centre_cell(cells)) is not None:
                 visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
         return np.isin(labels, list(visible))
 

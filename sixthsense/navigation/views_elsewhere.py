@@ -25,6 +25,7 @@ def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Tar
     gain, reachable = planner.gain, planner.distances.reachable
     without_clearance = planner.distances_without_clearance()
     elsewhere = (planner.fitting_cells() | without_clearance.reachable) & ~reachable
+    views_elsewhere, beyond_gaps = gain.viewpoints(elsewhere), gain.viewpoints(without_clearance.reachable)
     places = np.argwhere(reachable)
     targets: list[Target] = []
     for k in planner.by_distance(candidates.clusters):
@@ -33,12 +34,12 @@ def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Tar
             break
         if planner.hidden.has(*centre, everywhere=True) or planner.view_beside(candidates.wanted, cells) is not None:
             continue  # nothing to see, or dust
-        there = gain.viewpoint(elsewhere, centre)
+        there = views_elsewhere.nearest(centre)
         if there is None or gain.shown(candidates.wanted, *there) == 0:
             planner.hidden.add(*centre, everywhere=True)
             continue
-        view = gain.viewpoint(reachable, centre)
-        at = view or _gap_to(planner, centre, without_clearance) or _nearest(places, centre)
+        view = planner.viewpoints.nearest(centre)
+        at = view or _gap_to(planner, beyond_gaps.nearest(centre), without_clearance) or _nearest(places, centre)
         targets.append(planner.target_of(candidates.wanted, cells, at, occluded=view is None))
     away = [planner.distances.to(*target.viewpoint_in(planner.window)) for target in targets]
     return targets[int(np.argmin(away))] if targets else None
@@ -52,24 +53,25 @@ def cells_approached_at(planner: ViewPlanner, candidates: Candidates, here: tupl
     """
     window, reachable = planner.window, planner.distances.reachable
     without_clearance, places = planner.distances_without_clearance(), np.argwhere(reachable)
+    beyond_gaps = planner.gain.viewpoints(without_clearance.reachable)
     looked_at = visible_cells(window.obstacles, reachable, *here, planner.gain.sensor.gapless_reach)
     looked_at[here] = True
     approached = np.zeros_like(candidates.wanted)
     for cells in candidates.clusters:
         centre = centre_cell(cells)
-        if planner.hidden.has(*centre, everywhere=True) or planner.gain.viewpoint(reachable, centre) is not None:
+        if planner.hidden.has(*centre, everywhere=True) or planner.viewpoints.nearest(centre) is not None:
             continue
-        if looked_at[_gap_to(planner, centre, without_clearance) or _nearest(places, centre)]:
+        gap = _gap_to(planner, beyond_gaps.nearest(centre), without_clearance)
+        if looked_at[gap or _nearest(places, centre)]:
             approached[tuple(adjacent_cells(candidates.wanted, cells).T)] = True
     return approached
 
 
-def _gap_to(planner: ViewPlanner, cell: tuple[int, int], without_clearance: Distances) -> tuple[int, int] | None:
-    """The reachable cell before the gap on the way to the nearest view of a cell; None if there is no such way."""
-    beyond = planner.gain.viewpoint(without_clearance.reachable, cell)
-    if beyond is None:
+def _gap_to(planner: ViewPlanner, view: tuple[int, int] | None, without_clearance: Distances) -> tuple[int, int] | None:
+    """The reachable cell before the gap on the way to a view; None if there is no such way."""
+    if view is None:
         return None
-    return cell_before_gap(planner.distances.reachable, without_clearance.to_all(), *beyond)
+    return cell_before_gap(planner.distances.reachable, without_clearance.to_all(), *view)
 
 
 def _nearest(places: Cells, cell: tuple[int, int]) -> tuple[int, int]:

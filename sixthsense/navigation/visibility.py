@@ -1,4 +1,4 @@
-"""What is visible from a cell of a grid, and the nearest cell from which a cell is visible.
+"""What is visible from a cell of a grid.
 
 Masks are (H, W), indexed [row = y, col = x]; lengths are in cells.
 """
@@ -11,12 +11,6 @@ import numba
 import numpy as np
 
 from sixthsense.slam.mapping.freespace import Bools
-
-_DIRECTIONS = 8192
-"""in which a search for viewpoints tells shadows apart"""
-_NEAR = 16.0
-"""cells within which most viewpoints are found"""
-_REACHABLE, _OBSTACLE = np.uint8(1), np.uint8(2)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -40,74 +34,6 @@ def line_of_sight(obstacles: Bools, row: int, col: int, to_row: int, to_col: int
         if obstacles[row, col]:
             return False
     return True
-
-
-@numba.njit(cache=True, error_model="numpy")
-def nearest_viewpoint(reachable: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
-    """The flat index of the nearest `reachable` cell from which a cell is visible within `reach`; -1 if none.
-
-    Squares around the cell are searched outwards until no cell further out can be nearer. Cells in the shadow of an
-    obstacle of a smaller square are left out.
-    """
-    found = _nearest_viewpoint(reachable, obstacles, row, col, min(reach, _NEAR))
-    return found if found >= 0 or reach <= _NEAR else _nearest_viewpoint(reachable, obstacles, row, col, reach)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _nearest_viewpoint(reachable: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
-    span, width = int(reach), reachable.shape[1]
-    # A copy of the surroundings, since a square crosses a row at every step.
-    top, left = max(row - span, 0), max(col - span, 0)
-    kinds = np.zeros((2 * span + 1, 2 * span + 1), dtype=np.uint8)
-    for r in range(top, min(row + span + 1, reachable.shape[0])):
-        for c in range(left, min(col + span + 1, width)):
-            kinds[r - row + span, c - col + span] = reachable[r, c] * _REACHABLE + obstacles[r, c] * _OBSTACLE
-    shadow = np.zeros(_DIRECTIONS, dtype=np.bool_)
-    hiding = np.empty((8 * span + 1, 2), dtype=np.int64)
-    best, found = reach + 1e-9, -1
-    for ring in range(span + 1):
-        if ring > best:
-            break
-        count = 0
-        for r in range(-ring, ring + 1):
-            for c in range(-ring, ring + 1, 1 if abs(r) == ring else 2 * ring):
-                kind = kinds[r + span, c + span]
-                if kind & _OBSTACLE and ring > 0:
-                    hiding[count] = r, c
-                    count += 1
-                if kind & _REACHABLE and not shadow[int(_direction(r, c))]:
-                    away = math.hypot(r, c)
-                    if away < best and line_of_sight(obstacles, row + r, col + c, row, col):
-                        best, found = away, (row + r) * width + col + c
-        for k in range(count):
-            _cast_shadow(shadow, hiding[k, 0], hiding[k, 1])
-    return found
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _direction(rows: float, cols: float) -> float:
-    """Direction of an offset as a number from 0 up to `_DIRECTIONS`, which ascends with the angle."""
-    length = abs(rows) + abs(cols)
-    if length == 0.0:
-        return 0.0
-    turn = rows / length if cols >= 0.0 else 2.0 - rows / length  # -1 to 3
-    return min((turn + 1.0) * (_DIRECTIONS / 4.0), _DIRECTIONS - 1e-9)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _cast_shadow(shadow: Bools, rows: int, cols: int) -> None:
-    """Mark the directions in which the cell at an offset, not that of the viewer, hides all cells behind it.
-
-    Only whole steps of direction strictly between its corners count. The cell across the first direction hides none.
-    """
-    if cols == 0 and rows < 0:
-        return
-    low, high = float(_DIRECTIONS), 0.0
-    for k in range(4):
-        corner = _direction(rows + (0.5 if k < 2 else -0.5), cols + (0.5 if k % 2 else -0.5))
-        low, high = min(low, corner), max(high, corner)
-    for k in range(int(low) + 1, int(high)):
-        shadow[k] = True
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import MapWindow
-from sixthsense.navigation.visibility import nearest_viewpoint
+from sixthsense.navigation.viewpoints import Viewpoints
 
 REACH = 6.5
 
@@ -27,9 +27,9 @@ def test_a_remembered_cell_has_no_viewpoint_however_the_map_has_changed(seed):
         row, col = rng.integers(55), rng.integers(65)
         changed[row : row + 3, col : col + 3] = rng.random((3, 3)) < 0.1
         hidden.update(window_of(obstacles.copy()), reachable.copy())
-        cost = np.where(reachable, 1.0, np.inf).astype(np.float32)
+        viewpoints = Viewpoints(reachable, obstacles, REACH)
         for cell in rng.integers(60, size=(40, 2)).tolist():
-            visible = nearest_viewpoint(np.isfinite(cost), obstacles, *cell, REACH) >= 0
+            visible = viewpoints.nearest((cell[0], cell[1])) is not None
             assert not (visible and hidden.has(*cell))
             remembered += hidden.has(*cell)
             if not visible:

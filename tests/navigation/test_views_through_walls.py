@@ -56,7 +56,8 @@ def planner(
     pose = Pose(*window.point(*HERE), 0.0)
     config = preset("default", explore={"dust": dust})
     gain = ViewGain(closed, sensor, RADIUS_M)
-    return ViewPlanner(gain, failed_views, pose, 0.0, distances, config, hidden)
+    viewpoints = gain.viewpoints(distances.reachable)
+    return ViewPlanner(gain, failed_views, pose, 0.0, distances, viewpoints, config, hidden)
 
 
 def next_target(view: ViewPlanner) -> Target | None:

@@ -1,0 +1,125 @@
+"""The nearest of some cells of a grid from which another cell is visible."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.navigation.visibility import line_of_sight
+from sixthsense.slam.mapping.freespace import Bools
+
+_DIRECTIONS = 8192
+"""in which a search tells shadows apart"""
+_TILE = 8
+"""cells; squares of so many without a viewpoint or an obstacle are skipped"""
+_ALLOWED, _OBSTACLE = np.uint8(1), np.uint8(2)
+
+Kinds = NDArray[np.uint8]
+"""(H, W) of each cell: allowed, an obstacle, both or neither"""
+
+
+class Viewpoints:
+    """Searches among the allowed cells of one map for the nearest that has a cell in view."""
+
+    def __init__(self, allowed: Bools, obstacles: Bools, reach: float) -> None:
+        """`allowed` and `obstacles` are (H, W) and must not change afterwards; `reach` of a view is in cells."""
+        self._allowed, self._obstacles, self._reach = allowed, obstacles, reach
+
+    def nearest(self, cell: tuple[int, int]) -> tuple[int, int] | None:
+        """The nearest allowed cell from which no obstacle hides a cell, both row and col; None if there is none."""
+        index = _nearest(*self._kinds, self._obstacles, *cell, self._reach)
+        return divmod(int(index), self._obstacles.shape[1]) if index >= 0 else None
+
+    @functools.cached_property
+    def _kinds(self) -> tuple[Kinds, Bools]:
+        """The kinds of all cells, and the tiles that hold one of any kind; drawn for the first search."""
+        kinds, tiles = _kinds_and_tiles(self._allowed, self._obstacles)
+        return kinds, tiles
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _kinds_and_tiles(allowed: Bools, obstacles: Bools) -> tuple[Kinds, Bools]:
+    height, width = allowed.shape
+    kinds = np.empty((height, width), dtype=np.uint8)
+    tiles = np.zeros((height // _TILE + 1, width // _TILE + 1), dtype=np.bool_)
+    for row in range(height):
+        for col in range(width):
+            kinds[row, col] = allowed[row, col] * _ALLOWED + obstacles[row, col] * _OBSTACLE
+            if kinds[row, col]:
+                tiles[row // _TILE, col // _TILE] = True
+    return kinds, tiles
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _nearest(kinds: Kinds, tiles: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
+    """The flat index of the nearest allowed cell from which a cell is visible within `reach`; -1 if none.
+
+    Squares around the cell are searched outwards until no cell further out can be nearer; of several that are as near,
+    that of the smallest square, then the first. Cells in the shadow of an obstacle of a smaller square are left out.
+    """
+    height, width = kinds.shape
+    shadow = np.zeros(_DIRECTIONS, dtype=np.bool_)
+    hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
+    best, found = reach + 1e-9, -1
+    for ring in range(int(reach) + 1):
+        if ring > best:
+            break
+        count, of_smaller = 0, found
+        for side in range(4 if ring > 0 else 1):
+            # Rows above and below, then the columns between them.
+            is_row = side < 2
+            at = (row if is_row else col) + (ring if side % 2 else -ring)
+            if not 0 <= at < (height if is_row else width):
+                continue
+            along = max(col - ring, 0) if is_row else max(row - ring + 1, 0)
+            past = min(col + ring + 1, width) if is_row else min(row + ring, height)
+            while along < past:
+                r, c = (at, along) if is_row else (along, at)
+                if not tiles[r // _TILE, c // _TILE]:
+                    along = (along // _TILE + 1) * _TILE
+                    continue
+                along += 1
+                kind = kinds[r, c]
+                if kind == 0 or shadow[int(_direction(r - row, c - col))]:
+                    continue
+                if kind & _OBSTACLE and ring > 0:
+                    hiding[count] = r - row, c - col
+                    count += 1
+                if kind & _ALLOWED:
+                    away, index = math.hypot(r - row, c - col), r * width + c
+                    first_of_equals = away == best and found != of_smaller and index < found
+                    if (away < best or first_of_equals) and line_of_sight(obstacles, r, c, row, col):
+                        best, found = away, index
+        for k in range(count):
+            _cast_shadow(shadow, hiding[k, 0], hiding[k, 1])
+    return found
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _direction(rows: float, cols: float) -> float:
+    """Direction of an offset as a number from 0 up to `_DIRECTIONS`, which ascends with the angle."""
+    length = abs(rows) + abs(cols)
+    if length == 0.0:
+        return 0.0
+    turn = rows / length if cols >= 0.0 else 2.0 - rows / length  # -1 to 3
+    return min((turn + 1.0) * (_DIRECTIONS / 4.0), _DIRECTIONS - 1e-9)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast_shadow(shadow: Bools, rows: int, cols: int) -> None:
+    """Mark the directions in which the cell at an offset, not that of the viewer, hides all cells behind it.
+
+    Only whole steps of direction strictly between its corners count. The cell across the first direction hides none.
+    """
+    if cols == 0 and rows < 0:
+        return
+    low, high = float(_DIRECTIONS), 0.0
+    for k in range(4):
+        corner = _direction(rows + (0.5 if k < 2 else -0.5), cols + (0.5 if k % 2 else -0.5))
+        low, high = min(low, corner), max(high, corner)
+    for k in range(int(low) + 1, int(high)):
+        shadow[k] = True
