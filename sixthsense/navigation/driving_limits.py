@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch import FarCells
@@ -93,6 +92,9 @@ def track_cells(positions: Array, origin: tuple[float, float], cell_m: float, sh
     steps = np.arange(0.0, along[-1] + cell_m, 0.5 * cell_m)
     points = np.column_stack([np.interp(steps, along, positions[:, axis]) for axis in (0, 1)])
     cols, rows = np.floor((points - origin) / cell_m).astype(np.int64).T
+    beside = np.arange(-1, 2)
+    around = np.clip(rows, 0, shape[0] - 1)[:, None, None] + beside[:, None]
+    across = np.clip(cols, 0, shape[1] - 1)[:, None, None] + beside
     track = np.zeros(shape, dtype=np.bool_)
-    track[np.clip(rows, 0, shape[0] - 1), np.clip(cols, 0, shape[1] - 1)] = True
-    return np.asarray(ndimage.binary_dilation(track, np.ones((3, 3), dtype=np.bool_)))
+    track[np.clip(around, 0, shape[0] - 1), np.clip(across, 0, shape[1] - 1)] = True
+    return track

@@ -11,7 +11,7 @@ from sixthsense.slam.mapping.freespace import Bools
 
 
 class Masks(NamedTuple):
-    """Masks of a grid, (H, W)."""
+    """Masks of a grid, (H, W), read-only: snapshots are made of them without a copy."""
 
     box: Box
     revision: Revision
@@ -34,12 +34,17 @@ class Source(Protocol):
 
 
 def masks_of(source: Source, box: Box, reach: int, drawn: Masks | None) -> Masks:
-    """The masks of a box of cells, from those that were drawn before, which change; `reach` is of the inflation."""
+    """The masks of a box of cells, from those that were drawn before; `reach` is of the inflation."""
     changes = source.changes
     since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
+    if drawn is not None and drawn.revision == changes.revision and since is not None:
+        return drawn
     if drawn is None or since is None:
-        return Masks(box, changes.revision, source.part("seen", box), source.part("cover", box) > 0)
-    rows, cols = since.grown(reach).within((box.top, box.left), drawn.seen.shape)
-    part = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
-    drawn.seen[rows, cols], drawn.covered[rows, cols] = source.part("seen", part), source.part("cover", part) > 0
-    return drawn._replace(revision=changes.revision)
+        seen, covered = source.part("seen", box), source.part("cover", box) > 0
+    else:
+        rows, cols = since.grown(reach).within((box.top, box.left), drawn.seen.shape)
+        part = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
+        seen, covered = drawn.seen.copy(), drawn.covered.copy()
+        seen[rows, cols], covered[rows, cols] = source.part("seen", part), source.part("cover", part) > 0
+    seen.flags.writeable = covered.flags.writeable = False
+    return Masks(box, changes.revision, seen, covered)
