@@ -46,12 +46,11 @@ class DrivingLimits:
 
         `far_cells` tells those farther than `UNKNOWN_M` from all that was seen; `changes` are those of the map.
         """
-        inside = self.rows_and_cols(space)
-        blocked = np.ones(space.blocked.shape, dtype=np.bool_)
-        first = (
-            round(space.origin[1] / space.cell_m) + inside[0].start,
-            round(space.origin[0] / space.cell_m) + inside[1].start,
-        )
+        inside = rows, cols = self.rows_and_cols(space)
+        blocked = np.empty(space.blocked.shape, dtype=np.bool_)
+        blocked[: rows.start], blocked[rows.stop :] = True, True
+        blocked[rows, : cols.start], blocked[rows, cols.stop :] = True, True
+        first = round(space.origin[1] / space.cell_m) + rows.start, round(space.origin[0] / space.cell_m) + cols.start
         far = far_cells.of(space.seen[inside], first, changes)
         np.logical_or(space.blocked[inside], far, out=blocked[inside])
         return blocked

@@ -27,7 +27,7 @@ from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.view_planner import ViewPlanner
 from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.visibility import visible_cells
-from sixthsense.navigation.without_clearance import gap_on_the_way
+from sixthsense.navigation.without_clearance import GapsOnTheWay
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 
@@ -58,7 +58,7 @@ class Exploration:
         self._reachable_cells = ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
-        self._gap_approaches = 0
+        self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
         self._retries = 0  # of unreachable cells
         self._stagnation = Stagnation()
         self._retracing = False
@@ -177,11 +177,10 @@ class Exploration:
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
         """Without a path home: look at the gap that closes it, else drive back as the robot came."""
-        task, been, reachable = self._task, self._history.positions, self._distances(pose).reachable
-        gap = gap_on_the_way(self._window, pose, task.home, reachable, task.radius_m, been)
-        if gap is not None and self._gap_approaches < self._task.config.explore.tries:
-            self._gap_approaches += 1
-            self.driver.head_for(self._window.point(*gap), pose)
+        been = self._history.positions
+        gap = self._gaps_home.next(self._window, pose, self._distances(pose).reachable, been)
+        if gap is not None:
+            self.driver.head_for(gap, pose)
             return "approaching gap"
         if not self._retracing:
             self._retracing = True

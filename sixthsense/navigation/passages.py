@@ -21,6 +21,7 @@ from sixthsense.slam.mapping.freespace import Bools, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 _INTO_WALLS = 0.5  # cells that the robot may reach into those of obstacles: a wall is thinner than its cells
+_DRIFTED = 2.0  # cells that walls may have moved onto the way the robot came, by errors of its pose
 _PASSED_M = 0.3  # from the end of a passage: a robot so near to it has come through
 
 
@@ -96,7 +97,7 @@ class Passages:
         for track in self._tracks:
             self._unblock_along(track, _INTO_WALLS * space.cell_m, blocked, space, grid)
         if len(self._driven):
-            self._unblock_along(self._driven, space.cell_m if self._guarded else 0.0, blocked, space, grid)
+            self._unblock_along(self._driven, _DRIFTED * space.cell_m if self._guarded else 0.0, blocked, space, grid)
 
     def _unblock_along(self, track: Array, depth_m: float, blocked: Bools, space: FreeSpace, grid: Grid) -> None:
         """Clear the cells along a track where the robot's disc reaches at most `depth_m` into those of obstacles."""

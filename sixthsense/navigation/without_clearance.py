@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 
 import numpy as np
 from scipy import ndimage
@@ -13,6 +14,10 @@ from sixthsense.navigation.gridsearch import Distances, cell_before_gap
 from sixthsense.navigation.map_window import MapWindow
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import stamped
+
+_NEARBY_M = 0.5
+_LOOK = 4
+"""approaches of a gap that weigh as much as a look at it from nearby"""
 
 
 def too_near(obstacles: Bools, radius: float) -> Bools:
@@ -46,15 +51,35 @@ def distances_without_clearance(
     return Distances(window.seen & ~blocked, blocked, *here)
 
 
-def gap_on_the_way(
-    window: MapWindow, pose: Pose, goal: Array, reachable: Bools, radius_m: float, positions: Array
-) -> tuple[int, int] | None:
-    """The last of the `reachable` cells (H, W) before the gap that closes the way to a goal (2,); None without one.
+class GapsOnTheWay:
+    """The gaps that close the way to a goal, each to be looked at from nearby a few times."""
 
-    The gap is one that only the clearance closes, or one that the robot, which has been at `positions` (N, 2), has come
-    through.
-    """
-    corner = window.first[1] * window.cell_m, window.first[0] * window.cell_m
-    passed = track_cells(positions, corner, window.cell_m, window.seen.shape)
-    distances = distances_without_clearance(window, pose, radius_m, passed).to_all()
-    return cell_before_gap(reachable, distances, *window.cell(goal))
+    def __init__(self, goal: Array, radius_m: float, tries: int) -> None:
+        """On the way to `goal` (2,), of a robot with a radius; each gap is looked at `tries` times.
+
+        An approach that is cut short counts little: the gap has not been seen from nearby.
+        """
+        self._goal, self._radius_m, self._tries = goal, radius_m, tries
+        self._looks: Counter[tuple[int, int]] = Counter()
+        """by the square of a metre that holds the place before the gap; an approach counts 1, a look `_LOOK`"""
+
+    def next(self, window: MapWindow, pose: Pose, reachable: Bools, positions: Array) -> Array | None:
+        """(2,) the last place that can be reached before a gap on the way; None without one, or if it was tried.
+
+        The gap is one that only the clearance closes, or one that the robot, which has been at `positions` (N, 2), has
+        come through. `reachable` is (H, W).
+        """
+        corner = window.first[1] * window.cell_m, window.first[0] * window.cell_m
+        passed = track_cells(positions, corner, window.cell_m, window.seen.shape)
+        distances = distances_without_clearance(window, pose, self._radius_m, passed).to_all()
+        cell = cell_before_gap(reachable, distances, *window.cell(self._goal))
+        if cell is None:
+            return None
+        place = window.point(*cell)
+        square = math.floor(place[0]), math.floor(place[1])
+        if math.dist(place, pose.position) <= _NEARBY_M:
+            self._looks[square] += _LOOK
+        if self._looks[square] >= _LOOK * self._tries:
+            return None
+        self._looks[square] += 1
+        return place

@@ -264,7 +264,8 @@ def test_a_robot_stuck_on_the_way_home_tries_another_way_once() -> None:
     assert stage.exploration.outcome == "stuck"
 
 
-def test_without_a_path_home_the_robot_approaches_the_gap_as_often_as_is_tried_then_retraces_then_gives_up() -> None:
+def beyond_a_narrow_door() -> tuple[Stage, Exploration, Pose]:
+    """A robot that has come through a door which only the clearance closes, and where it is."""
     stage = Stage(NARROW_DOOR)
     for x in (1.0, 2.0, 3.0, 3.8, 4.2, 5.0, 7.0):
         stage.see(Pose(x, 1.5, 0.0))
@@ -273,11 +274,17 @@ def test_without_a_path_home_the_robot_approaches_the_gap_as_often_as_is_tried_t
     stage.look(pose)
     exploration = stage.exploration
     exploration.state, exploration._target = "returning", NO_TARGET
+    return stage, exploration, pose
+
+
+def test_without_a_path_home_the_robot_looks_at_the_gap_as_often_as_is_tried_then_retraces_then_gives_up() -> None:
+    stage, exploration, pose = beyond_a_narrow_door()
     for _ in range(stage.config.explore.tries):
         exploration.state = "returning"
         exploration.handle("turned around", pose)
         assert exploration.state == "approaching gap"
         assert 4.0 < exploration.driver.goal[0] < 5.0
+        pose = Pose(*exploration.driver.goal.tolist())
     exploration.state = "returning"
     over = exploration.handle("turned around", pose)
     assert exploration._retracing
@@ -285,3 +292,13 @@ def test_without_a_path_home_the_robot_approaches_the_gap_as_often_as_is_tried_t
         assert exploration.state == "returning" and exploration.driver.following
         exploration.handle("turned around", pose)
     assert exploration.outcome == "goal unreachable"
+
+
+def test_approaches_of_a_gap_that_are_cut_short_count_less_than_looks_and_end_too() -> None:
+    stage, exploration, pose = beyond_a_narrow_door()
+    approaches = 0
+    while not exploration._retracing and approaches < 100:
+        exploration.state = "returning"
+        exploration.handle("turned around", pose)
+        approaches += exploration.state == "approaching gap"
+    assert stage.config.explore.tries < approaches < 100
