@@ -178,28 +178,35 @@ def sighting_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[
     cov = np.broadcast_to(cov, (*values.shape, 2))
     if not walls.any():
         return values, cov
-    turn, lever = values[..., 0], line_lever(cov)
+    turn, (lever, of_turn, of_shift) = values[..., 0], line_errors(cov)
     c, s = np.cos(turn), np.sin(turn)
     turned = lever * c + z[..., 1] * s  # the centre's place along the predicted line
     gap = z[..., 1] * c - lever * s - predicted[..., 1]
     values[..., 1] = np.where(walls, gap + turned * turn, values[..., 1])
-    along, across = cov[..., 0, 0], cov[..., 1, 1] - lever * cov[..., 0, 1]
-    about = np.stack([along, turned * along, turned * along, across + turned * turned * along], axis=-1)
+    about = np.stack([of_turn, turned * of_turn, turned * of_turn, of_shift + turned * turned * of_turn], axis=-1)
     return values, np.where(walls[..., None, None], about.reshape(*about.shape[:-1], 2, 2), cov)
 
 
-def line_lever(cov: Array) -> Array:
-    """(...) where along a line, from the foot of its perpendicular, its offset does not depend on its direction, m.
+def line_errors(cov: Array) -> tuple[Array, Array, Array]:
+    """A line's error as a turn about its centre and a shift there, which are independent of each other.
 
-    `cov` (..., 2, 2) of alpha and d.
+    `cov` (..., 2, 2) of alpha and d. Returns where along the line, from the foot of its perpendicular, the centre is,
+    metres, and the variances of the turn, rad^2, and of the shift, m^2; (...) each.
     """
-    return np.asarray(cov[..., 0, 1] / cov[..., 0, 0])
+    lever = cov[..., 0, 1] / cov[..., 0, 0]
+    return lever, cov[..., 0, 0], cov[..., 1, 1] - lever * cov[..., 0, 1]
 
 
 def line_point(line: Array, lever: float) -> Array:
     """(2,) the point of a line (2,), alpha and d, that lies `lever` along it from the foot of its perpendicular, m."""
     c, s = math.cos(line[0]), math.sin(line[0])
     return np.array([line[1] * c - lever * s, line[1] * s + lever * c])
+
+
+def sighted_centre(sighting: Sighting) -> Array:
+    """(2,) the centre of the returns of a sighted wall, robot's frame."""
+    lever, _, _ = line_errors(sighting.cov)
+    return line_point(sighting.z, float(lever))
 
 
 def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:

@@ -71,8 +71,9 @@ class ViewGain:
         around = math.ceil(span + radius)
         top, left = (max(k - around, 0) for k in cell)
         part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)
-        fitting = window.seen[part] & ~too_near(window.obstacles[part], radius)
-        view = Viewpoints(fitting, window.obstacles[part], span).nearest((cell[0] - top, cell[1] - left))
+        obstacles = window.obstacles[part].copy()  # contiguous as the whole map is: one type of array for the kernels
+        fitting = window.seen[part] & ~too_near(obstacles, radius)
+        view = Viewpoints(fitting, obstacles, span).nearest((cell[0] - top, cell[1] - left))
         return 0 if view is None else self.shown(wanted, view[0] + top, view[1] + left)
 
     def viewpoints(self, allowed: Bools) -> Viewpoints:

@@ -16,6 +16,7 @@ from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import stamped
 
 _NEARBY_M = 0.5
+"""from the place before a gap: a robot so near to it has looked at the gap"""
 _LOOK = 4
 """approaches of a gap that weigh as much as a look at it from nearby"""
 

@@ -45,9 +45,9 @@ def agreeing(
 ) -> tuple[Indices, Indices]:
     """The matches that agree with all others: without the one that these contradict most, again and again.
 
-    `predicted` as of `predicted_cov`; `rows` and `cols` of the matches. The
-    squared innovation of a match given all others, which has 2 degrees of freedom, is y^T P^-1 y with its block P of
-    the inverse of the innovations' covariance S and its part y of S^-1 times the innovations.
+    `predicted` as of `predicted_cov`; `rows` and `cols` of the matches. The squared innovation of a match given all
+    others, which has 2 degrees of freedom, is y^T P^-1 y with its block P of the inverse of the innovations' covariance
+    S and its part y of S^-1 times the innovations.
     """
     while len(rows):
         index = blocks(cols)

@@ -26,8 +26,8 @@ def jointly_compatible(
 ) -> tuple[Indices, Indices]:
     """The largest set of matches inside a joint chi-square gate; among the largest, the one with the least NIS.
 
-    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks; each match must
-    pass the single `gate`, too. Returns rows (sightings) and columns (landmarks).
+    `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks; each match must pass the single `gate`,
+    too. Returns rows (sightings) and columns (landmarks).
     """
     H = stacked_jacobian(innovation.by_pose, innovation.by_landmark)
     predicted = H @ joint @ H.T

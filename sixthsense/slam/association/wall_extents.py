@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Sighting, line_lever, line_point, sighting_innovations
+from sixthsense.core.landmarks import Sighting, line_errors, sighted_centre, sighting_innovations
 
 _PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
 
@@ -82,9 +82,9 @@ def fused(first: Sighting, second: Sighting) -> Sighting:
     gap, second_cov = sighting_innovations(second.z, second.cov, first.z, np.array(True))
     gain = first.cov @ np.linalg.inv(first.cov + second_cov)
     turn, shift = gain @ gap
-    lever = float(line_lever(first.cov))
+    lever, _, _ = line_errors(first.cov)
     alpha = wrap_angle(float(first.z[0]) + turn)
-    centre = line_point(first.z, lever)  # it turns about its centre, and is shifted there
+    centre = sighted_centre(first)  # it turns about its centre, and is shifted there
     z = np.array([alpha, math.cos(alpha) * centre[0] + math.sin(alpha) * centre[1] + shift - lever * turn])
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])

@@ -16,10 +16,9 @@ from sixthsense.core.landmarks import (
     LandmarkId,
     Sighting,
     initialize_landmark,
-    line_lever,
-    line_point,
     predict,
     rotation_generator,
+    sighted_centre,
     sighting_innovations,
     translated,
 )
@@ -169,8 +168,7 @@ class EKF:
         """(2,) the centre of a new landmark: of a wall, that of its returns."""
         if not (sighting.is_wall and self._has_centres):
             return np.zeros(2)
-        point = line_point(sighting.z, float(line_lever(sighting.cov)))
-        return np.asarray(self._pose.position + rotation(self._pose.theta) @ point)
+        return np.asarray(self._pose.position + rotation(self._pose.theta) @ sighted_centre(sighting))
 
     @property
     def _size(self) -> int:

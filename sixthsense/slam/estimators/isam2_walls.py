@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Sighting, line_lever, line_point
+from sixthsense.core.landmarks import Sighting, line_errors, sighted_centre
 from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, to_pose2, with_loss
 
 # Sigma along the wall. The first sighting fixes the origin: GTSAM's logarithm of a Pose2 couples tangential uncertainty
@@ -36,13 +36,11 @@ def measurement(pose: Pose, frame: Pose, sighting: Sighting, is_first: bool) -> 
     of the sighting are a turn about the centre of its returns and a shift there, which are independent. Of the
     predicted `pose` and `frame` only the centre's place along the wall is used.
     """
-    alpha, lever = float(sighting.z[0]), float(line_lever(sighting.cov))
-    x, y = line_point(sighting.z, lever)
-    centre = Pose(x, y, alpha - 0.5 * math.pi)  # axes of the wall
+    x, y = sighted_centre(sighting)
+    centre = Pose(x, y, float(sighting.z[0]) - 0.5 * math.pi)  # axes of the wall
     along = (frame.inverse() @ pose @ centre).x
-    of_direction = float(sighting.cov[0, 0])
-    of_place = float(sighting.cov[1, 1]) - lever * float(sighting.cov[0, 1])
-    sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_place), math.sqrt(of_direction)])
+    _, of_turn, of_shift = line_errors(sighting.cov)
+    sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
     # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
     to_centre = centre.inverse()
     return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
@@ -74,8 +72,8 @@ def exact_factor(wall: int, pose: int, sighting: Sighting, loss: Loss | None) ->
     GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
     residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
     """
-    variances = sighting.cov[0, 0], sighting.cov[1, 1] - line_lever(sighting.cov) * sighting.cov[0, 1]
-    noise = with_loss(noise_of(np.diag(variances)), loss)
+    _, of_turn, of_shift = line_errors(sighting.cov)
+    noise = with_loss(noise_of(np.diag([of_turn, of_shift])), loss)
     return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, sighting))
 
 
@@ -88,7 +86,7 @@ class Residual:
     def __init__(self, wall: int, pose: int, sighting: Sighting) -> None:
         """Between the variables with these keys."""
         self._wall, self._pose, self._alpha = wall, pose, float(sighting.z[0])
-        self._centre = line_point(sighting.z, float(line_lever(sighting.cov)))
+        self._centre = sighted_centre(sighting)
 
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""

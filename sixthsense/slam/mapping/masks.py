@@ -36,9 +36,9 @@ class Source(Protocol):
 def masks_of(source: Source, box: Box, reach: int, drawn: Masks | None) -> Masks:
     """The masks of a box of cells, from those that were drawn before; `reach` is of the inflation."""
     changes = source.changes
-    since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
-    if drawn is not None and drawn.revision == changes.revision and since is not None:
+    if drawn is not None and (drawn.box, drawn.revision) == (box, changes.revision):
         return drawn
+    since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
     if drawn is None or since is None:
         seen, covered = source.part("seen", box), source.part("cover", box) > 0
     else:
