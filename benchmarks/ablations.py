@@ -139,7 +139,7 @@ def run_figures(trace: Trace, landmarks: Array) -> dict[str, float]:
         "sim_time_s": 1e-9 * (trace.stamps_ns[-1] - trace.stamps_ns[0]),
         "path_length_m": trace.path_length_m,
         "turned_rad": float(np.abs(wrap_angle(np.diff(truth[:, 2]))).sum()),
-        "key_scan_ms": sum(sum(row.values()) - row.get("sense", 0.0) for row in trace.stopwatch.rows)
+        "keyframe_ms": sum(sum(row.values()) - row.get("sense", 0.0) for row in trace.stopwatch.rows)
         / max(len(trace.stopwatch.rows), 1),
     }
 

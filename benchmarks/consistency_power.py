@@ -4,12 +4,12 @@ Each tour begins at a place of the scene's tour, at a heading drawn from the see
 ticks are kept, and replayed through `Slam` with one covariance scaled: that of every sighting, or that of the odometry.
 A run gives three statistics:
 
-nees        pose NEES after the update (3 is consistent), mean over the key scans
+nees        pose NEES after the update (3 is consistent), mean over the keyframes
 nis         NIS of all matches before the update, per degree of freedom (1)
 increment   NEES of the motion from an update to the next prediction (3), by the covariance that the prediction adds,
-            mean over the key scans
+            mean over the keyframes
 
-Successive poses share the errors of the map, so the key scans of a run are not independent samples; runs are. The band
+Successive poses share the errors of the map, so the keyframes of a run are not independent samples; runs are. The band
 of a mean over runs is therefore the expectation plus and minus standard errors, from the spread between runs. This
 script prints the spread. `tests/evaluation/test_power.py` has it from the seeds 0 to 99 and judges others.
 """
@@ -57,8 +57,8 @@ SABOTAGES: dict[str, tuple[str, float]] = {
 """whose covariance, and its factor"""
 
 
-class KeyScans(NamedTuple):
-    """What the statistics of a run are computed from, a row per key scan."""
+class Keyframes(NamedTuple):
+    """What the statistics of a run are computed from, a row per keyframe."""
 
     truths: Array
     """(K, 3) true pose"""
@@ -84,16 +84,16 @@ def short_tour(estimator: str, seed: int, seconds: float = SECONDS) -> Config:
     return preset(scene=scene, estimator=estimator, task="tour", max_time=seconds, seed=seed, start=start)
 
 
-def driven(config: Config) -> tuple[list[Tick], KeyScans]:
-    """Drive a tour in closed loop; returns its ticks and its key scans."""
+def driven(config: Config) -> tuple[list[Tick], Keyframes]:
+    """Drive a tour in closed loop; returns its ticks and its keyframes."""
     ticks: list[Tick] = []
     trace = run(config, on_tick=lambda tick, _: ticks.append(tick))
     return ticks, of_trace(trace)
 
 
-def of_trace(trace: Trace) -> KeyScans:
-    """The key scans of a record."""
-    return KeyScans(
+def of_trace(trace: Trace) -> Keyframes:
+    """The keyframes of a record."""
+    return Keyframes(
         np.array(trace.key_truths),
         np.array([e.pose.array() for e in trace.key_estimates]),
         np.array([e.pose_cov for e in trace.key_estimates]),
@@ -109,20 +109,20 @@ def replayed(
     sabotage: AbstractContextManager[object] | None = None,
     start: Pose | None = None,
     start_cov: Array | None = None,
-) -> KeyScans:
-    """The key scans of recorded ticks, processed by a new `Slam` within `sabotage`; it starts at the truth by default.
+) -> Keyframes:
+    """The keyframes of recorded ticks, processed by a new `Slam` within `sabotage`; it starts at the truth by default.
 
     `start_cov` (3, 3) is the covariance that `Slam` assumes of `start`, exactly known by default.
     """
     rows: list[tuple[object, ...]] = []
     with sabotage or nullcontext(), Slam(config, start or ticks[0].truth, start_cov=start_cov) as slam:
         for tick in ticks:
-            key_scan = slam.take(tick).key_scan
-            if key_scan is not None and tick.truth is not None:
-                estimate, a = key_scan.estimate, key_scan.association
+            keyframe = slam.take(tick).keyframe
+            if keyframe is not None and tick.truth is not None:
+                estimate, a = keyframe.estimate, keyframe.association
                 rows.append((tick.truth.array(), estimate.pose.array(), estimate.pose_cov, a.predicted_pose.array(),
                              a.predicted_cov, (a.nis, a.dof)))  # fmt: skip
-    return KeyScans(*(np.array(column) for column in zip(*rows, strict=True)))
+    return Keyframes(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def scaled(what: str, factor: float) -> AbstractContextManager[object]:
@@ -145,7 +145,7 @@ def _scaled_odometry(odometry: Callable[..., Odometry], factor: float, *argument
     return Odometry(increment.motion, factor * increment.cov)
 
 
-def statistics(run: KeyScans) -> dict[str, float]:
+def statistics(run: Keyframes) -> dict[str, float]:
     """The statistics of one run, by the names of `EXPECTED`."""
     first = full_rank_from(run.covs)
     error = run.poses - run.truths
@@ -157,7 +157,7 @@ def statistics(run: KeyScans) -> dict[str, float]:
     }
 
 
-def increment_nees(run: KeyScans) -> Array:
+def increment_nees(run: Keyframes) -> Array:
     """(K - 1,) NEES of the motion from each update to the next prediction, in the frame of its beginning."""
     error, cov = np.empty((len(run.poses) - 1, 3)), np.empty((len(run.poses) - 1, 3, 3))
     for k in range(len(error)):

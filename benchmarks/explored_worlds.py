@@ -7,7 +7,7 @@
 The travel is compared with that of a robot that always knows where it is and what is solid around what it has seen,
 and drives to the nearest frontier by the shortest path (Yamauchi, "A frontier-based approach for autonomous
 exploration", CIRA 1997), with the same laser's range, the same clearance and the same coverage, and home at the end. It
-takes a full scan after every key scan's distance and chooses again when it has arrived or seen what it went for.
+takes a full scan after every keyframe's distance and chooses again when it has arrived or seen what it went for.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def nearest_frontier_travel(config: Config, share: float) -> float:
     home = int((start.y - area.origin[1]) / area.cell_m), int((start.x - area.origin[0]) / area.cell_m)
     passable[home] = True
     view = _View(area.mask, solid, config.laser.max_range / area.cell_m)
-    here, travelled, stride = home, 0.0, config.keyscans.distance_m / area.cell_m
+    here, travelled, stride = home, 0.0, config.keyframes.distance_m / area.cell_m
     view.look(here)
     while view.share < share:
         known = passable & (view.seen | ~area.mask)
@@ -136,7 +136,7 @@ def make_row(config: Config) -> Row:
     began = time.process_time()
     found = run(config)
     spent_s = time.process_time() - began
-    metrics, ms = found.metrics, found.trace.stopwatch.key_scan_ms()[1:]
+    metrics, ms = found.metrics, found.trace.stopwatch.keyframe_ms()[1:]
     share = metrics.get("coverage", math.nan)
     reference = nearest_frontier_travel(config, min(share, 0.999)) if share == share else math.nan
     row = {
@@ -145,7 +145,7 @@ def make_row(config: Config) -> Row:
         "left_m2": metrics.get("area_left_m2", math.nan), "nees": metrics.get("pose_nees_world_mean", math.nan),
         "ate_m": metrics.get("ate_rmse_m", math.nan), "home_m": metrics.get("home_error_m", math.nan),
         "travel_m": metrics["path_length_m"], "reference_m": reference, "sim_s": metrics["sim_time_s"],
-        "processor_s": spent_s, "key_scan_ms_p99": float(np.percentile(ms, 99)) if len(ms) else math.nan,
+        "processor_s": spent_s, "keyframe_ms_p99": float(np.percentile(ms, 99)) if len(ms) else math.nan,
         "slow": int(np.count_nonzero(ms > SLOW_MS)),
         "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }  # fmt: skip
@@ -162,7 +162,7 @@ def summary(found: Sequence[Row]) -> Figures:
     """Figures over the runs in one world; the least coverage and the largest errors."""
     nees = np.array([row["nees"] for row in found], dtype=np.float64)
     ratios = over_reference(found)
-    most = ("left_m2", "ate_m", "home_m", "key_scan_ms_p99", "memory_mb")
+    most = ("left_m2", "ate_m", "home_m", "keyframe_ms_p99", "memory_mb")
     return {
         "runs": len(found), "explored": sum(row["outcome"] == "explored" for row in found),
         "collisions": sum(row["collisions"] for row in found), "coverage": min(row["coverage"] for row in found),
@@ -179,7 +179,7 @@ COLUMNS = (
     ("explored", "explored", ".0f"), ("collisions", "collisions", ".0f"), ("coverage", "coverage", ".4f"),
     ("left m²", "left_m2", ".1f"), ("NEES", "nees", ".2f"), ("±", "nees_se", ".2f"), ("ATE m", "ate_m", ".4f"),
     ("home m", "home_m", ".3f"), ("travel m", "travel_m", ".0f"), ("over nearest frontier", "ratio", ".2f"),
-    ("max", "ratio_max", ".2f"), ("x real", "times_real", ".1f"), ("key scan p99 ms", "key_scan_ms_p99", ".0f"),
+    ("max", "ratio_max", ".2f"), ("x real", "times_real", ".1f"), ("keyframe p99 ms", "keyframe_ms_p99", ".0f"),
     ("> 150 ms", "slow", ".0f"), ("MB", "memory_mb", ".0f"),
 )  # fmt: skip
 

@@ -99,7 +99,7 @@ def rooms(height: int, width: int, room: int = 120, door: int = 24) -> tuple[Arr
 
 
 def choice_of_view(height: int, width: int, repeats: int) -> dict[str, float]:
-    """Processor time of a key scan that changes little, and of one that chooses a view and plans the way to it."""
+    """Processor time of a keyframe that changes little, and of one that chooses a view and plans the way to it."""
     config = Config()
     grid = restore_grid(config.grid, 0.2, (0.0, 0.0), *rooms(height, width))
     cell_m = config.grid.cell_m

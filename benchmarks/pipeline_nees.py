@@ -1,10 +1,10 @@
 """Consistency of the whole pipeline: closed-loop tours with unknown association, with NEES, NIS and wrong matches.
 
 `nees3` is the NEES of the pose in world coordinates, `nees3_invariant` the NEES of the right-invariant error (both 3 if
-consistent): at every key scan after its update, from the first full-rank covariance on, the mean over the key scans of
+consistent): at every keyframe after its update, from the first full-rank covariance on, the mean over the keyframes of
 a run, then the mean over runs. `nees_position` (2) and `nees_heading` (1) are computed in the same way. `share_in_band`
-is the share of key scans, by their number in the run, at which the mean over runs lies in the 95 % band for that number
-of runs; successive key scans are correlated. `nees3_spread` is the standard deviation over runs of their means. A wrong
+is the share of keyframes, by their number in the run, at which the mean over runs lies in the 95 % band for that number
+of runs; successive keyframes are correlated. `nees3_spread` is the standard deviation over runs of their means. A wrong
 match is of another wall or point than the landmark, by the walls
 that the sighting's returns hit (`sixthsense.evaluation.matches`). A spanning sighting is fitted to several walls. An
 unexplained one is of nothing in the scene. Left out are those whose fit does not distinguish the walls concerned.
@@ -134,7 +134,7 @@ def main() -> None:
     low, high = nees_band(options.seeds)
     print(machine())
     print(f"{options.scene}, {options.preset}: {options.seeds} tours of {options.max_time:g} s")
-    print(f"95 % band of the mean over runs at one key scan: {low:.2f}-{high:.2f}")
+    print(f"95 % band of the mean over runs at one keyframe: {low:.2f}-{high:.2f}")
     print_table(per_run(found))
     print_table(table(figures, options.estimator))
     write_json(options.json, figures)

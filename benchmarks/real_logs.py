@@ -10,8 +10,8 @@ changes the evidence (scans left out, another beginning, shorter ranges), the od
 of the front end by a fifth. `--variants` selects those whose name begins so.
 
 `--speed` measures the whole command `sixthsense replay`, start, reading, bag and map included, in a process of its own:
-recorded time over its processor time, its largest memory, and the wall time of key scans, which other work of the
-machine lengthens. The ratio is that of the mean key scan of the last tenth to that of the second.
+recorded time over its processor time, its largest memory, and the wall time of keyframes, which other work of the
+machine lengthens. The ratio is that of the mean keyframe of the last tenth to that of the second.
 """
 
 from __future__ import annotations
@@ -163,11 +163,11 @@ def command_figures(name: str) -> Figures:
         if status != 0:
             raise RuntimeError(f"replay of {name}: found exit status {status}, allowed: 0")
         run = load(f"{out}/run")
-    ms, spent_s = run.trace.stopwatch.key_scan_ms(), used.ru_utime + used.ru_stime
+    ms, spent_s = run.trace.stopwatch.keyframe_ms(), used.ru_utime + used.ru_stime
     tenth = max(1, len(ms) // 10)
     return {
         "times_recorded": run.metrics["sim_time_s"] / spent_s, "processor_s": spent_s,
-        "key_scan_ms_p50": float(np.percentile(ms, 50)), "key_scan_ms_p99": float(np.percentile(ms, 99)),
+        "keyframe_ms_p50": float(np.percentile(ms, 50)), "keyframe_ms_p99": float(np.percentile(ms, 99)),
         "last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean()),
         "memory_mb": used.ru_maxrss / 1024.0, "mean_m": run.metrics["relations_trans_m_mean"],
     }  # fmt: skip
@@ -178,11 +178,11 @@ def print_speed(names: Sequence[str], file: Path | None) -> None:
     warm_up()
     warm_up_scans()
     found = {name: command_figures(name) for name in names}
-    lines = [["log", "x recorded", "processor, s", "key scan p50, ms", "p99, ms", "last/second tenth", "memory, MB",
+    lines = [["log", "x recorded", "processor, s", "keyframe p50, ms", "p99, ms", "last/second tenth", "memory, MB",
               "translation, m"]]  # fmt: skip
     for name, f in found.items():
-        lines.append([name, f"{f['times_recorded']:.1f}", f"{f['processor_s']:.1f}", f"{f['key_scan_ms_p50']:.1f}",
-                      f"{f['key_scan_ms_p99']:.1f}", f"{f['last_over_second_tenth']:.2f}", f"{f['memory_mb']:.0f}",
+        lines.append([name, f"{f['times_recorded']:.1f}", f"{f['processor_s']:.1f}", f"{f['keyframe_ms_p50']:.1f}",
+                      f"{f['keyframe_ms_p99']:.1f}", f"{f['last_over_second_tenth']:.2f}", f"{f['memory_mb']:.0f}",
                       f"{f['mean_m']:.4f}"])  # fmt: skip
     print(machine())
     print_table(lines)

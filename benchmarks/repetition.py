@@ -5,10 +5,10 @@
     python benchmarks/repetition.py --odometry 2 --score 0.9  # something assumed or a threshold changed
     python benchmarks/repetition.py --calibrate-wheels        # with the wheels' errors estimated on line
 
-A link to an old key scan is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
-more than its covariance allows: along a bare corridor a link says nothing. A true revisit is a key scan and an old one,
+A link to an old keyframe is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
+more than its covariance allows: along a bare corridor a link says nothing. A true revisit is a keyframe and an old one,
 at least 10 m driven between, that share half of their views by the truth. It is closed if the pair is right to 0.3 m
-and 5 degrees at the end, and if a key scan within 5 m is linked to an old one.
+and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
         slam = opened.enter_context(Slam(config, log.ticks[0].truth))
         for tick in log.ticks:
             step = slam.take(tick)
-            if step.key_scan is not None:
+            if step.keyframe is not None:
                 assert tick.truth is not None
                 truths.append(tick.truth.array())
         spent_s = time.process_time() - began
@@ -80,7 +80,7 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
 
 
 def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array]], store: ScanStore) -> Row:
-    """Errors of the poses (K, 3) of key scans and of links between them."""
+    """Errors of the poses (K, 3) of keyframes and of links between them."""
     steps = np.hypot(*np.diff(truths[:, :2], axis=0).T)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     off = np.hypot(*(poses - truths)[:, :2].T)
@@ -94,7 +94,7 @@ def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array
     )
     closed = right & ((apart if len(linked) else 1e9 * apart) < _LINKED_WITHIN_M).any(axis=1)
     return {
-        "driven_m": float(travelled[-1]), "key_scans": len(poses), "links": len(links), "false": len(false),
+        "driven_m": float(travelled[-1]), "keyframes": len(poses), "links": len(links), "false": len(false),
         "worst_false": false[:3], "true": len(pairs), "closed": int(closed.sum()), "right": int(right.sum()),
         "ate_m": float(np.sqrt(np.mean(off**2))), "largest_m": float(off.max()),
     }  # fmt: skip
@@ -113,7 +113,7 @@ def false_links(truths: Array, links: list[tuple[int, int, Array, Array]]) -> li
 
 
 def true_revisits(truths: Array, travelled: Array, store: ScanStore) -> NDArray[np.int64]:
-    """(n, 2) old key scan and key scan that share half of their views, the nearest one of each key scan."""
+    """(n, 2) old keyframe and keyframe that share half of their views, the nearest one of each keyframe."""
     pairs = []
     for j in range(len(truths)):
         old = np.flatnonzero(travelled[:j] <= travelled[j] - _DRIVEN_M)

@@ -23,7 +23,7 @@ from sixthsense.navigation.planners.shortcut import shortcut
 from sixthsense.running.warmup import warm_up
 from sixthsense.slam.features import Features
 
-SCAN = 48  # a key scan of the apartment that sees corridor, living room, bath and kitchen
+SCAN = 48  # a keyframe of the apartment that sees corridor, living room, bath and kitchen
 CORNERS = {"landmarks": "corners"}
 WITHOUT_IEP = preset("default", estimator="ekf", task="goal", features={**CORNERS, "split": {"enabled": False}})
 # Three times the laser noise and no least-squares fit produce bad landmarks.
@@ -132,7 +132,7 @@ def hit_grid() -> Any:
 
 
 def made_at(run: Recording, plan: int) -> int:
-    """The key scan at which a plan was made."""
+    """The keyframe at which a plan was made."""
     return next(k for k, count in enumerate(run.plans) if count > plan)
 
 

@@ -1,7 +1,7 @@
 """Five estimators on one recorded run: `python benchmarks/shared_evidence.py --runs 10 --figure docs/estimators.png`.
 
 A robot drives a tour with the estimator `--driver`. Its odometry and scans are then replayed to every estimator, so
-only the estimator differs. Errors are those of the causal estimate at key scans. With `--folder RUN` the recorded run
+only the estimator differs. Errors are those of the causal estimate at keyframes. With `--folder RUN` the recorded run
 is a folder written by `sixthsense run`.
 """
 
@@ -40,7 +40,7 @@ COLUMNS = (
     ("landmark RMSE mm", "landmark_rmse_m", 1e3),
     ("update ms", "stage_ms_mean.update", 1.0),
     ("associate ms", "stage_ms_mean.associate", 1.0),
-    ("key scan ms p50", "scan_ms_p50", 1.0),
+    ("keyframe ms p50", "scan_ms_p50", 1.0),
     ("p99", "scan_ms_p99", 1.0),
 )
 BIN_S = 10.0
@@ -59,14 +59,14 @@ def compare(log: Log, config: Config, estimators: Sequence[str]) -> dict[str, Tr
 
 
 def over_time(trace: Trace) -> tuple[Array, Array, Array, Array]:
-    """Seconds, position error (m), NEES and processing time (ms) of the key scans; NEES is NaN without full rank."""
+    """Seconds, position error (m), NEES and processing time (ms) of the keyframes; NEES is NaN without full rank."""
     t = 1e-9 * (np.array(trace.key_stamps_ns) - trace.stamps_ns[0])
     poses, truth = np.array([e.pose.array() for e in trace.key_estimates]), np.array(trace.key_truths)
     covs = np.array([e.pose_cov for e in trace.key_estimates])
     first = full_rank_from(covs)
     nees = np.full(len(t), np.nan)
     nees[first:] = nees_world(poses[first:] - truth[first:], covs[first:])
-    return t, np.hypot(*(poses - truth)[:, :2].T), nees, trace.stopwatch.key_scan_ms()
+    return t, np.hypot(*(poses - truth)[:, :2].T), nees, trace.stopwatch.keyframe_ms()
 
 
 def figures_of(traces: Mapping[str, Sequence[Trace]]) -> Figures:
@@ -91,7 +91,7 @@ def draw(traces: Mapping[str, Sequence[Trace]], title: str) -> Any:
     quantities = (
         ("position RMSE [mm]", 1e3, _rms),
         ("pose NEES, world [1]", 1.0, np.mean),
-        ("key scan [ms]", 1.0, np.median),
+        ("keyframe [ms]", 1.0, np.median),
     )
     for row, (label, factor, reduce) in enumerate(quantities):
         axes[row, 0].set_ylabel(label)
@@ -124,7 +124,7 @@ def binned(
     """The middles (B,) of bins of `BIN_S` seconds, and what `reduce` makes of the finite values in each, (runs, B).
 
     A bin in which any run has less than `share` of the usual number of them is left out: the last one of a tour would
-    show a key scan or two.
+    show a keyframe or two.
     """
     edges = np.arange(0.0, max(float(t[-1]) for t in times_s) + 2.0 * BIN_S, BIN_S)
     finite = [(t[np.isfinite(found)], found[np.isfinite(found)]) for t, found in zip(times_s, values, strict=True)]

@@ -1,6 +1,6 @@
 """Processing time of the smoother as its graph grows: `python benchmarks/smoother_growth.py --figure growth.png`.
 
-A tour of the apartment with 6,000 scans and `isam2`: the processing time of every key scan, by tenths of the run. Other
+A tour of the apartment with 6,000 scans and `isam2`: the processing time of every keyframe, by tenths of the run. Other
 places, front ends and estimators: `--scene campus --seconds 3600`, `--front-end scans --seconds 2400`.
 """
 
@@ -38,11 +38,11 @@ def main() -> None:
     )  # fmt: skip
     made = run(config)
     trace = made.trace
-    ms = trace.stopwatch.key_scan_ms()
+    ms = trace.stopwatch.keyframe_ms()
     print(machine())
-    print(f"{len(trace.stamps_ns)} scans, {len(ms)} key scans, {len(trace.records)} landmarks, {trace.outcome}")
+    print(f"{len(trace.stamps_ns)} scans, {len(ms)} keyframes, {len(trace.records)} landmarks, {trace.outcome}")
     parts = np.array_split(np.arange(len(ms)), TENTHS)
-    rows = [["key scans", "p50 ms", "p99 ms", "max ms", *STAGES[1:]]]
+    rows = [["keyframes", "p50 ms", "p99 ms", "max ms", *STAGES[1:]]]
     for part in parts:
         means = [np.mean([trace.stopwatch.rows[k].get(stage, 0.0) for k in part]) for stage in STAGES[1:]]
         figures = [*np.percentile(ms[part], [50, 99]), ms[part].max(), *means]
@@ -50,7 +50,7 @@ def main() -> None:
     print_table(rows)
     figures: Figures = {
         "scans": len(trace.stamps_ns),
-        "key_scans": len(ms),
+        "keyframes": len(ms),
         "scan_ms_p50": float(np.percentile(ms, 50)),
         "scan_ms_p99": float(np.percentile(ms, 99)),
         "scan_ms_max": float(ms.max()),
@@ -65,16 +65,16 @@ def main() -> None:
     if options.figure:
         figure = new_figure(11.0, 4.0)
         ax = figure.add_subplot()
-        ax.plot(ms, ".", markersize=2, color=ESTIMATE, label="key scan")
+        ax.plot(ms, ".", markersize=2, color=ESTIMATE, label="keyframe")
         ax.plot(
             [p.mean() for p in parts], [np.median(ms[p]) for p in parts], color=LANDMARK, label="median of each tenth"
         )
         ax.axhline(BUDGET_MS, color="#999999", linestyle="--", label=f"{BUDGET_MS} ms")
-        ax.set_xlabel("key scan")
+        ax.set_xlabel("keyframe")
         ax.set_ylabel("processing time [ms]")
         ax.set_ylim(0.0)
         ax.legend(loc="upper left", ncols=3)
-        ax.set_title(f"{options.estimator}: processing time per key scan as the graph grows")
+        ax.set_title(f"{options.estimator}: processing time per keyframe as the graph grows")
         save(figure, options.figure)
 
 

@@ -1,6 +1,6 @@
 """Shared by the benchmarks of tours: runs evaluated against the truth, one row each, resumable, in several processes.
 
-A campaign keeps the metrics of a run. These benchmarks need NEES at every key scan and every match as well, which only
+A campaign keeps the metrics of a run. These benchmarks need NEES at every keyframe and every match as well, which only
 the trace has.
 """
 
@@ -53,7 +53,7 @@ def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | Non
 
 
 def judge(trace: Trace) -> Row:
-    """Evaluate a run: errors, matches against the truth, NIS, and the NEES at each key scan after its update.
+    """Evaluate a run: errors, matches against the truth, NIS, and the NEES at each keyframe after its update.
 
     NEES is None before the covariance has full rank.
     """
@@ -62,10 +62,10 @@ def judge(trace: Trace) -> Row:
     row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor", "landmarks")}
     row |= {key: metrics[key] for key in ("ate_rmse_m", "ate_max_m", "heading_rmse_rad", "scan_ms_p99")}
     row |= judged_matches(trace)
-    row["key_scans"] = len(truths)
+    row["keyframes"] = len(truths)
     poses = np.array([e.pose.array() for e in trace.key_estimates])
     covs = np.array([e.pose_cov for e in trace.key_estimates])
-    for name, values in key_scan_nees(poses, truths, covs).items():
+    for name, values in keyframe_nees(poses, truths, covs).items():
         row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
     return row
 
@@ -81,7 +81,7 @@ def judged_matches(trace: Trace) -> Row:
     return row | {name: len(getattr(matches, name)) for name in MATCHES}
 
 
-def key_scan_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
+def keyframe_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
     """Each kind of NEES (K,) of poses (K, 3); NaN before the world-frame covariance (K, 3, 3) has full rank."""
     out = {name: np.full(len(poses), math.nan) for name in NEES}
     first = full_rank_from(covs)
@@ -152,7 +152,7 @@ def seeded(configs: Sequence[Config], options: argparse.Namespace) -> list[Confi
 
 
 def over_runs(rows: Sequence[Row], name: str) -> Array:
-    """(K,) mean over runs of a kind of NEES at the k-th key scan of each, NaN where no run has a value."""
+    """(K,) mean over runs of a kind of NEES at the k-th keyframe of each, NaN where no run has a value."""
     longest = max(len(row[name]) for row in rows)
     values = np.full((len(rows), longest), math.nan)
     for k, row in enumerate(rows):
@@ -163,11 +163,11 @@ def over_runs(rows: Sequence[Row], name: str) -> Array:
 
 
 def nees_of(row: Row, name: str = "nees3") -> float:
-    """Mean over the key scans of one run of a kind of NEES."""
+    """Mean over the keyframes of one run of a kind of NEES."""
     return float(np.nanmean(np.array([math.nan if v is None else v for v in row[name]])))
 
 
 __all__ = [
     "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "judged_matches",
-    "key_scan_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "tour",
+    "keyframe_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "tour",
 ]  # fmt: skip

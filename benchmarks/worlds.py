@@ -27,7 +27,7 @@ from tours import (
     add_tour_options,
     check_tour_options,
     judged_matches,
-    key_scan_nees,
+    keyframe_nees,
     nees_of,
     over_runs,
     rows,
@@ -171,11 +171,11 @@ def make_row(config: Config) -> Row:
     covs = np.array([e.pose_cov for e in trace.key_estimates])
     names = ("scene", "estimator", "preset", "seed")
     row: Row = {**{name: getattr(config, name) for name in names}, **judged_matches(trace)}
-    row["outcome"], row["key_scans"] = trace.outcome, len(truths)
+    row["outcome"], row["keyframes"] = trace.outcome, len(truths)
     row["ate_rmse_m"], row["ate_max_m"] = ate(poses, truths)
     row["sigma_m"] = float(np.median(np.sqrt(covs[:, 0, 0] + covs[:, 1, 1])))
     row["sigma_rad"] = float(np.median(np.sqrt(covs[:, 2, 2])))
-    for name, values in key_scan_nees(poses, truths, covs).items():
+    for name, values in keyframe_nees(poses, truths, covs).items():
         row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
     return row
 

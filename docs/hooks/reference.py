@@ -43,7 +43,7 @@ _GROUP_NOTES = {
         "passes the [guard](../concepts/planning.md#the-guard).",
     ],
     "Time": [
-        "The time of a key scan excludes sensing. A stage's mean is its total time divided by the key scans.",
+        "The time of a keyframe excludes sensing. A stage's mean is its total time divided by the keyframes.",
     ],
 }
 _SHARED = ("config", "out", "overwrite")

@@ -39,8 +39,8 @@ ESTIMATORS = Names("ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 PLANNERS = Names("astar", "rrtstar")
 
 FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
-"""shipped estimators that do not keep the poses of all key scans"""
-KEEP_POSES = "allowed: with isam2, which keeps the poses of all key scans"
+"""shipped estimators that do not keep the poses of all keyframes"""
+KEEP_POSES = "allowed: with isam2, which keeps the poses of all keyframes"
 """of messages about the front end of scans"""
 CALIBRATE_WHEELS = "allowed: with ekf-invariant and isam2"
 """of messages about the wheels' parameters"""

@@ -11,11 +11,11 @@ from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount
 
 
 @dataclass(frozen=True)
-class KeyScanConfig(Section):
-    """When a scan is a key scan, and is used: after the robot has moved this far since the last one."""
+class KeyframeConfig(Section):
+    """When a scan is a keyframe, and is used: after the robot has moved this far since the last one."""
 
     distance_m: NonNegative = 0.25
-    """With either value at 0 every scan after any motion is a key scan."""
+    """With either value at 0 every scan after any motion is a keyframe."""
     turn_rad: NonNegative = 0.15
     """See above."""
 
@@ -167,7 +167,7 @@ class AssociationConfig(Section):
     culling: bool = True
     """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25
-    """Key scans between two checks."""
+    """Keyframes between two checks."""
     cull_below: Count = 3
     """A landmark with fewer sightings than this, a period after its first one, is removed."""
     align: AlignConfig = field(default_factory=AlignConfig)

@@ -83,7 +83,7 @@ class AssumedConfig(Section):
     wall_floor_rad: Noise = 0.0
     """The same for the direction of a wall."""
     floor_m: Noise = 1e-4
-    """Sigma of position added over the motion between two key scans, so that the covariance has full rank."""
+    """Sigma of position added over the motion between two keyframes, so that the covariance has full rank."""
     floor_rad: Noise = 1e-4
     """The same for the heading."""
     wheels: WheelsConfig = field(default_factory=WheelsConfig)

@@ -29,7 +29,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "laser": {"beams": 180, "max_range": 5.0, "period_ticks": 10},
         "world": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},
         "assumed": {"motion": _REPORT_MOTION, "laser": _REPORT_LASER},
-        "keyscans": {"distance_m": 0.0, "turn_rad": 0.0},
+        "keyframes": {"distance_m": 0.0, "turn_rad": 0.0},
         "features": {
             "landmarks": "corners",
             "partition": {"method": "fixed", "epsilon_m": 1.0},  # rectangle and apartment; the block had 2 m

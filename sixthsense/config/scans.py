@@ -23,4 +23,4 @@ class ScansConfig(Section):
     min_score: Annotated[float, Range(0.3, 1.0)] = 0.62
     """Least share of a submap's points that a revisit must explain; lower finds more revisits, and more wrong ones."""
     final_pass: bool = True
-    """At the end align the scans between key scans once more."""
+    """At the end align the scans between keyframes once more."""

@@ -14,7 +14,7 @@ from sixthsense.config.pipeline import (
     FollowConfig,
     GridConfig,
     ISAM2Config,
-    KeyScanConfig,
+    KeyframeConfig,
     RRTStarConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
@@ -65,7 +65,7 @@ class Config(Section):
     laser: LaserConfig = field(default_factory=LaserConfig)
     world: WorldConfig = field(default_factory=WorldConfig)
     assumed: AssumedConfig = field(default_factory=AssumedConfig)
-    keyscans: KeyScanConfig = field(default_factory=KeyScanConfig)
+    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
     features: FeaturesConfig = field(default_factory=FeaturesConfig)
     association: AssociationConfig = field(default_factory=AssociationConfig)
     scans: ScansConfig = field(default_factory=ScansConfig)

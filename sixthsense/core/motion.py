@@ -15,7 +15,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.pose_kernels import driven
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
 
-_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two key scans
+_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:

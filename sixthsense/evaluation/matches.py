@@ -15,7 +15,7 @@ from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueL
 from sixthsense.slam.association.associator import Association
 
 Match = tuple[int, LandmarkId]
-"""Key scan, and the landmark that its sighting was matched with."""
+"""Keyframe, and the landmark that its sighting was matched with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Matches:
 def judge_matches(
     associations: Sequence[Mapping[LandmarkId, Sighting]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
 ) -> Matches:
-    """Judge the sightings of each key scan, by landmark, given the true poses `truths` (K, 3) of the robot.
+    """Judge the sightings of each keyframe, by landmark, given the true poses `truths` (K, 3) of the robot.
 
     A sighting with another identity than its landmark is wrong, unless the sighting's fit does not distinguish the two
     walls; then it is left out.

@@ -178,7 +178,7 @@ def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:
         out["realtime_factor"] = sim_time_s / trace.wall_time_s
     rows = trace.stopwatch.rows
     if rows:
-        out |= metrics.scan_times(trace.stopwatch.key_scan_ms())
+        out |= metrics.scan_times(trace.stopwatch.keyframe_ms())
         totals = trace.stopwatch.totals
         used = [stage for stage in STAGES if stage not in SCAN_STAGES or totals[stage] > 0.0]
         out |= {f"stage_ms_mean.{stage}": totals[stage] / len(rows) for stage in used}

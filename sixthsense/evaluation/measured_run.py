@@ -17,7 +17,7 @@ from sixthsense.record.trace import Trace
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    RecordPart.KEY_SCANS: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
+    RecordPart.KEYFRAMES: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
     RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged", "revisits", "wheel"),
     RecordPart.LANDMARKS: ("landmarks",),
 }

@@ -71,7 +71,7 @@ def _quantities() -> dict[str, Quantity]:
         ],
         "Consistency": [
             ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
-            ("pose_nees_in_band", "1", "share of key scans with a pose NEES in its 95 % band; 0.95 is consistent"),
+            ("pose_nees_in_band", "1", "share of keyframes with a pose NEES in its 95 % band; 0.95 is consistent"),
             ("prediction_nees_world_mean", "1", "NEES of the pose before each update; 3 is consistent"),
             ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
             ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
@@ -96,10 +96,10 @@ def _quantities() -> dict[str, Quantity]:
             ("sim_time_s", "s", "duration by the clock of the source"),
             ("wall_time_s", "s", "computing time of the loop"),
             ("realtime_factor", "1", "simulated time divided by computing time"),
-            ("scan_ms_p50", "ms", "processing of a key scan, median"),
-            ("scan_ms_p99", "ms", "processing of a key scan, 99th percentile"),
-            ("scan_ms_max", "ms", "processing of a key scan, maximum"),
-            *((f"stage_ms_mean.{stage}", "ms", f"{stage}, mean per key scan") for stage in STAGES),
+            ("scan_ms_p50", "ms", "processing of a keyframe, median"),
+            ("scan_ms_p99", "ms", "processing of a keyframe, 99th percentile"),
+            ("scan_ms_max", "ms", "processing of a keyframe, maximum"),
+            *((f"stage_ms_mean.{stage}", "ms", f"{stage}, mean per keyframe") for stage in STAGES),
         ],
     }
     return {key: Quantity(group, unit, meaning) for group, keys in rows.items() for key, unit, meaning in keys}

@@ -30,7 +30,7 @@ from sixthsense.slam.estimators.base import Belief
 
 @dataclass(frozen=True, slots=True)
 class PriorInnovations:
-    """All sightings of a key scan against all landmarks, before the update."""
+    """All sightings of a keyframe against all landmarks, before the update."""
 
     sightings: tuple[Sighting, ...]
     """m, before any was matched, fused or discarded"""
@@ -55,12 +55,12 @@ class InnovationObserver:
 
     def __init__(self) -> None:
         self.scans: list[PriorInnovations] = []
-        """one for each key scan"""
+        """one for each keyframe"""
 
     def attach(self, tick: Tick, trace: Trace) -> None:
         """Observe a run; it is the `on_tick` of `sixthsense.loop.run`.
 
-        The first tick is over when it is called, so its key scan is added without landmarks: there were none.
+        The first tick is over when it is called, so its keyframe is added without landmarks: there were none.
         """
         assert trace.live is not None
         if trace.live.associator.observer is None:
@@ -68,7 +68,7 @@ class InnovationObserver:
             self.scans += [PriorInnovations((), np.empty(0, np.int64), np.empty((0, 0)))] * len(trace.associations)
 
     def __call__(self, sightings: Sequence[Sighting], estimator: Belief) -> None:
-        """Add a key scan; the observer of an `Associator`."""
+        """Add a keyframe; the observer of an `Associator`."""
         estimate = estimator.estimate()
         squared = np.full((len(sightings), len(estimate.ids)), np.inf)
         if squared.size:
@@ -87,7 +87,7 @@ def true_pair_nis(
 ) -> TruePairs:
     """NIS of each sighting with a single identity against the known landmark of that identity.
 
-    `observed`, `associations` and the true poses `truths` (K, 3) are of the same key scans. Of several landmarks with
+    `observed`, `associations` and the true poses `truths` (K, 3) are of the same keyframes. Of several landmarks with
     the identity the oldest is taken, which does not depend on the innovations. A sighting without such a landmark has
     no pair.
     """

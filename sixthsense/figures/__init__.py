@@ -1,6 +1,6 @@
 """Figures of a run besides its map: quantities over time, one scan, one filter step, planning and exploration.
 
-Each function draws on given axes. `new_axes` makes a figure. `record` runs a configuration and keeps its key scans.
+Each function draws on given axes. `new_axes` makes a figure. `record` runs a configuration and keeps its keyframes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Figures of replayed logs: the path, and the walls of all key scans placed by a trajectory."""
+"""Figures of replayed logs: the path, and the walls of all keyframes placed by a trajectory."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = N
 
 
 def draw_walls_at(ax: Any, trace: Trace, poses: Array, color: str = WALL) -> None:
-    """Draw the detected walls of the key scans, placed by `poses` (S, 3), one for each scan."""
-    # The first scan with a given last key scan is that key scan.
+    """Draw the detected walls of the keyframes, placed by `poses` (S, 3), one for each scan."""
+    # The first scan with a given last keyframe is that keyframe.
     first = np.unique(trace.last_key, return_index=True)[1]
     placed = [Pose.from_array(poses[s]) @ walls for s, walls in zip(first, trace.walls_found, strict=True)]
     style: dict[str, Any] = {"colors": color, "linewidths": 0.5, "alpha": 0.5, "zorder": 1}

@@ -36,12 +36,12 @@ COMPONENTS = (Component("x", "m", 1.0), Component("y", "m", 1.0), Component("hea
 
 
 def key_times(trace: Trace) -> Array:
-    """(K,) seconds from the first scan to each key scan."""
+    """(K,) seconds from the first scan to each keyframe."""
     return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
 
 
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE) -> None:
-    """Draw the error of x, y or heading (component 0, 1, 2) at key scans with the estimator's ±3σ bounds.
+    """Draw the error of x, y or heading (component 0, 1, 2) at keyframes with the estimator's ±3σ bounds.
 
     The trace must have truth.
     """
@@ -69,7 +69,7 @@ def draw_nees(
     label: str | None = None,
     band: bool = True,
 ) -> None:
-    """Draw the pose's NEES at key scans, in world or right-invariant coordinates, with the 95 % band of one run.
+    """Draw the pose's NEES at keyframes, in world or right-invariant coordinates, with the 95 % band of one run.
 
     The trace must have truth. The curve begins where the covariance has full rank. Use `band` for the first run on the
     axes only.
@@ -100,7 +100,7 @@ def draw_nees(
 
 
 def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None, band: bool = True) -> None:
-    """Draw each key scan's normalised innovation squared per degree of freedom, with its 95 % band.
+    """Draw each keyframe's normalised innovation squared per degree of freedom, with its 95 % band.
 
     The band depends on the number of matched landmarks in this run.
     """
@@ -153,7 +153,7 @@ def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | Non
 
 
 def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str] | None = None) -> None:
-    """Draw the mean time of each stage per key scan, milliseconds, with a bar for each run's metrics."""
+    """Draw the mean time of each stage per keyframe, milliseconds, with a bar for each run's metrics."""
     stages = [stage for stage in STAGES if any(f"stage_ms_mean.{stage}" in run for run in runs)]
     height = 0.8 / max(len(runs), 1)
     for k, run in enumerate(runs):
@@ -161,12 +161,12 @@ def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str
         places = np.arange(len(stages)) + (k - 0.5 * (len(runs) - 1)) * height
         words = [] if labels is None else [labels[k]]
         if "scan_ms_p50" in run:
-            words.append(f"key scan: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
+            words.append(f"keyframe: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
         bars = ax.barh(places, values, height, color=CYCLE[k % len(CYCLE)], label=": ".join(words) or None)
         ax.bar_label(bars, fmt=_ms, padding=3, fontsize=min(8.0, 30.0 * height))
     ax.set_yticks(np.arange(len(stages)), stages)
     ax.invert_yaxis()
-    ax.set_xlabel("mean time per key scan [ms]")
+    ax.set_xlabel("mean time per keyframe [ms]")
     ax.margins(x=0.1)
 
 

@@ -20,7 +20,7 @@ from sixthsense.record.trace import Trace
 
 _WIDTH_IN = 11.0
 _TITLES = {
-    "error": "Pose error at key scans, with the three-sigma bounds of the estimator",
+    "error": "Pose error at keyframes, with the three-sigma bounds of the estimator",
     "nees": "Consistency of the pose: normalised estimation error squared",
     "nis": "Consistency of the matches: normalised innovation squared",
     "stages": "Computing time per stage",
@@ -28,14 +28,14 @@ _TITLES = {
     "exploration": "Seen area, remaining frontiers, and plans over time",
 }
 _REQUIRED_DATA = {
-    "error": "the truth at key scans",
-    "nees": "the truth at key scans",
+    "error": "the truth at keyframes",
+    "nees": "the truth at keyframes",
     "nis": "matched landmarks",
     "stages": "stage times",
     "coverage": "the truth and its scene",
     "exploration": "an exploration",
 }
-_REQUIRED_PARTS = {"nis": RecordPart.KEY_SCANS, "stages": RecordPart.KEY_SCANS, "exploration": RecordPart.GRID}
+_REQUIRED_PARTS = {"nis": RecordPart.KEYFRAMES, "stages": RecordPart.KEYFRAMES, "exploration": RecordPart.GRID}
 """part of the record that a figure needs"""
 _CARD_METRICS = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",

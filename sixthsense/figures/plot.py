@@ -72,7 +72,7 @@ def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
 
 
 def walls_found(trace: Trace) -> Array:
-    """(N, 2, 2) detected walls of all key scans, placed by the final trajectory, world frame."""
+    """(N, 2, 2) detected walls of all keyframes, placed by the final trajectory, world frame."""
     placed = [Pose.from_array(pose) @ walls for pose, walls in zip(trace.trajectory, trace.walls_found, strict=True)]
     return np.concatenate([np.zeros((0, 2, 2)), *placed])
 
@@ -127,7 +127,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
         ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
     odometry = _as_path(trace.odometry, trace)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
-    has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a key scan before every scan
+    has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a keyframe before every scan
     estimates = trace.scan_poses() if has_final else np.array(trace.estimates).reshape(-1, 3)
     if trace.truths:
         truth = _as_path(trace.truths, trace)

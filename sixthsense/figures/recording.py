@@ -1,4 +1,4 @@
-"""A run with its key scans, for figures of single moments."""
+"""A run with its keyframes, for figures of single moments."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from sixthsense.sources.scene import Scene
 
 @dataclass
 class Recording:
-    """The trace of a run with its key scans."""
+    """The trace of a run with its keyframes."""
 
     trace: Trace = field(init=False)
     """trace of the whole run"""
     scans: list[Scan] = field(default_factory=list)
-    """the key scans"""
+    """the keyframes"""
     plans: list[int] = field(default_factory=list)
-    """for each key scan, the number of plans after it"""
+    """for each keyframe, the number of plans after it"""
 
     def on_tick(self, tick: Tick, trace: Trace) -> None:
-        """Keep the scan if it is a key scan."""
+        """Keep the scan if it is a keyframe."""
         if tick.scan is not None and len(trace.key_stamps_ns) > len(self.scans):
             self.scans.append(tick.scan)
             self.plans.append(len(trace.plans))
@@ -42,26 +42,26 @@ class Recording:
         return self.trace.scene
 
     def pose(self, k: int) -> Pose:
-        """The estimated pose at key scan k, after its update."""
+        """The estimated pose at keyframe k, after its update."""
         return self.trace.key_estimates[k].pose
 
     def time_s(self, k: int) -> float:
-        """Time of key scan k since the first one, seconds."""
+        """Time of keyframe k since the first one, seconds."""
         return 1e-9 * (self.trace.key_stamps_ns[k] - self.trace.key_stamps_ns[0])
 
     def grid(self, k: int) -> Grid:
-        """The grid after key scan k, rebuilt from the key scans up to it."""
+        """The grid after keyframe k, rebuilt from the keyframes up to it."""
         grid = Grid(self.trace.config.grid, self.trace.radius_m)
         for i in range(k + 1):
             grid.add(self.pose(i), self.scans[i], self.trace.walls_found[i])
         return grid
 
     def features(self, k: int) -> Features:
-        """The features of key scan k."""
+        """The features of keyframe k."""
         return features_of(self.scans[k], self.trace.config)
 
     def way(self, k: int) -> Array:
-        """(M, 2) estimated positions up to key scan k."""
+        """(M, 2) estimated positions up to keyframe k."""
         return np.array(self.trace.estimates)[: 1 + self.trace.last_key.index(k), :2]
 
 
@@ -70,9 +70,9 @@ class Culled:
     """A landmark that was removed from the state."""
 
     born: int
-    """key scan at which it was initialised"""
+    """keyframe at which it was initialised"""
     gone: int
-    """first key scan without it"""
+    """first keyframe without it"""
     off_m: float
     """distance of its last position from the nearest true corner or wall end"""
     position: Array
@@ -105,7 +105,7 @@ def features_of(scan: Scan, config: Config) -> Features:
 
 
 def record(config: Config) -> Recording:
-    """Run a configuration and keep its key scans."""
+    """Run a configuration and keep its keyframes."""
     recording = Recording()
     recording.trace = run(config, recording.on_tick)
     return recording

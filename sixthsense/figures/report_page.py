@@ -21,10 +21,10 @@ from sixthsense.evaluation.tables import PAGE, digits, html_table
 
 _CAPTIONS = {
     "map": "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.",
-    "error": "Error of the pose at key scans, and the three-sigma bounds of the estimator.",
+    "error": "Error of the pose at keyframes, and the three-sigma bounds of the estimator.",
     "nees": "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
     "nis": "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
-    "stages": "Computing time of the stages of a key scan.",
+    "stages": "Computing time of the stages of a keyframe.",
     "coverage": "Seen share of the visible area, over time.",
     "exploration": "Exploration: seen area, remaining frontiers, and planned paths, pale to dark over time.",
 }

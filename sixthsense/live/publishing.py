@@ -45,7 +45,7 @@ class Publisher:
             self.send_map(stamp_ns, trace)
 
     def send_map(self, stamp_ns: int, trace: Trace) -> None:
-        """Send the map, if there have been key scans since the last time; one that is too large is not sent."""
+        """Send the map, if there have been keyframes since the last time; one that is too large is not sent."""
         if trace.grid is None or len(trace.key_stamps_ns) == self._drawn:
             return
         self._sent_s, self._drawn = time.monotonic(), len(trace.key_stamps_ns)
@@ -61,7 +61,7 @@ class Publisher:
 
 
 def pose_covariance(trace: Trace) -> Array:
-    """(3, 3) of the pose at the last scan, world frame: that at the last key scan, and of the odometry since."""
+    """(3, 3) of the pose at the last scan, world frame: that at the last keyframe, and of the odometry since."""
     if not trace.key_estimates:
         return np.zeros((3, 3))
     key, since = trace.key_estimates[-1], Pose.from_array(trace.since_key[-1])

@@ -38,7 +38,7 @@ class ExplorationNavigator:
             home=start.position,
             region=(min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)),
             radius_m=radius_m,
-            sensor=SensorModel.of(config.laser, config.grid.cell_m, config.keyscans.turn_rad),
+            sensor=SensorModel.of(config.laser, config.grid.cell_m, config.keyframes.turn_rad),
             paths=self._paths,
             follower=follower,
             config=config,

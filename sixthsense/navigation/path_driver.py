@@ -133,7 +133,7 @@ class PathDriver:
         self.following, self._turn = False, _Turn(pose.theta, angle_rad)
 
     def guard_stopped(self, pose: Pose) -> None:
-        """Drop the path and turn, until a key scan has brought the obstacle into the map and a new path avoids it."""
+        """Drop the path and turn, until a keyframe has brought the obstacle into the map and a new path avoids it."""
         self.following = False
         if self._turn is None:
             self._turn = _Turn(pose.theta, 2.0 * math.pi)

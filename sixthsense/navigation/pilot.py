@@ -22,8 +22,8 @@ class Pilot:
             self.guard.moved(step.increment.motion)
         if step.scan is not None:
             self.guard.see(step.scan)
-        if step.key_scan is not None:
-            self.navigator.look(step.grid, step.key_scan.estimate)
+        if step.keyframe is not None:
+            self.navigator.look(step.grid, step.keyframe.estimate)
         return self.command(step.pose, step.stamp_ns)
 
     def command(self, pose: Pose, stamp_ns: int) -> Command:
@@ -50,8 +50,8 @@ class AheadPilot(Pilot):
         if step.scan is not None:
             self.guard.see(step.scan)
             self._since_scan = self._guarded = Pose()
-        if step.key_scan is not None:
-            self.navigator.look(step.grid, step.key_scan.estimate)
+        if step.keyframe is not None:
+            self.navigator.look(step.grid, step.keyframe.estimate)
         self._step = step
         return Command()
 

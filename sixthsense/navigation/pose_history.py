@@ -15,7 +15,7 @@ _MOST_REVISIT = 4.0  # times `revisit_sigma_m`: the most that a revisit may come
 
 
 class PoseHistory:
-    """Positions at the key scans and their largest standard deviations."""
+    """Positions at the keyframes and their largest standard deviations."""
 
     def __init__(self, explore: ExploreConfig) -> None:
         """Begin with no position; `explore` sets the threshold of a revisit."""
@@ -27,7 +27,7 @@ class PoseHistory:
         self._rows: list[tuple[float, float, float]] = []
 
     def add(self, pose: Pose, pose_cov: Array) -> None:
-        """Append the pose of a key scan, with its covariance (3, 3)."""
+        """Append the pose of a keyframe, with its covariance (3, 3)."""
         self.sigma_m = math.sqrt(max(float(np.linalg.eigvalsh(pose_cov[:2, :2])[-1]), 0.0))
         self._rows.append((pose.x, pose.y, self.sigma_m))
 

@@ -31,15 +31,15 @@ class SensorModel:
     """turn at a viewpoint that covers all directions, and the gaps between beams"""
 
     @classmethod
-    def of(cls, laser: LaserConfig, cell_m: float, key_scan_turn_rad: float) -> SensorModel:
-        """The model of a laser; a turn of `key_scan_turn_rad` makes a key scan."""
+    def of(cls, laser: LaserConfig, cell_m: float, keyframe_turn_rad: float) -> SensorModel:
+        """The model of a laser; a turn of `keyframe_turn_rad` makes a keyframe."""
         bearings = beam_bearings(laser)
         spacing = abs(float(bearings[1] - bearings[0]))
         return cls(
             rays=max(8, round(math.pi / spacing)),
             reach=0.95 * laser.max_range / cell_m,
             gapless_reach=max(2.0, gapless_reach(spacing, laser.max_range / cell_m)),
-            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * key_scan_turn_rad + 0.1,
+            turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * keyframe_turn_rad + 0.1,
         )
 
 

@@ -83,7 +83,7 @@ class BagWriter:
         self._scan_form: tuple[tuple[Any, ...], ArrayForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
-        self._pending = self._key_scans = self._plans = 0
+        self._pending = self._keyframes = self._plans = 0
         self._flushed = -math.inf  # the first tick is flushed at once
         self._failed = False
         self._before_flush = before_flush
@@ -149,9 +149,9 @@ class BagWriter:
                 self._names[SIGHTINGS] = CLOUD
                 self._channels[SIGHTINGS] = self._register(SIGHTINGS, CLOUD)
             self._write(SIGHTINGS, stamp, make.cloud(stamp, tick.sightings))
-        for estimate in trace.key_estimates[self._key_scans :]:
+        for estimate in trace.key_estimates[self._keyframes :]:
             self._write("/estimate", stamp, make.estimate(stamp, estimate.pose, estimate.pose_cov))
-        self._key_scans = len(trace.key_estimates)
+        self._keyframes = len(trace.key_estimates)
         for path in trace.plans[self._plans :]:
             self._write("/plan", stamp, make.path(stamp, path))
         self._plans = len(trace.plans)

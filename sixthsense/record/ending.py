@@ -31,7 +31,7 @@ END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
 
 def write_arrays(folder: Path, trace: Trace) -> None:
-    """Write `record.npz`: the final poses of key scans and scans, what is known of each landmark, and the relations."""
+    """Write `record.npz`: the final poses of keyframes and scans, what is known of each landmark, and the relations."""
     records = list(trace.records.values())
     arrays: dict[str, Any] = {
         "trajectory": trace.trajectory,

@@ -22,7 +22,7 @@ class FactorGraph:
     """Key poses, the odometry between them, and the sightings of the final landmarks."""
 
     poses: Array
-    """(K, 3) final pose at each key scan, world frame"""
+    """(K, 3) final pose at each keyframe, world frame"""
     landmark_ids: NDArray[np.int64]
     """(n,)"""
     landmarks: Array
@@ -84,7 +84,7 @@ def factor_graph(trace: Trace) -> FactorGraph:
 
 
 def _sightings_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
-    """Sightings of the landmarks `ids`: index of the key scan, index of the landmark, sighting."""
+    """Sightings of the landmarks `ids`: index of the keyframe, index of the landmark, sighting."""
     column = {i: k for k, i in enumerate(ids)}
     return [
         (k, column[i], sighting)

@@ -28,7 +28,7 @@ class Live:
     scan: Scan | None = None
     """the last scan, deskewed; robot's frame"""
     features: Features | None = None
-    """features of the last key scan; robot's frame"""
+    """features of the last keyframe; robot's frame"""
 
     def point_covariances(self, estimate: Estimate) -> Array:
         """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""

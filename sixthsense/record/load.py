@@ -33,12 +33,12 @@ from sixthsense.record.trace import Trace
 class RecordPart(enum.Enum):
     """A part of the record that a run folder may lack; its value describes it to a user."""
 
-    KEY_SCANS = f"walls, innovations and times of key scans ({FILE})"
+    KEYFRAMES = f"walls, innovations and times of keyframes ({FILE})"
     """missing from folders of versions that did not write this file"""
     END = f"the last line of the record: outcome, counts and clocks ({FILE})"
     """missing from a run that was killed"""
     TRAJECTORY = f"the final trajectory ({END_FILE})"
-    """without it each key scan keeps the pose estimated at its time"""
+    """without it each keyframe keeps the pose estimated at its time"""
     LANDMARKS = f"landmark means and their joint covariance ({LANDMARKS_FILE})"
     GRID = f"the grid map ({GRID_FILE})"
 
@@ -56,7 +56,7 @@ class LoadedRecord:
 def load_record(folder: Path | str) -> LoadedRecord:
     """Read the record in the folder of a run, or in the `.partial` that a killed run has left.
 
-    The estimates at key scans are read without their landmarks, which no folder holds. The outcome of a killed run is
+    The estimates at keyframes are read without their landmarks, which no folder holds. The outcome of a killed run is
     "interrupted". Raises an InputError that names file and line for a folder that is no run folder, has recorded
     nothing, or is damaged.
     """
@@ -65,7 +65,7 @@ def load_record(folder: Path | str) -> LoadedRecord:
     streamed = read_stream(folder / FILE, config) if (folder / FILE).exists() else None
     if streamed is None:
         trace, has_ended = trace_of_bag(folder, config), False
-        missing = {RecordPart.KEY_SCANS, RecordPart.END}
+        missing = {RecordPart.KEYFRAMES, RecordPart.END}
         trace.outcome = _outcome(folder / "metrics.json")
         trace.left = _places_left(folder / "places_left.csv")
     else:

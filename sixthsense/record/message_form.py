@@ -56,8 +56,8 @@ class ArrayForm:
 def quaternion(theta: float) -> tuple[float, float]:
     """Z and w of a rotation by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) equals `theta` exactly.
 
-    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of key
-    scans in a replay.
+    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of
+    keyframes in a replay.
     """
     sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
     for i, j in _ULP_OFFSETS:

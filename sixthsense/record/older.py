@@ -10,9 +10,9 @@ from sixthsense.core.motion import Odometry, odometry
 from sixthsense.record.reading import pose_estimate
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Association
-from sixthsense.slam.key_scans import KeyScans
+from sixthsense.slam.keyframes import Keyframes
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.slam import KeyScan, Step
+from sixthsense.slam.slam import Keyframe, Step
 from sixthsense.sources.logs.runfolder import read_run
 from sixthsense.sources.replay_input import recorded_scene
 
@@ -27,7 +27,7 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
     trace = Trace(config, scene, config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius))
     trace.plans = list(log.plans)
     estimates = {stamp_ns: (pose, cov) for stamp_ns, pose, cov in log.estimates}
-    pose, before, folded = log.start, log.ticks[0].odometry, KeyScans(config.keyscans)
+    pose, before, folded = log.start, log.ticks[0].odometry, Keyframes(config.keyframes)
     no_grid = Grid(config.grid, trace.radius_m)
     for k, tick in enumerate(log.ticks):
         if k:
@@ -40,7 +40,7 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
         if tick.stamp_ns in estimates:
             pose, cov = estimates[tick.stamp_ns]
             unknown = Association({}, 0, 0.0, 0)
-            trace.add_key_scan(tick, KeyScan(folded.take(), pose_estimate(pose, cov), unknown, None))
+            trace.add_keyframe(tick, Keyframe(folded.take(), pose_estimate(pose, cov), unknown, None))
         trace.add_tick(tick, tick.odometry)
         if tick.scan is not None or tick.sightings is not None:
             since = folded.since.motion

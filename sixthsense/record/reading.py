@@ -35,7 +35,7 @@ class RecordError(InputError):
 def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
     """The trace that a `record.jsonl` holds, and whether the run's end is in it; None for a file without a whole line.
 
-    The estimates at key scans are read without their landmarks, which the file does not hold. Raises RecordError for a
+    The estimates at keyframes are read without their landmarks, which the file does not hold. Raises RecordError for a
     file that cannot be read, a line that is damaged, and a record without a scan.
     """
     trace: Trace | None = None
@@ -122,7 +122,7 @@ def _take(table: Line, trace: Trace) -> bool:
 def _take_scan(table: Line, trace: Trace) -> None:
     last_key = _whole(table, "last_key", -1)
     if last_key >= len(trace.key_stamps_ns):
-        raise ValueError(f"last_key {last_key} after {len(trace.key_stamps_ns)} key scans")
+        raise ValueError(f"last_key {last_key} after {len(trace.key_stamps_ns)} keyframes")
     estimate, odometry = _array(table, "estimate", (3,)), _array(table, "odometry", (3,))
     since_key, path_length_m = _array(table, "since_key", (3,)), _number(table, "path_length_m")
     truth = _truth(table, bool(trace.stamps_ns), bool(trace.truths))
@@ -140,7 +140,7 @@ def _take_scan(table: Line, trace: Trace) -> None:
     trace.last_position = (odometry if truth is None else truth)[:2]
 
 
-def _take_key_scan(table: Line, trace: Trace) -> None:
+def _take_keyframe(table: Line, trace: Trace) -> None:
     motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
     estimate = pose_estimate(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
     sightings = dict(map(_sighting, _unpacked(table, "sightings", (-1, 10)).tolist()))
@@ -155,7 +155,7 @@ def _take_key_scan(table: Line, trace: Trace) -> None:
     )
     walls, row, totals = _unpacked(table, "walls", (-1, 2, 2)), _times(table, "ms"), _times(table, "total_ms")
     truth = _truth(table, bool(trace.key_stamps_ns), bool(trace.key_truths))
-    trace.key_stamps_ns.append(_stamp(table, "key_scan", trace.key_stamps_ns))
+    trace.key_stamps_ns.append(_stamp(table, "keyframe", trace.key_stamps_ns))
     trace.key_odometry.append(motion)
     trace.key_estimates.append(estimate)
     if truth is not None:
@@ -191,7 +191,7 @@ def _take_end(table: Line, trace: Trace) -> None:
 
 _KINDS: dict[str, Callable[[Line, Trace], None]] = {
     "scan": _take_scan,
-    "key_scan": _take_key_scan,
+    "keyframe": _take_keyframe,
     "plan": _take_plan,
     "end": _take_end,
 }

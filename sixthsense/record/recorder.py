@@ -23,13 +23,13 @@ class Recorder:
 
     def __call__(self, tick: Tick, step: Step, command: Command) -> None:
         """Record one tick."""
-        trace, key_scan = self._trace, step.key_scan
-        trace.stopwatch.end_tick(key_scan is not None)
+        trace, keyframe = self._trace, step.keyframe
+        trace.stopwatch.end_tick(keyframe is not None)
         assert trace.live is not None
         trace.live.scan = step.scan or trace.live.scan
-        if key_scan is not None:
-            trace.live.features = key_scan.features or trace.live.features
-            trace.add_key_scan(tick, key_scan)
+        if keyframe is not None:
+            trace.live.features = keyframe.features or trace.live.features
+            trace.add_keyframe(tick, keyframe)
         trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
         if tick.scan is not None or tick.sightings is not None:
             trace.add_scan(tick, step)

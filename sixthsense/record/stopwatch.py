@@ -17,11 +17,11 @@ STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan", 
 
 
 class Stopwatch:
-    """Times the stages of the loop. The processing of a key scan is the sum of its stages without sensing."""
+    """Times the stages of the loop. The processing of a keyframe is the sum of its stages without sensing."""
 
     def __init__(self) -> None:
         self.rows: list[dict[str, float]] = []
-        """per key scan, milliseconds per stage"""
+        """per keyframe, milliseconds per stage"""
         self.totals = dict.fromkeys(STAGES, 0.0)
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
@@ -40,12 +40,12 @@ class Stopwatch:
 
         return call
 
-    def end_tick(self, is_key_scan: bool) -> None:
-        """End a tick; the times of a tick with a key scan are kept as a row."""
-        if is_key_scan:
+    def end_tick(self, is_keyframe: bool) -> None:
+        """End a tick; the times of a tick with a keyframe are kept as a row."""
+        if is_keyframe:
             self.rows.append(self._row)
         self._row = {}
 
-    def key_scan_ms(self) -> Array:
-        """(K,) processing time of each key scan without sensing, milliseconds."""
+    def keyframe_ms(self) -> Array:
+        """(K,) processing time of each keyframe without sensing, milliseconds."""
         return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])

@@ -1,8 +1,8 @@
 """The record of a run, written as the run goes: `record.jsonl`, a JSON object per line.
 
-The first line describes the run: format, robot's radius and scene. Then follow, tick by tick, a line for each key scan
-(`key_scan`), plan (`plan`) and scan (`scan`), and at last one for the run's end (`end`). Every float64 is kept to the
-last bit; walls and sightings of a key scan are rows of them in base64. A killed run has no `end`, and its last line may
+The first line describes the run: format, robot's radius and scene. Then follow, tick by tick, a line for each keyframe
+(`keyframe`), plan (`plan`) and scan (`scan`), and at last one for the run's end (`end`). Every float64 is kept to the
+last bit; walls and sightings of a keyframe are rows of them in base64. A killed run has no `end`, and its last line may
 be cut.
 """
 
@@ -47,7 +47,7 @@ class RecordWriter:
         self._has_begun = False
         self._trace: Trace | None = None
         self._flushed = -math.inf  # the first tick is written at once
-        self._key_scans = self._scans = self._plans = 0
+        self._keyframes = self._scans = self._plans = 0
 
     def __enter__(self) -> RecordWriter:
         return self
@@ -74,15 +74,15 @@ class RecordWriter:
             self._flushed = time.monotonic()
 
     def add(self, trace: Trace) -> None:
-        """Write every key scan, plan and scan of the trace that has not been written yet."""
+        """Write every keyframe, plan and scan of the trace that has not been written yet."""
         lines: list[Line] = []
         if not self._has_begun:
             self._has_begun = True
             lines.append(_run_line(trace))
-        lines += [_key_scan_line(trace, k) for k in range(self._key_scans, len(trace.key_stamps_ns))]
+        lines += [_keyframe_line(trace, k) for k in range(self._keyframes, len(trace.key_stamps_ns))]
         lines += [{"plan": path.tolist()} for path in trace.plans[self._plans :]]
         lines += [_scan_line(trace, k) for k in range(self._scans, len(trace.stamps_ns))]
-        self._key_scans, self._plans, self._scans = len(trace.key_stamps_ns), len(trace.plans), len(trace.stamps_ns)
+        self._keyframes, self._plans, self._scans = len(trace.key_stamps_ns), len(trace.plans), len(trace.stamps_ns)
         self._write(lines)
 
     def end(self, trace: Trace) -> None:
@@ -153,10 +153,10 @@ def _scan_line(trace: Trace, k: int) -> Line:
     return line
 
 
-def _key_scan_line(trace: Trace, k: int) -> Line:
+def _keyframe_line(trace: Trace, k: int) -> Line:
     estimate, association, motion = trace.key_estimates[k], trace.associations[k], trace.key_odometry[k]
     line = {
-        "key_scan": trace.key_stamps_ns[k],
+        "keyframe": trace.key_stamps_ns[k],
         "motion": motion.motion.array().tolist(),
         "motion_cov": motion.cov.tolist(),
         "pose": estimate.pose.array().tolist(),

@@ -21,7 +21,7 @@ from sixthsense.slam.association.associator import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import RevisitCounts
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.slam import KeyScan, Step
+from sixthsense.slam.slam import Keyframe, Step
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import Scene
 
@@ -53,23 +53,23 @@ class Trace:
     truths: list[Array] = field(default_factory=list)
     """per scan: (3,) true pose; empty for a log"""
     last_key: list[int] = field(default_factory=list)
-    """per scan: index of the last key scan, which may be the scan itself"""
+    """per scan: index of the last keyframe, which may be the scan itself"""
     since_key: list[Array] = field(default_factory=list)
-    """per scan: (3,) odometry since that key scan"""
+    """per scan: (3,) odometry since that keyframe"""
     key_stamps_ns: list[int] = field(default_factory=list)
-    """per key scan: record time"""
+    """per keyframe: record time"""
     key_odometry: list[Odometry] = field(default_factory=list)
-    """per key scan: motion since the previous key scan"""
+    """per keyframe: motion since the previous keyframe"""
     key_estimates: list[Estimate] = field(default_factory=list)
-    """per key scan: estimate after its update"""
+    """per keyframe: estimate after its update"""
     key_truths: list[Array] = field(default_factory=list)
-    """per key scan: (3,) true pose; empty for a log"""
+    """per keyframe: (3,) true pose; empty for a log"""
     associations: list[Association] = field(default_factory=list)
-    """per key scan: matches, innovations and discarded sightings"""
+    """per keyframe: matches, innovations and discarded sightings"""
     walls_found: list[Array] = field(default_factory=list)
-    """per key scan: (W, 2, 2) extracted segments, robot's frame"""
+    """per keyframe: (W, 2, 2) extracted segments, robot's frame"""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)
-    """per key scan: stage times"""
+    """per keyframe: stage times"""
     outcome: str = ""
     """why the run ended"""
     path_length_m: float = 0.0
@@ -87,7 +87,7 @@ class Trace:
     left: list[UnseenPlace] = field(default_factory=list)
     """places that an exploration has not seen"""
     trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    """(K, 3) final pose at each key scan"""
+    """(K, 3) final pose at each keyframe"""
     final: Estimate = field(default_factory=lambda: _EMPTY_ESTIMATE)
     """estimate at the end of the run"""
     joint_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -137,17 +137,17 @@ class Trace:
         if tick.truth is not None:
             self.truths.append(tick.truth.array())
         self.last_key.append(len(self.key_stamps_ns) - 1)
-        self.since_key.append(step.since_key_scan.array())
+        self.since_key.append(step.since_keyframe.array())
 
-    def add_key_scan(self, tick: Tick, key_scan: KeyScan) -> None:
-        """Record a key scan after its update."""
-        self.key_odometry.append(key_scan.motion)
+    def add_keyframe(self, tick: Tick, keyframe: Keyframe) -> None:
+        """Record a keyframe after its update."""
+        self.key_odometry.append(keyframe.motion)
         self.key_stamps_ns.append(tick.stamp_ns)
-        self.key_estimates.append(key_scan.estimate)
+        self.key_estimates.append(keyframe.estimate)
         if tick.truth is not None:
             self.key_truths.append(tick.truth.array())
-        self.associations.append(key_scan.association)
-        self.walls_found.append(key_scan.walls_robot)
+        self.associations.append(keyframe.association)
+        self.walls_found.append(keyframe.walls_robot)
 
     def carried_scans(self) -> list[int]:
         """Indices of the scans before which the robot was carried: no path leads there."""
@@ -155,7 +155,7 @@ class Trace:
         return [self.last_key.index(k) for k in keys if k in self.last_key]
 
     def scan_poses(self) -> Array:
-        """(S, 3) final pose of every scan: that of its last key scan, composed with the odometry since then."""
+        """(S, 3) final pose of every scan: that of its last keyframe, composed with the odometry since then."""
         rows = [
             (Pose.from_array(self.trajectory[k]) @ Pose.from_array(motion)).array()
             for k, motion in zip(self.last_key, self.since_key, strict=True)

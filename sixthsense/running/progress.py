@@ -52,7 +52,7 @@ class Progress:
         """Make a bar for `total_s` seconds of the source, or without an end for None.
 
         `shown` is by default whether the output is interactive.
-        `area` is for runs whose map is read at every key scan anyway: in a replay it would be drawn for the bar alone.
+        `area` is for runs whose map is read at every keyframe anyway: in a replay it would be drawn for the bar alone.
         TQDM_DISABLE=1 in the environment hides all bars.
         """
         self._shows_area = area

@@ -75,7 +75,7 @@ def _warm_up_scans_once() -> None:
 
 
 def warm_up() -> None:
-    """Compile the hot loops, or load them compiled, so that the first key scan is as quick as the rest."""
+    """Compile the hot loops, or load them compiled, so that the first keyframe is as quick as the rest."""
     config = Config(max_time=3.0)
     scene = Scene("room", WALLS, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
     rng = np.random.default_rng(0)
@@ -114,7 +114,7 @@ def _warm_up_choice() -> None:
 
 
 def _keep_imports() -> None:
-    """What the imports left behind is there to stay: a collection that walks it takes as long as sixty key scans.
+    """What the imports left behind is there to stay: a collection that walks it takes as long as sixty keyframes.
 
     Until the process ends: OMPL's module reports what is never collected as leaked.
     """

@@ -24,11 +24,11 @@ _NO_WALLS.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)
-class KeyScan:
-    """What one key scan contributed."""
+class Keyframe:
+    """What one keyframe contributed."""
 
     motion: Odometry
-    """since the key scan before"""
+    """since the keyframe before"""
     estimate: Estimate
     """after the update"""
     association: Association
@@ -62,12 +62,12 @@ class FrontEnd(Protocol):
         ...
 
     @property
-    def since_key_scan(self) -> Pose:
-        """Motion since the last key scan."""
+    def since_keyframe(self) -> Pose:
+        """Motion since the last keyframe."""
         ...
 
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
-        """Process a tick with its de-skewed scan and the motion since the tick before; its key scan, if it is one."""
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+        """Process a tick with its de-skewed scan and the motion since the tick before; its keyframe, if it is one."""
         ...
 
     @property
@@ -78,6 +78,6 @@ class FrontEnd(Protocol):
     def finish(self) -> Array | None:
         """Predict up to the last tick.
 
-        (S, 3) motion from the last key scan to each scan, if that is known better now than when the scan was taken.
+        (S, 3) motion from the last keyframe to each scan, if that is known better now than when the scan was taken.
         """
         ...

@@ -26,7 +26,7 @@ from sixthsense.slam.scans.front_end import ScanFrontEnd
 
 
 class GuidedFrontEnd(LandmarkFrontEnd):
-    """Sightings of landmarks in the key scans of the front end of scans, which proposes where the robot is."""
+    """Sightings of landmarks in the keyframes of the front end of scans, which proposes where the robot is."""
 
     def __init__(
         self,
@@ -48,11 +48,11 @@ class GuidedFrontEnd(LandmarkFrontEnd):
         return self._guide.revisit_counts
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
-        key_scan = self._guide.take(tick, scan, increment)
-        if key_scan is None:
+        keyframe = self._guide.take(tick, scan, increment)
+        if keyframe is None:
             return None
-        self._key_scans.take()
-        return key_scan.motion
+        self._keyframes.take()
+        return keyframe.motion
 
     def _associated(self, features: Features | None, tick: Tick) -> Association:
         if features is None:

@@ -14,12 +14,12 @@ from sixthsense.slam.association.blind_zone import BlindZone
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
-from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
-from sixthsense.slam.key_scans import KeyScans
+from sixthsense.slam.front_end import Keyframe, RevisitCounts, Timed
+from sixthsense.slam.keyframes import Keyframes
 
 
 class LandmarkFrontEnd:
-    """Sightings of landmarks in key scans, which are selected by odometry."""
+    """Sightings of landmarks in keyframes, which are selected by odometry."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class LandmarkFrontEnd:
         """Begin at `start`, `T_world_robot`."""
         self._config, self._estimator, self._associator = config, estimator, associator
         self._ransac_rng, self._pose = ransac_rng, start
-        self._key_scans = KeyScans(config.keyscans)
+        self._keyframes = Keyframes(config.keyframes)
         self._blind_zone = BlindZone()
         self._vanished = Vanished(associator.records, config.grid.no_return_passes)
         self._predict = timed("predict", estimator.predict)
@@ -47,14 +47,14 @@ class LandmarkFrontEnd:
         return self._pose
 
     @property
-    def since_key_scan(self) -> Pose:
-        """Odometry since the last key scan."""
-        return self._key_scans.since.motion
+    def since_keyframe(self) -> Pose:
+        """Odometry since the last keyframe."""
+        return self._keyframes.since.motion
 
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
-        """Process a tick: on key scans, sightings are extracted, matched with landmarks and fused."""
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+        """Process a tick: on keyframes, sightings are extracted, matched with landmarks and fused."""
         if increment is not None:
-            self._key_scans.moved(increment)
+            self._keyframes.moved(increment)
             self._pose = self._pose @ increment.motion
         motion = self._motion_to(tick, scan, increment)
         if motion is None:
@@ -69,7 +69,7 @@ class LandmarkFrontEnd:
         lost = self._blind_zone.uncertainty(association)
         if lost is not None:
             self._estimator.predict(lost)
-        return KeyScan(motion, estimate, association, features)
+        return Keyframe(motion, estimate, association, features)
 
     @property
     def revisit_counts(self) -> RevisitCounts | None:
@@ -78,12 +78,12 @@ class LandmarkFrontEnd:
 
     def finish(self) -> Array | None:
         """Predict up to the last tick."""
-        self._estimator.predict(self._key_scans.take())
+        self._estimator.predict(self._keyframes.take())
         return None
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
-        """The motion since the last key scan, if this tick's evidence is used."""
-        return self._key_scans.take() if self._key_scans.due(tick) else None
+        """The motion since the last keyframe, if this tick's evidence is used."""
+        return self._keyframes.take() if self._keyframes.due(tick) else None
 
     def _extracted(self, scan: Scan) -> Features:
         return extract(scan, self._config.assumed, self._config.features, self._ransac_rng)

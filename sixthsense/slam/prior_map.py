@@ -42,7 +42,7 @@ class PriorMap:
     """side of its cells"""
 
     def fresh_records(self) -> dict[LandmarkId, Record]:
-        """Copies of the records; first and last key scan are those of the new run, 0."""
+        """Copies of the records; first and last keyframe are those of the new run, 0."""
         fresh = {i: copy.deepcopy(record) for i, record in self.records.items()}
         for record in fresh.values():
             record.first_scan = record.last_scan = 0

@@ -26,13 +26,13 @@ from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator, Record
 from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import FrontEnd, KeyScan, RevisitCounts, Timed
+from sixthsense.slam.front_end import FrontEnd, Keyframe, RevisitCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.prior_map import PriorMap, begin_with
 
-__all__ = ["KeyScan", "Slam", "SlamResult", "Step", "Timed", "untimed"]
+__all__ = ["Keyframe", "Slam", "SlamResult", "Step", "Timed", "untimed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,14 +47,14 @@ class Step:
     """`T_world_robot` by odometry alone"""
     increment: Odometry | None
     """motion since the last tick; None at the first"""
-    since_key_scan: Pose
-    """motion since the last key scan"""
+    since_keyframe: Pose
+    """motion since the last keyframe"""
     scan: Scan | None
     """de-skewed"""
-    key_scan: KeyScan | None
-    """None where the tick brought no key scan"""
+    keyframe: Keyframe | None
+    """None where the tick brought no keyframe"""
     grid: Grid
-    """the map as it is now; the next key scan changes it"""
+    """the map as it is now; the next keyframe changes it"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class SlamResult:
     joint_cov: Array
     """(3 + 2n, 3 + 2n) of pose and landmarks, world frame"""
     trajectory: Array
-    """(K, 3) final pose at each key scan"""
+    """(K, 3) final pose at each keyframe"""
     landmark_records: Mapping[LandmarkId, Record]
     """sightings, kind and extent of each landmark of the estimate"""
     culled: int
@@ -76,7 +76,7 @@ class SlamResult:
     rebuilds: int
     """times the grid was drawn again because key poses had moved"""
     since_key: Array | None = None
-    """(S, 3) motion from the last key scan to each scan, if it is known better now than when the scan was taken"""
+    """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
     revisits: RevisitCounts | None = None
     """of a front end that searches for old places"""
     wheels: WheelEstimate | None = None
@@ -149,15 +149,15 @@ class Slam:
         self._blas.restore_original_limits()
 
     def take(self, tick: Tick) -> Step:
-        """Process a tick: its odometry always, its sightings, and its scan if it is a key scan."""
+        """Process a tick: its odometry always, its sightings, and its scan if it is a keyframe."""
         increment, scan = self._fold(tick)
-        key_scan = self._front_end.take(tick, scan, self._placed(scan, increment))
-        if key_scan is not None and self._wheels is not None:
+        keyframe = self._front_end.take(tick, scan, self._placed(scan, increment))
+        if keyframe is not None and self._wheels is not None:
             found = self.wheels()
             self._wheels.wheels = self._wheels.wheels if found is None else found.values
-        if scan is not None and key_scan is not None:
-            self._map(scan, key_scan)
-        return self._step(tick, increment, scan, key_scan)
+        if scan is not None and keyframe is not None:
+            self._map(scan, keyframe)
+        return self._step(tick, increment, scan, keyframe)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -192,15 +192,15 @@ class Slam:
         return self._mapper.grid
 
     def estimate(self) -> Estimate:
-        """Pose at the last key scan (after `finish` at the last tick), its covariance, and the landmarks."""
+        """Pose at the last keyframe (after `finish` at the last tick), its covariance, and the landmarks."""
         return self.estimator.estimate()
 
     def trajectory(self) -> Array:
-        """(K, 3) pose at each key scan, as believed now."""
+        """(K, 3) pose at each keyframe, as believed now."""
         return self.estimator.trajectory()
 
     def wheels(self) -> WheelEstimate | None:
-        """The wheels' parameters at the last key scan, if they are estimated."""
+        """The wheels' parameters at the last keyframe, if they are estimated."""
         return self.estimator.wheels() if estimates_wheels(self.estimator) else None
 
     def finish(self) -> SlamResult:
@@ -230,7 +230,7 @@ class Slam:
         return tick
 
     def _fold_odometry(self, tick: Tick) -> tuple[Odometry | None, Scan | None]:
-        """The motion since the last tick, folded into that since the last key scan; the scan, de-skewed by it."""
+        """The motion since the last tick, folded into that since the last keyframe; the scan, de-skewed by it."""
         if self._result is not None:
             raise RuntimeError("found a tick after finish, allowed: a new Slam")
         increment: Odometry | None = None
@@ -279,13 +279,13 @@ class Slam:
         self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
         return WheelOdometry(self.config.assumed)
 
-    def _mapped(self, scan: Scan, key_scan: KeyScan) -> None:
-        self._mapper.add(self.trajectory, scan, key_scan.walls_robot)
+    def _mapped(self, scan: Scan, keyframe: Keyframe) -> None:
+        self._mapper.add(self.trajectory, scan, keyframe.walls_robot)
 
-    def _step(self, tick: Tick, increment: Odometry | None, scan: Scan | None, key_scan: KeyScan | None) -> Step:
+    def _step(self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry
-        since = self._front_end.since_key_scan
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, key_scan, self.grid)
+        since = self._front_end.since_keyframe
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid)
 
     def _increment(self, before: Pose, tick: Tick) -> Odometry:
         """The motion since the last tick, with the covariance that the log states or that of the assumed noise."""

@@ -96,7 +96,7 @@ def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bo
         raise ConfigError(f"{prefix}robot: found on a log that is not a MRCLAM folder, allowed: on a MRCLAM folder")
     if not graph and not mrclam:
         return
-    for name in ("laser", "keyscans", "features", "grid", *(["assumed"] if graph else [])):
+    for name in ("laser", "keyframes", "features", "grid", *(["assumed"] if graph else [])):
         for field_name in fields.get(name, {}):
             has = "contains its own noise" if name == "assumed" else "has landmarks and no scans"
             raise ConfigError(f"{prefix}{name}.{field_name}: found on a log that {has}, allowed: on a log of scans")

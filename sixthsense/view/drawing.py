@@ -92,7 +92,7 @@ class Drawing:
             self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
 
     def features(self, trace: Trace) -> None:
-        """Send the features of the last key scan and the 95 % ellipse of the pose after it."""
+        """Send the features of the last keyframe and the 95 % ellipse of the pose after it."""
         estimate, live = trace.key_estimates[-1], trace.live
         outline = ellipse(estimate.pose.position, estimate.pose_cov[:2, :2])
         self._lines("map/pose", [outline], ESTIMATE, _THICK)
@@ -103,7 +103,7 @@ class Drawing:
         self._points("map/features/points", estimate.pose @ points, WALL_FOUND, 5.0)
 
     def plots(self, trace: Trace) -> None:
-        """Send NEES, NIS and stage times of the last key scan."""
+        """Send NEES, NIS and stage times of the last keyframe."""
         estimate, association = trace.key_estimates[-1], trace.associations[-1]
         cov = estimate.pose_cov[None]
         if trace.key_truths and metrics.full_rank_from(cov) == 0:
@@ -210,7 +210,7 @@ class Drawing:
         titles = {
             "nees": "Pose NEES, 95 % band",
             "nis": "NIS per degree of freedom, 95 % band",
-            "timing": "Time of each stage of a key scan, ms",
+            "timing": "Time of each stage of a keyframe, ms",
         }
         plots = [
             rrb.TimeSeriesView(

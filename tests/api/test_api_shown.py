@@ -130,7 +130,7 @@ def test_a_figure_that_there_is_not_is_refused_in_one_line(run):
     blind = ss.Run("blind", dataclasses.replace(run.trace, scene=None, truths=[], key_truths=[]))
     with pytest.raises(ss.InputError, match="what: found 'maps', allowed: map, error, nees, nis, stages, coverage"):
         run.plot("maps")
-    with pytest.raises(ss.InputError, match="nees: found a run without the truth at key scans, allowed: a run that"):
+    with pytest.raises(ss.InputError, match="nees: found a run without the truth at keyframes, allowed: a run that"):
         blind.plot("nees")
     assert "ate_rmse_m" not in blind.metrics
 

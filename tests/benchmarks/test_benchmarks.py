@@ -261,8 +261,8 @@ def test_an_option_below_its_bound_ends_the_program_with_one_line(script, capsys
 
 
 @of("shared_evidence")
-def test_a_bin_with_few_key_scans_is_left_out_of_the_figure(script):
-    tour = np.arange(0.0, 31.5)  # 10 key scans in each of three bins, and two in the last one
+def test_a_bin_with_few_keyframes_is_left_out_of_the_figure(script):
+    tour = np.arange(0.0, 31.5)  # 10 keyframes in each of three bins, and two in the last one
     other = np.delete(tour, np.arange(11, 18))  # few in the second
     middles, rows = script.binned([tour, tour], [tour, 2.0 * tour], np.mean)
     assert middles.tolist() == [5.0, 15.0, 25.0]

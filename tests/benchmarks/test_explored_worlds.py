@@ -45,4 +45,4 @@ def test_runs_without_a_way_to_compare_with_are_left_out(script):
     assert script.over_reference(rows) == [2.0]
     assert np.isnan(script.summary([{key: 1.0 for key in (
         "nees", "outcome", "collisions", "coverage", "slow", "sim_s", "processor_s", "left_m2", "ate_m", "home_m",
-        "key_scan_ms_p99", "memory_mb")} | rows[1]])["ratio"])  # fmt: skip
+        "keyframe_ms_p99", "memory_mb")} | rows[1]])["ratio"])  # fmt: skip

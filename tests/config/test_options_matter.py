@@ -131,7 +131,7 @@ def test_a_beam_without_a_return_is_evidence_only_if_configured(passes):
     assert grid.passes.any() == passes and grid.seen.any() == passes
 
 
-def test_the_clock_of_a_key_scan_counts_its_processing_not_the_source(monkeypatch):
+def test_the_clock_of_a_keyframe_counts_its_processing_not_the_source(monkeypatch):
     config = preset("noiseless")
     world = World(ROOM, Pose(), 0.2, config, np.random.default_rng(0))
 

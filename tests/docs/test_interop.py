@@ -98,8 +98,8 @@ def map_server(file: Path) -> tuple[np.ndarray, float, list[float]]:
 def expected_counts(trace: Trace) -> dict[str, int]:
     """Messages per topic."""
     ticks = round((trace.stamps_ns[-1] - trace.stamps_ns[0]) * 1e-9 / CONFIG.robot.control_period_s) + 1
-    scans, key_scans, plans = len(trace.stamps_ns), len(trace.key_stamps_ns), len(trace.plans)
-    counts = {"/tf_static": 1, "/odom": ticks, "/truth": ticks, "/scan": scans, "/estimate": key_scans, "/plan": plans}
+    scans, keyframes, plans = len(trace.stamps_ns), len(trace.key_stamps_ns), len(trace.plans)
+    counts = {"/tf_static": 1, "/odom": ticks, "/truth": ticks, "/scan": scans, "/estimate": keyframes, "/plan": plans}
     assert min(counts.values()) > 0
     return counts
 

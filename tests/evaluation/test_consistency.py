@@ -10,7 +10,7 @@ from sixthsense.loop import run
 
 
 def pose_nees(trace):
-    """NEES of every key scan after the first few, in world coordinates."""
+    """NEES of every keyframe after the first few, in world coordinates."""
     from sixthsense.evaluation.metrics import full_rank_from, nees_world
 
     covs = np.array([e.pose_cov for e in trace.key_estimates])

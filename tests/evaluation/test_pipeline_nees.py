@@ -1,6 +1,6 @@
 """Tours in closed loop with unknown association: is the pose's covariance honest, and are the matches right?
 
-What the first scans get wrong stays in the map, and so in every pose: the key scans of a run are not independent
+What the first scans get wrong stays in the map, and so in every pose: the keyframes of a run are not independent
 samples, and no chi-square band holds for their mean. Runs are independent, so the band follows from the spread between
 runs, which was measured. It is wide for few runs; `test_power.py` has many short ones.
 """
@@ -71,7 +71,7 @@ def test_a_row_has_the_figures_of_a_run_and_is_reused(tours, pipeline, tmp_path,
         assert row["wrong"] == row["spanning"] == row["left_out"] == 0
         assert 0.0 <= row["discarded_share"] < 0.05
         assert row["sightings"] > 100
-        assert len(row["nees3"]) == row["key_scans"]
+        assert len(row["nees3"]) == row["keyframes"]
         assert json.loads(json.dumps(row)) == row
     monkeypatch.setattr(tours, "make_row", lambda config: pytest.fail("made again"))
     assert tours.rows(short, jobs=1, folder=tmp_path) == found
@@ -95,7 +95,7 @@ def test_the_mean_nees_of_errors_drawn_from_the_covariance_is_the_dimension(tour
     cov = np.array([[4.0, 1.0, 0.01], [1.0, 2.0, 0.02], [0.01, 0.02, 0.001]]) * 1e-4
     error = rng.multivariate_normal(np.zeros(3), cov, 20_000)
     truths = np.column_stack([np.full(20_000, 3.0), np.full(20_000, -2.0), np.full(20_000, 3.1)])
-    series = tours.key_scan_nees(truths + error, truths, np.broadcast_to(cov, (20_000, 3, 3)))
+    series = tours.keyframe_nees(truths + error, truths, np.broadcast_to(cov, (20_000, 3, 3)))
     for name, dof in (("nees3", 3), ("nees3_invariant", 3), ("nees_position", 2), ("nees_heading", 1)):
         assert np.mean(series[name]) == pytest.approx(dof, abs=5.0 * np.sqrt(2.0 * dof / 20_000))
 

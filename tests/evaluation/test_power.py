@@ -38,7 +38,7 @@ def tours(monkeypatch):
 
 @functools.cache
 def driven(estimator, seed):
-    """Ticks and key scans of a tour, once per process."""
+    """Ticks and keyframes of a tour, once per process."""
     script = importlib.import_module("consistency_power")
     return script.driven(script.short_tour(estimator, seed))
 

@@ -37,7 +37,7 @@ def room(rng, cov=COV, scale=1.0):
 
 
 def pairs_of(rooms, config=None):
-    """The true pairs of one associator, and an EKF that stands still, given the sightings of each key scan."""
+    """The true pairs of one associator, and an EKF that stands still, given the sightings of each keyframe."""
     estimator, associator = make_estimator("ekf", POSE, np.zeros((3, 3))), Associator(config or AssociationConfig())
     observer = InnovationObserver()
     associator.observer = observer

@@ -107,10 +107,10 @@ def test_the_stages_drawn_are_those_of_any_run_and_a_missing_one_has_no_bar(ax):
 def test_times_of_stages_are_written_without_exponents(ax):
     figures.draw_stages(ax, [{"stage_ms_mean.plan": 1234.5, "scan_ms_p50": 9.96, "scan_ms_p99": 127.0}])
     assert [text.get_text() for text in ax.texts] == ["1234"]
-    assert ax.get_legend_handles_labels()[1] == ["key scan: median 10 ms, 99 % below 127 ms"]
+    assert ax.get_legend_handles_labels()[1] == ["keyframe: median 10 ms, 99 % below 127 ms"]
 
 
-def test_a_run_without_key_scans_can_be_drawn(trace):
+def test_a_run_without_keyframes_can_be_drawn(trace):
     nothing = dataclasses.replace(trace, key_stamps_ns=[], key_estimates=[], key_truths=[], associations=[])
     for k in range(3):
         figures.draw_error(Figure().add_subplot(), nothing, k)

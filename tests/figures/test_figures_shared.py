@@ -28,7 +28,7 @@ def features(points, walls):
     return Features(np.array(walls, dtype=float).reshape(-1, 2, 2), sightings, (), ())
 
 
-def test_a_recording_keeps_a_scan_for_each_key_scan(run):
+def test_a_recording_keeps_a_scan_for_each_keyframe(run):
     assert len(run.scans) == len(run.plans) == len(run.trace.key_stamps_ns)
     np.testing.assert_array_equal(run.way(0)[-1], np.array(run.trace.estimates)[0, :2])
 

@@ -1,4 +1,4 @@
-"""The covariance of the pose that is published between key scans."""
+"""The covariance of the pose that is published between keyframes."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from sixthsense.live.publishing import pose_covariance
 from sixthsense.record.trace import Trace
 
 
-def test_the_covariance_is_that_of_the_key_scan_and_grows_until_the_next():
+def test_the_covariance_is_that_of_the_keyframe_and_grows_until_the_next():
     seen: list[tuple[bool, np.ndarray, np.ndarray]] = []
 
     def look(tick: Tick, trace: Trace) -> None:
@@ -25,5 +25,5 @@ def test_the_covariance_is_that_of_the_key_scan_and_grows_until_the_next():
         assert np.trace(cov) >= np.trace(key_cov) - 1e-9
 
 
-def test_before_the_first_key_scan_nothing_is_known():
+def test_before_the_first_keyframe_nothing_is_known():
     assert not pose_covariance(Trace(ss.preset(), None, 0.2)).any()

@@ -47,7 +47,7 @@ class Stage:
             home=START.position,
             region=(0.0, 0.0, float(walls[..., 0].max()), 3.0),
             radius_m=RADIUS,
-            sensor=SensorModel.of(self.config.laser, self.config.grid.cell_m, self.config.keyscans.turn_rad),
+            sensor=SensorModel.of(self.config.laser, self.config.grid.cell_m, self.config.keyframes.turn_rad),
             paths=PathPlanner(make_planner("astar"), self.config),
             follower=Follower(self.config.follow, self.config.robot),
             config=self.config,

@@ -219,7 +219,7 @@ def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_l
     [
         b"", b"{", b"[]", b"3", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"scan": 1}', b'{"plan": [[1]]}',
         b'{"plan": [["x", 1]]}', b'{"plan": [[1e999, 0]]}', b'{"plan": {}}', b'{"end": 3}', b'{"end": "x"}',
-        b'{"key_scan": "x"}', b'{"key_scan": 1, "motion": null}', b'{"scan": 1' + b"0" * 400 + b"}",
+        b'{"keyframe": "x"}', b'{"keyframe": 1, "motion": null}', b'{"scan": 1' + b"0" * 400 + b"}",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("number", [1, 12])

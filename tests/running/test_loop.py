@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.config import Config, KeyScanConfig, LaserConfig, merge, preset
+from sixthsense.config import Config, KeyframeConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
@@ -13,7 +13,7 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.record.trace import Trace
-from sixthsense.slam.key_scans import KeyScans
+from sixthsense.slam.keyframes import Keyframes
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import Scene, SceneError, load_scene
 from sixthsense.sources.world import World
@@ -108,7 +108,7 @@ def test_a_robot_that_grazes_no_wall_does_not_collide() -> None:
 ELSEWHERE = [
     {"features": {"lines": {"ransac_iterations": 3}}},
     {"features": {"split": {"enabled": False}, "points": {"corners": False}}},
-    {"association": {"method": "report"}, "keyscans": {"distance_m": 0.0, "turn_rad": 0.0}},
+    {"association": {"method": "report"}, "keyframes": {"distance_m": 0.0, "turn_rad": 0.0}},
     {"assumed": {"motion": {"speed": 0.5}}, "grid": {"cell_m": 0.1}, "follow": {"shortcut": False}},
 ]
 
@@ -145,8 +145,8 @@ def test_commands_beyond_the_drives_limits_are_clipped() -> None:
     assert [tick.truth for tick in fast] == [tick.truth for tick in limit]
 
 
-def taken(keys: KeyScans, steps: list[Pose]) -> list[bool]:
-    """Which of the scans after each of these increments are key scans."""
+def taken(keys: Keyframes, steps: list[Pose]) -> list[bool]:
+    """Which of the scans after each of these increments are keyframes."""
     scan = Scan.from_config(np.ones(360), LaserConfig())
     out = []
     for k, step in enumerate(steps):
@@ -157,23 +157,23 @@ def taken(keys: KeyScans, steps: list[Pose]) -> list[bool]:
     return out
 
 
-def test_at_standstill_nothing_moves_and_no_key_scan_is_taken() -> None:
+def test_at_standstill_nothing_moves_and_no_keyframe_is_taken() -> None:
     seen = ticks(world(preset()), [Command()] * 100)
     assert all(tick.truth == Pose() and tick.odometry == Pose() for tick in seen)
-    for config in (KeyScanConfig(), KeyScanConfig(distance_m=0.0, turn_rad=0.0)):
-        assert taken(KeyScans(config), [Pose()] * 20) == [True] + [False] * 19
+    for config in (KeyframeConfig(), KeyframeConfig(distance_m=0.0, turn_rad=0.0)):
+        assert taken(Keyframes(config), [Pose()] * 20) == [True] + [False] * 19
 
 
 @pytest.mark.parametrize(
     ("step", "every"), [(Pose(0.1, 0.0, 0.0), 3), (Pose(0.0, 0.0, -0.06), 3), (Pose(0.3, 0, 0), 1)]
 )
-def test_a_key_scan_comes_after_enough_motion_since_the_last(step: Pose, every: int) -> None:
-    keys = KeyScans(KeyScanConfig(distance_m=0.25, turn_rad=0.15))
+def test_a_keyframe_comes_after_enough_motion_since_the_last(step: Pose, every: int) -> None:
+    keys = Keyframes(KeyframeConfig(distance_m=0.25, turn_rad=0.15))
     assert np.flatnonzero(taken(keys, [Pose()] + [step] * 12)).tolist() == [0, *range(every, 13, every)]
 
 
-def test_the_motion_between_key_scans_is_handed_over_once() -> None:
-    keys, step = KeyScans(KeyScanConfig()), Odometry(Pose(0.1, 0.0, 0.1), np.eye(3))
+def test_the_motion_between_keyframes_is_handed_over_once() -> None:
+    keys, step = Keyframes(KeyframeConfig()), Odometry(Pose(0.1, 0.0, 0.1), np.eye(3))
     for _ in range(3):
         keys.moved(step)
     assert keys.take().motion == Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1) @ Pose(0.1, 0.0, 0.1)
@@ -187,7 +187,7 @@ def test_the_way_of_a_run_is_as_long_as_its_true_path() -> None:
     assert trace.path_length_m <= SHORT.max_time * SHORT.robot.speed * 1.1
 
 
-def test_a_scan_between_key_scans_is_placed_by_its_last_key_scan_and_the_odometry_since() -> None:
+def test_a_scan_between_keyframes_is_placed_by_its_last_keyframe_and_the_odometry_since() -> None:
     trace = run(SHORT)
     poses = trace.scan_poses()
     assert len(poses) == len(trace.stamps_ns)

@@ -110,7 +110,7 @@ def test_a_run_that_begins_with_a_map_can_be_the_map_of_the_next(first, tmp_path
 
 
 @pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
-def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_key_scan_are_consistent(first, estimator):
+def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_keyframe_are_consistent(first, estimator):
     prior, sigma, nees = read_prior_map(first), (0.25, 0.25, 0.15), []
     scene, runs = scene_of(DIVIDER), 12
     for seed in range(runs):

@@ -64,20 +64,20 @@ def test_scans_and_odometry_by_hand_give_what_ticks_give() -> None:
             else:
                 two = by_hand.scan(tick.stamp_ns, tick.scan.ranges, tick.odometry)
             assert one.pose == two.pose
-            assert (one.key_scan is None) == (two.key_scan is None)
+            assert (one.keyframe is None) == (two.keyframe is None)
         assert_same(by_tick.finish(), by_hand.finish())
 
 
-def test_the_pose_between_key_scans_is_the_estimate_and_the_odometry_since() -> None:
+def test_the_pose_between_keyframes_is_the_estimate_and_the_odometry_since() -> None:
     config = config_of("ekf")
     with Slam(config, START) as slam:
         for tick in circle_ticks(config, 4.0):
             step = slam.take(tick)
             assert slam.pose == step.pose
-            if step.key_scan is not None:
+            if step.keyframe is not None:
                 assert step.pose == slam.estimate().pose
-                assert step.since_key_scan == Pose()
-        last = Pose.from_array(slam.trajectory()[-1]) @ step.since_key_scan
+                assert step.since_keyframe == Pose()
+        last = Pose.from_array(slam.trajectory()[-1]) @ step.since_keyframe
         assert np.allclose(slam.finish().estimate.pose.array(), last.array(), atol=1e-12)
 
 

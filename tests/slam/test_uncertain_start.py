@@ -1,7 +1,7 @@
 """Runs of the whole pipeline that begin at a pose that is only roughly known.
 
 The error of the start stays in all poses, since nothing that the robot sees refers to the world. So the mean NEES over
-the key scans of a run has at most the variance of a single NEES, and the chi-square band of as many runs holds for it.
+the keyframes of a run has at most the variance of a single NEES, and the chi-square band of as many runs holds for it.
 """
 
 import dataclasses
@@ -36,7 +36,7 @@ def recorded(seed):
 
 
 def run_nees(tours, estimator, assumed_cov):
-    """NEES of the pose at the first key scan, and its mean over all key scans, (runs, 2)."""
+    """NEES of the pose at the first keyframe, and its mean over all keyframes, (runs, 2)."""
     rows = []
     for seed in TOURS:
         config, ticks = recorded(seed)
@@ -51,7 +51,7 @@ def run_nees(tours, estimator, assumed_cov):
 
 
 @pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
-def test_runs_from_starts_drawn_from_their_covariance_are_consistent_from_the_first_key_scan_on(tours, estimator):
+def test_runs_from_starts_drawn_from_their_covariance_are_consistent_from_the_first_keyframe_on(tours, estimator):
     rows = run_nees(tours, estimator, START_COV)
     low, high = nees_band(len(rows), confidence=0.999)
     first, mean = rows.mean(axis=0)

@@ -39,7 +39,7 @@ _CONFIRMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Association:
-    """The sightings of one key scan with the landmarks they are of."""
+    """The sightings of one keyframe with the landmarks they are of."""
 
     sightings: Mapping[LandmarkId, Sighting]
     """those to update with; an id that the estimator does not know is a new landmark"""
@@ -58,7 +58,7 @@ class Association:
 
 
 Observer = Callable[[Sequence[Sighting], Belief], None]
-"""Called with all sightings of a key scan and the estimator before its update; must not change either."""
+"""Called with all sightings of a keyframe and the estimator before its update; must not change either."""
 
 
 @dataclass(slots=True)
@@ -70,9 +70,9 @@ class Record:
     sightings: int
     """sightings so far, the first included"""
     first_scan: int
-    """key scan of its first sighting"""
+    """keyframe of its first sighting"""
     last_scan: int
-    """key scan of its last sighting"""
+    """keyframe of its last sighting"""
     sigma_m: float = math.inf
     """upper bound of a point's sigma along any direction, when it was last compared"""
     extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
@@ -96,7 +96,7 @@ class Associator:
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
         self.observer: Observer | None = None
-        """called before the sightings of a key scan are matched; for evaluation"""
+        """called before the sightings of a keyframe are matched; for evaluation"""
         if config.method == "chi2":
             self._match_gate = float(chi_square_quantile(config.match_probability, 2))
             self._new_gate = float(chi_square_quantile(config.new_probability, 2))

@@ -14,19 +14,19 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Association
 
 _PATIENCE = 3
-"""key scans in a row before anything is done"""
+"""keyframes in a row before anything is done"""
 _LEAST = 3
-"""discarded sightings of a key scan that say anything: with fewer, wide gates would match the next thing at hand"""
+"""discarded sightings of a keyframe that say anything: with fewer, wide gates would match the next thing at hand"""
 _SIGMAS = (0.05, 0.03)
-"""of position, m, and heading, rad, that are added first; doubled at each further key scan"""
+"""of position, m, and heading, rad, that are added first; doubled at each further keyframe"""
 _LARGEST = (1.0, 0.5)
-"""of position, m, and heading, rad, that are added at a key scan"""
+"""of position, m, and heading, rad, that are added at a keyframe"""
 
 
 class BlindZone:
-    """Counts key scans most of whose sightings are discarded, and says how uncertain the pose is then.
+    """Counts keyframes most of whose sightings are discarded, and says how uncertain the pose is then.
 
-    Key scans with too few sightings say nothing, neither that the pose is right nor that it is wrong.
+    Keyframes with too few sightings say nothing, neither that the pose is right nor that it is wrong.
     """
 
     def __init__(self) -> None:

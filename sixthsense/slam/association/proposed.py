@@ -1,6 +1,6 @@
 """Landmarks as seen from a proposed pose, to choose matches by and for nothing else.
 
-Aligned scans say where the robot is relative to its earlier key scans. Each landmark is fixed to the key scan of its
+Aligned scans say where the robot is relative to its earlier keyframes. Each landmark is fixed to the keyframe of its
 last sighting, so what is proposed places the landmarks around the robot, whatever the estimator believes of the way
 between. The robot is the origin here, since walls far from the origin have offsets that change with the heading.
 """
@@ -19,15 +19,15 @@ from sixthsense.slam.association.associator import Record
 from sixthsense.slam.estimators.base import Estimate
 
 _SIGMA_M, _SIGMA_RAD = 0.04, 0.01  # of a proposed pose, beside what the graph of scans is uncertain of
-_MOST_SIGMA_M, _MOST_SIGMA_RAD = 0.35, 0.2  # landmarks of key scans that are less certain are not matched
+_MOST_SIGMA_M, _MOST_SIGMA_RAD = 0.35, 0.2  # landmarks of keyframes that are less certain are not matched
 _GATE_SIGMA_M, _GATE_SIGMA_RAD = 0.1, 0.03  # gates count no more: a proposal that is farther off matches nothing
 
 
 class Proposal(NamedTuple):
-    """Where the robot is relative to its earlier key scans."""
+    """Where the robot is relative to its earlier keyframes."""
 
     relative: Array
-    """(K, 3) poses of the earlier key scans in the robot's frame"""
+    """(K, 3) poses of the earlier keyframes in the robot's frame"""
     sigma_m: Array
     """(K,) of their positions"""
     sigma_rad: Array
@@ -38,7 +38,7 @@ class _Last(NamedTuple):
     """A landmark as it was known at its last sighting, in the robot's frame then."""
 
     key: int
-    """key scan"""
+    """keyframe"""
     landmark: Array
     """(2,)"""
     extent: Array
@@ -94,7 +94,7 @@ class ProposedLandmarks:
         sightings: Mapping[LandmarkId, Sighting],
         records: Mapping[LandmarkId, Record],
     ) -> None:
-        """Fix the landmarks that key scan `key` has sighted to it, and give `records` their extents in the world."""
+        """Fix the landmarks that keyframe `key` has sighted to it, and give `records` their extents in the world."""
         rows = {i: row for row, i in enumerate(estimate.ids.tolist())}
         T_world_robot, T_robot_world = estimate.pose.array()[None], estimate.pose.inverse().array()[None]
         for i, sighting in sightings.items():
@@ -128,7 +128,7 @@ def moved_points(poses: Array, points: Array) -> Array:
 def _placed_covs(poses: Array, covs: Array, walls: NDArray[np.bool_], landmarks: Array, sigmas: Array) -> Array:
     """(n, 2, 2) of landmarks in the robot's frame: of their last sighting, `covs`, and of the proposal.
 
-    `poses` (n, 3) of the key scans of their last sightings, `landmarks` (n, 2) in the robot's frame, `sigmas` (n, 2) of
+    `poses` (n, 3) of the keyframes of their last sightings, `landmarks` (n, 2) in the robot's frame, `sigmas` (n, 2) of
     those poses, m and rad.
     """
     by_pose, by_z = np.zeros((len(walls), 2, 3)), np.zeros((len(walls), 2, 2))

@@ -14,9 +14,9 @@ from sixthsense.slam.association.associator import Record
 from sixthsense.slam.estimators import Estimate
 
 _GONE = 6
-"""key scans that see through a landmark, from which on it is gone"""
+"""keyframes that see through a landmark, from which on it is gone"""
 _PER_SIGHTING = 4
-"""key scans that see through it, which one sighting outweighs"""
+"""keyframes that see through it, which one sighting outweighs"""
 _BESIDE_M = 0.1
 """of a point to either side, and of a wall's ends: beams there must not tell"""
 _BEYOND_M = 0.2
@@ -33,7 +33,7 @@ _LEAST_BEAMS, _LEAST_LENGTH_M, _MOST_STOPPED = 5, 0.3, 0.1
 
 
 class Vanished:
-    """Counts key scans that see through landmarks of a prior map."""
+    """Counts keyframes that see through landmarks of a prior map."""
 
     def __init__(self, ids: Collection[LandmarkId], no_return_passes: bool) -> None:
         """Watch the landmarks `ids`; a beam without a return tells only if `no_return_passes`."""
@@ -51,7 +51,7 @@ class Vanished:
         sightings: Mapping[LandmarkId, Sighting],
         records: Mapping[LandmarkId, Record],
     ) -> list[LandmarkId]:
-        """Take a key scan with the estimate and the matches of its update; the landmarks that are gone by now."""
+        """Take a keyframe with the estimate and the matches of its update; the landmarks that are gone by now."""
         for i in set(self._through).difference(records):
             del self._through[i]  # culled or merged
         for i in set(self._through).intersection(sightings):

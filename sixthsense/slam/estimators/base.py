@@ -66,7 +66,7 @@ class Estimator(Belief, Protocol):
         ...
 
     def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
-        """Update with the sightings of one key scan."""
+        """Update with the sightings of one keyframe."""
         ...
 
     def forget(self, ids: Collection[LandmarkId]) -> None:

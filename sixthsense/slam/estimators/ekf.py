@@ -30,7 +30,7 @@ from sixthsense.slam.estimators.triangle import selected
 
 
 class EKF:
-    """EKF-SLAM with one batch update per key scan; the covariance lives in the lower triangle of one array.
+    """EKF-SLAM with one batch update per keyframe; the covariance lives in the lower triangle of one array.
 
     State: x, y, theta of the robot, the wheels' parameters if they are estimated, then two numbers for each landmark.
     Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly: a turn of

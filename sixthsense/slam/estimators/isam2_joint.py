@@ -18,7 +18,7 @@ from sixthsense.slam.estimators.isam2_solver import Solver
 
 
 class JointCovariances:
-    """Reads joint covariances, and keeps the last one: a query takes longer than all else of a key scan."""
+    """Reads joint covariances, and keeps the last one: a query takes longer than all else of a keyframe."""
 
     def __init__(self, solver: Solver, solution: Solution, head: Head) -> None:
         """Of the solver's present solution."""

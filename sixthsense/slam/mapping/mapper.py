@@ -1,4 +1,4 @@
-"""The map of the key scans at their present poses, in submaps, drawn when someone reads it."""
+"""The map of the keyframes at their present poses, in submaps, drawn when someone reads it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sixthsense.slam.mapping.submap import Submap, weakened
 from sixthsense.slam.mapping.tiles import TILE
 
 SCANS_PER_SUBMAP = 10
-"""Key scans of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
+"""Keyframes of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
 
 
 class DrawnGrid(Grid):
@@ -40,10 +40,10 @@ class DrawnGrid(Grid):
 
 
 class Mapper:
-    """Keeps key scans, and draws them into a grid when it is read.
+    """Keeps keyframes, and draws them into a grid when it is read.
 
-    A key scan that nobody looks at costs nothing. Where the grid was read since the last key scan, as a navigator
-    reads it, the next one is drawn at once. When a key scan that is drawn has moved by half a cell, its submap is drawn
+    A keyframe that nobody looks at costs nothing. Where the grid was read since the last keyframe, as a navigator
+    reads it, the next one is drawn at once. When a keyframe that is drawn has moved by half a cell, its submap is drawn
     again, and the tiles that it touches are composed of all submaps that touch them.
     """
 
@@ -83,9 +83,9 @@ class Mapper:
         self._clear()
 
     def add(self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array) -> None:
-        """Take the newest key scan, with the walls (W, 2, 2) fitted to it.
+        """Take the newest keyframe, with the walls (W, 2, 2) fitted to it.
 
-        `trajectory` returns the present estimates (K, 3) of all key scans' poses; it is called when the map is drawn.
+        `trajectory` returns the present estimates (K, 3) of all keyframes' poses; it is called when the map is drawn.
         """
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]

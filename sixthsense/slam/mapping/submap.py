@@ -1,4 +1,4 @@
-"""Submaps: the evidence of some consecutive key scans, and a grid composed of them."""
+"""Submaps: the evidence of some consecutive keyframes, and a grid composed of them."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-_BACK_STEP, _BACK_GAP = 3, 12  # key scans that are linked back, and without a link after which that ends
-_ARCS = 2  # per key scan: further links hardly make it more certain
+_BACK_STEP, _BACK_GAP = 3, 12  # keyframes that are linked back, and without a link after which that ends
+_ARCS = 2  # per keyframe: further links hardly make it more certain
 
 
 @dataclass(slots=True)
@@ -40,7 +40,7 @@ class _Group:
 
 
 class Closings:
-    """The revisits so far. Links to old key scans belong to the last revisit before them: it made their poses known."""
+    """The revisits so far. Links to old keyframes belong to the last revisit before them: it made their poses known."""
 
     def __init__(self, graph: ScanGraph, uncertainty: UncertaintyGraph) -> None:
         self._graph, self._uncertainty = graph, uncertainty
@@ -53,16 +53,16 @@ class Closings:
 
     @property
     def links(self) -> list[tuple[int, int, Array, Array]]:
-        """Links to old key scans: target, source, pose (3,) of the source in the target's frame, information (3, 3)."""
+        """Links to old keyframes: target, source, pose (3,) of the source in the target's frame, information (3, 3)."""
         return [link for group in self._groups.values() for link in group.measured]
 
     @property
     def own_keys(self) -> set[int]:
-        """Key scans of the revisits' own links."""
+        """Keyframes of the revisits' own links."""
         return {k for group in self._groups.values() for pair in group.pairs[: group.own] for k in pair}
 
     def take_out(self, keys: Collection[int]) -> None:
-        """Take in that key scans have left the graph with their links, none of which were a revisit's own."""
+        """Take in that keyframes have left the graph with their links, none of which were a revisit's own."""
         gone = set(keys)
         for group in self._groups.values():
             lost = [not gone.isdisjoint(pair) for pair in group.pairs]
@@ -72,16 +72,16 @@ class Closings:
             group.measured = list(compress(group.measured, stays))
 
     def link(self, key: int) -> None:
-        """Link a new key scan to those before it, and to old ones around those that they are linked to."""
+        """Link a new keyframe to those before it, and to old ones around those that they are linked to."""
         self._keep(*self._graph.link(key, self._graph.near_linked(key)))
 
     def link_old(self, key: int, targets: NDArray[np.int64]) -> None:
-        """Link a key scan to old ones near it."""
+        """Link a keyframe to old ones near it."""
         if len(targets):
             self._keep(*self._graph.link_old(key, targets))
 
     def link_back(self, key: int) -> None:
-        """Link the key scans before `key` to old ones around those that later ones are linked to, as far as they agree.
+        """Link the keyframes before `key` to old ones around those that later ones are linked to, as far as they agree.
 
         While it was not clear where the robot was, they were not linked.
         """

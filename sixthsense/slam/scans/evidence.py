@@ -1,6 +1,6 @@
 """What scans that are some metres apart say of a place: how much of what both could see they explain.
 
-The scans are followed back from the newest one, each aligned with old key scans from where the one before it was. What
+The scans are followed back from the newest one, each aligned with old keyframes from where the one before it was. What
 the old scans could not have seen is no evidence, and what they saw through is evidence against the place: in the score
 of a submap both look alike. Two places are compared on the scans that tell about both, since a scan of which little is
 explained at one place has little explained at all places that look alike.
@@ -25,7 +25,7 @@ from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import Returns
 
 _BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
-_PARTNERS = 2  # old key scans that each is compared with
+_PARTNERS = 2  # old keyframes that each is compared with
 _REACH_M = 4.0  # between the centres of two views
 _LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or the pair says nothing
 _LEAST_HITS = 20.0
@@ -42,7 +42,7 @@ class Evidence(NamedTuple):
     """What scans say of a place."""
 
     pose: Array
-    """(3,) of the newest key scan, world frame, aligned"""
+    """(3,) of the newest keyframe, world frame, aligned"""
     shares: Array
     """(n,) of what a scan and the old ones could both see: the part that is explained; NaN where that is too little"""
 
@@ -67,7 +67,7 @@ class Evidence(NamedTuple):
 
 
 def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
-    """Key scans that are followed back from `key`, the newest first; `travelled_m` (K,) is at each key scan."""
+    """Keyframes that are followed back from `key`, the newest first; `travelled_m` (K,) is at each keyframe."""
     steps = np.floor((travelled_m[key] - travelled_m[: key + 1]) / _EVERY_M)
     back = np.flatnonzero((np.diff(steps, append=-1.0) < 0.0) & (steps <= _BACK_M / _EVERY_M))[::-1]
     return np.asarray(back, dtype=np.int64)
@@ -76,9 +76,9 @@ def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
 def evidence_of(
     graph: ScanGraph, keys: NDArray[np.int64], places: Array, olds: Sequence[NDArray[np.int64]]
 ) -> list[Evidence]:
-    """What the key scans `keys` say of each of the places (m, 3), poses of the first one in the world frame.
+    """What the keyframes `keys` say of each of the places (m, 3), poses of the first one in the world frame.
 
-    Key scans are compared with the old ones `olds` of the place. A place that explains clearly less than another one is
+    Keyframes are compared with the old ones `olds` of the place. A place that explains clearly less than another one is
     not followed further back.
     """
     poses, at, before = graph.poses, np.array(places, dtype=np.float64), int(keys[0])
@@ -100,7 +100,7 @@ def evidence_of(
 
 
 def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], most_m: float) -> tuple[float, Array]:
-    """The share that a key scan at a pose and the old ones near it explain, and its pose as aligned with them."""
+    """The share that a keyframe at a pose and the old ones near it explain, and its pose as aligned with them."""
     poses, returns = graph.poses, graph.store.returns
     targets = old[graph.overlapping(key, at, old, _REACH_M)[:_PARTNERS]]
     if not len(targets):

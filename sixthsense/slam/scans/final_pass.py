@@ -1,4 +1,4 @@
-"""The final pass: scans between key scans are aligned once more, with the key scans where they are at the end."""
+"""The final pass: scans between keyframes are aligned once more, with the keyframes where they are at the end."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Prior, Views, refine
 
-_REACH_M, _REACH_RAD = 1.5, 1.0  # to key scans that a scan is aligned with
+_REACH_M, _REACH_RAD = 1.5, 1.0  # to keyframes that a scan is aligned with
 _MOST = 3
 
 
 class TrackedScan(NamedTuple):
-    """A scan and its place among the key scans."""
+    """A scan and its place among the keyframes."""
 
     scan: Scan | None
-    """None for a key scan"""
+    """None for a keyframe"""
     key: int
-    """the last key scan, which may be the scan itself"""
+    """the last keyframe, which may be the scan itself"""
     odometry: Odometry
     """of the robot since then"""
     motion: Pose
@@ -34,7 +34,7 @@ class TrackedScan(NamedTuple):
 
 
 def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mount) -> Array:
-    """(S, 3) motion of the robot from the last key scan to each scan; `poses` (K, 3) of key scans, `T_world_laser`."""
+    """(S, 3) motion of the robot from the last keyframe to each scan; `poses` (K, 3) of keyframes, `T_world_laser`."""
     motions = np.array([scan.motion.array() for scan in scans]).reshape(-1, 3)
     if not len(poses):
         return motions

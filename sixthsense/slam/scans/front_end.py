@@ -1,4 +1,4 @@
-"""The front end of scans: track, and on key scans update, link, revisit."""
+"""The front end of scans: track, and on keyframes update, link, revisit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
-from sixthsense.slam.front_end import KeyScan, RevisitCounts, Timed
+from sixthsense.slam.front_end import Keyframe, RevisitCounts, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
@@ -34,8 +34,8 @@ from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Prior, Tracked, Views, track
 
 _SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
-_SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a key scan's distance, and of the support below the usual, where much is new
-_RECENT, _OLD = 2, 1  # key scans that a scan is tracked against, before it and of other passes
+_SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a keyframe's distance, and of the support below the usual, where much is new
+_RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
 
 class _Last(NamedTuple):
@@ -44,13 +44,13 @@ class _Last(NamedTuple):
     pose: Array
     """(3,) `T_world_laser`"""
     odometry: Pose
-    """of the robot, since the last key scan until then"""
+    """of the robot, since the last keyframe until then"""
     motion: Pose
     """of the laser, from the scan before to this one"""
 
 
 class ScanFrontEnd:
-    """Aligns every scan with key scans, and gives the estimator links between key scans."""
+    """Aligns every scan with keyframes, and gives the estimator links between keyframes."""
 
     def __init__(self, config: Config, estimator: PoseGraphEstimator, start: Pose, timed: Timed) -> None:
         """Begin at `start`, `T_world_robot`."""
@@ -61,18 +61,18 @@ class ScanFrontEnd:
         """the search for old places, with what it has found"""
         self._mount = Mount(Pose())
         self._T_key_world = Pose()
-        """of the robot at the last key scan"""
+        """of the robot at the last keyframe"""
         self._since = STANDSTILL
-        """odometry of the robot since the last key scan"""
+        """odometry of the robot since the last keyframe"""
         self._wheels = self._wheel_estimate()
-        """at the last key scan, if the estimator has them"""
+        """at the last keyframe, if the estimator has them"""
         self._prior: Prior | None = None
         """of the last scan; None before the second"""
         self._last: _Last | None = None
         self._is_carried = False
         """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
         self._doubts_wheels = False
-        """whether scans contradicted the odometry at the last key scan"""
+        """whether scans contradicted the odometry at the last keyframe"""
         self._scans: list[TrackedScan] = []
         self._support = 0.0
         """share of returns on known lines that scans have lately had"""
@@ -88,14 +88,14 @@ class ScanFrontEnd:
         return self._pose
 
     @property
-    def since_key_scan(self) -> Pose:
-        """Motion since the last key scan, by the last scan and the odometry since."""
+    def since_keyframe(self) -> Pose:
+        """Motion since the last keyframe, by the last scan and the odometry since."""
         if not self._store.count:
             return self._since.motion
         return self._T_key_world @ self._pose
 
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> KeyScan | None:
-        """Process a tick: every scan is tracked; key scans are linked with earlier ones."""
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+        """Process a tick: every scan is tracked; keyframes are linked with earlier ones."""
         if increment is not None:
             self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
             self._pose = self._pose @ increment.motion
@@ -106,7 +106,7 @@ class ScanFrontEnd:
             self._mount = Mount(scan.T_robot_laser)
         tracked = self._track(scan)
         if not self._is_due(tracked):
-            self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_key_scan))
+            self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
             return None
         motion = self._since if tracked is None else weakened(self._since_with_errors(), tracked.slip)
         self._doubts_wheels = tracked is not None and has_slipped(tracked.slip)
@@ -115,9 +115,9 @@ class ScanFrontEnd:
         key = self._update(tracked)
         self._link(key)
         self._revisit(key)
-        estimate = self._stand_at_key_scan()
+        estimate = self._stand_at_keyframe()
         association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
-        return KeyScan(motion, estimate, association, None)
+        return Keyframe(motion, estimate, association, None)
 
     @property
     def revisit_counts(self) -> RevisitCounts | None:
@@ -125,7 +125,7 @@ class ScanFrontEnd:
         return self.revisits.counts if self._config.scans.revisits else None
 
     def finish(self) -> Array | None:
-        """Predict up to the last tick, and align the scans between key scans once more."""
+        """Predict up to the last tick, and align the scans between keyframes once more."""
         self._estimator.predict(self._since)
         if not self._config.scans.final_pass:
             return None
@@ -133,18 +133,18 @@ class ScanFrontEnd:
 
     @property
     def newest(self) -> int:
-        """Index of the newest key scan."""
+        """Index of the newest keyframe."""
         return self._store.count - 1
 
     def proposal(self) -> Proposal:
-        """Where the robot is at the newest key scan, relative to the others."""
+        """Where the robot is at the newest keyframe, relative to the others."""
         laser, graph = self._mount, self._graph
         poses = compose(graph.poses, laser.T_laser_robot.array())
         sigma_m, sigma_rad = self.revisits.sigmas(self.newest)
         return Proposal(between(poses[-1], poses), sigma_m, sigma_rad)
 
     def _tracked(self, scan: Scan) -> Tracked | None:
-        """Track a scan against recent and linked key scans; None for the first, also after the robot was carried."""
+        """Track a scan against recent and linked keyframes; None for the first, also after the robot was carried."""
         row = self._store.put(scan)
         if not self._store.count:
             return None
@@ -170,33 +170,33 @@ class ScanFrontEnd:
         return self._estimator.wheels() if estimates_wheels(self._estimator) else None
 
     def _since_with_errors(self) -> Odometry:
-        """The odometry since the last key scan, as the estimator is given it."""
+        """The odometry since the last keyframe, as the estimator is given it."""
         return with_wheel_errors(self._since) if self._wheels is None else with_unsteady_errors(self._since)
 
     def _since_of_laser(self) -> Odometry:
         return self._mount.laser_odometry(with_wheel_errors(self._since, self._wheels))
 
     def _references(self) -> NDArray[np.int64]:
-        """Key scans to track against."""
+        """Keyframes to track against."""
         newest = self._store.count
         recent = np.arange(max(self._graph.first, newest - _RECENT), newest)
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
 
     def _is_due(self, tracked: Tracked | None) -> bool:
-        """Whether the newest scan is far enough from the last key scan; half as far where it sees little of the known.
+        """Whether the newest scan is far enough from the last keyframe; half as far where it sees little of the known.
 
-        Through a door the view changes within less than a key scan's distance.
+        Through a door the view changes within less than a keyframe's distance.
         """
         if tracked is None:
             return True
-        motion, limits = self.since_key_scan, self._config.keyscans
+        motion, limits = self.since_keyframe, self._config.keyframes
         distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
         share = _SHARE_WHERE_NEW if tracked.support < self._support - _NEW else 1.0
         is_far = distance >= share * limits.distance_m or turn >= share * limits.turn_rad
         return is_far and not self._since.is_standstill()
 
     def _updated(self, tracked: Tracked | None) -> int:
-        """Keep the newest scan as key scan, and add its pose; its index."""
+        """Keep the newest scan as keyframe, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
@@ -212,8 +212,8 @@ class ScanFrontEnd:
         if self._config.scans.revisits:
             self.revisits.look(key)
 
-    def _stand_at_key_scan(self) -> Estimate:
-        """Begin anew at the key scan that was added; the estimate there."""
+    def _stand_at_keyframe(self) -> Estimate:
+        """Begin anew at the keyframe that was added; the estimate there."""
         estimate, self._wheels = self._estimator.estimate(), self._wheel_estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)

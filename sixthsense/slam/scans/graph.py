@@ -1,4 +1,4 @@
-"""The graph of key scans: their poses, and the links between them."""
+"""The graph of keyframes: their poses, and the links between them."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 
-RECENT = 4  # key scans before a key scan that it is linked to
-_OLD = 4  # most links of a key scan to old ones
-_OLD_AGE = 20  # key scans; nearer ones are of the same pass
-_LINKED_LATELY = 6  # key scans back from the newest whose old partners' neighbours are linked
-_ALONG = 8  # key scans to either side of an old partner
+RECENT = 4  # keyframes before a keyframe that it is linked to
+_OLD = 4  # most links of a keyframe to old ones
+_OLD_AGE = 20  # keyframes; nearer ones are of the same pass
+_LINKED_LATELY = 6  # keyframes back from the newest whose old partners' neighbours are linked
+_ALONG = 8  # keyframes to either side of an old partner
 _REACH_M, _REACH_RAD = 3.0, 2.0  # between the poses of linked scans: the views must overlap
 _M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are selected
 _RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
-_NEWEST, _REFRESH_PERIOD = 8, 10  # key scans whose poses are read each time, and between two times that all are
+_NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
 _JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
@@ -40,7 +40,7 @@ class OldLinks(NamedTuple):
 
 
 class ScanGraph:
-    """Key scans with their poses as the estimator has them, and the links that it was given."""
+    """Keyframes with their poses as the estimator has them, and the links that it was given."""
 
     def __init__(self, store: ScanStore, estimator: PoseGraphEstimator, sigma_m: float) -> None:
         """Begin empty; `sigma_m` is the least sigma of a return."""
@@ -48,33 +48,33 @@ class ScanGraph:
         self._sigma_m = sigma_m
         self._rows = np.zeros((64, 3))
         self._centres = np.zeros((64, 3))
-        """middle of what each key scan sees, in its frame, as poses without a turn"""
+        """middle of what each keyframe sees, in its frame, as poses without a turn"""
         self.mount = Mount(Pose())
         self.old_links: dict[int, list[int]] = {}
-        """of a key scan: the older ones of another pass that it is linked to"""
+        """of a keyframe: the older ones of another pass that it is linked to"""
         self._links = np.zeros(64, dtype=np.int64)
-        """links of each key scan to earlier ones"""
+        """links of each keyframe to earlier ones"""
         self._is_kept = np.ones(64, dtype=np.bool_)
         self.count = 0
         self.first = 0
-        """index of the first key scan since the robot was put where it is, or carried"""
+        """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
-        """number of key scans when all poses were read"""
+        """number of keyframes when all poses were read"""
         self._waiting: list[tuple[Alignments, int]] = []
-        """links to recent key scans, given together with those to old ones: each time costs the estimator a solution"""
+        """links to recent keyframes, given together with those to old ones: each time costs the estimator a solution"""
 
     @property
     def poses(self) -> Array:
-        """(K, 3) `T_world_laser` of the key scans; a view."""
+        """(K, 3) `T_world_laser` of the keyframes; a view."""
         return self._rows[: self.count]
 
     @property
     def is_kept(self) -> NDArray[np.bool_]:
-        """(K,) which key scans are in the estimator's graph; a view. The poses of others follow their neighbours'."""
+        """(K,) which keyframes are in the estimator's graph; a view. The poses of others follow their neighbours'."""
         return self._is_kept[: self.count]
 
     def add(self, pose: Array, mount: Mount) -> None:
-        """Add the newest key scan at `pose` (3,), `T_world_laser`."""
+        """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             self._links = np.concatenate([self._links, np.zeros_like(self._links)])
@@ -101,14 +101,14 @@ class ScanGraph:
             self.refresh()
 
     def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
-        """Link a new key scan to those just before it, and to old ones near it; the links to old ones."""
+        """Link a new keyframe to those just before it, and to old ones near it; the links to old ones."""
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, RECENT_GATES_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old)
 
     def link_old(self, key: int, targets: NDArray[np.int64]) -> OldLinks:
-        """Link a key scan to old ones near it, whose poses relative to it are known to some decimetres."""
+        """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres."""
         found = self._align(targets, key, NEAR_GATES_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
@@ -117,7 +117,7 @@ class ScanGraph:
         return OldLinks(self.give(rows, OLD_LOSS), rows)
 
     def _align(self, targets: NDArray[np.int64], key: int, gates_m: Array) -> Alignments:
-        """Align a key scan with others, from the present poses."""
+        """Align a keyframe with others, from the present poses."""
         starts = between(self.poses[targets], self.poses[key])
         return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gates_m)
 
@@ -138,7 +138,7 @@ class ScanGraph:
         return ids
 
     def take_out(self, keys: list[int]) -> None:
-        """Take key scans out of the estimator's graph: nothing is linked to them any more."""
+        """Take keyframes out of the estimator's graph: nothing is linked to them any more."""
         assert takes_out_poses(self.estimator)
         self.estimator.take_out(keys)
         self._is_kept[keys] = False
@@ -153,11 +153,11 @@ class ScanGraph:
                 del self.old_links[source]
 
     def near_linked(self, key: int) -> NDArray[np.int64]:
-        """Old key scans around those that the last key scans are linked to, the nearest first."""
+        """Old keyframes around those that the last keyframes are linked to, the nearest first."""
         return self._around(key, range(max(0, key - _LINKED_LATELY), key))
 
     def near_linked_later(self, key: int) -> NDArray[np.int64]:
-        """Old key scans around those that the next key scans are linked to, the nearest first."""
+        """Old keyframes around those that the next keyframes are linked to, the nearest first."""
         return self._around(key, range(key + 1, min(key + 1 + _LINKED_LATELY, self.count)))
 
     def _around(self, key: int, linked: range) -> NDArray[np.int64]:
@@ -169,7 +169,7 @@ class ScanGraph:
         return self.nearest(key, candidates[self.is_kept[candidates]])
 
     def nearest(self, key: int, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Those of the candidates whose views overlap that of a key scan most, by their poses."""
+        """Those of the candidates whose views overlap that of a keyframe most, by their poses."""
         off = between(self.poses[key], self.poses[candidates])
         distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
         near = np.flatnonzero((distance < _REACH_M) & (turn < _REACH_RAD))
@@ -177,7 +177,7 @@ class ScanGraph:
         return candidates[near[order][:_OLD]]
 
     def overlapping(self, key: int, pose: Array, candidates: NDArray[np.int64], reach_m: float) -> NDArray[np.int64]:
-        """Rows of `candidates` whose views overlap that of key scan `key` if it is at `pose` (3,), the most first.
+        """Rows of `candidates` whose views overlap that of keyframe `key` if it is at `pose` (3,), the most first.
 
         What counts is the distance between the centres of what the scans see: a laser that looks forward sees from
         either end of a corridor what is between. The pose and those in `poses` are of one frame.
@@ -190,7 +190,7 @@ class ScanGraph:
         return np.asarray(order[distance[order] < reach_m])
 
     def linked_old(self, key: int) -> NDArray[np.int64]:
-        """Old key scans that a key scan is linked to."""
+        """Old keyframes that a keyframe is linked to."""
         return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
 
     def covariances(self, rows: list[tuple[Alignments, int]]) -> Array:

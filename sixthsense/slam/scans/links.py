@@ -1,4 +1,4 @@
-"""Links: relative poses of two key scans by alignment both ways, with the covariance that the scans support."""
+"""Links: relative poses of two keyframes by alignment both ways, with the covariance that the scans support."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ _UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say 
 
 @dataclass(frozen=True, slots=True)
 class Alignments:
-    """Aligned pairs of key scans; arrays of m rows."""
+    """Aligned pairs of keyframes; arrays of m rows."""
 
     targets: NDArray[np.int64]
     sources: NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""What the odometry since the last key scan says, with errors of wheels that its noise does not state."""
+"""What the odometry since the last keyframe says, with errors of wheels that its noise does not state."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def weakened(odometry: Odometry, slip: float) -> Odometry:
 
 
 def prior_of(key_pose: Array, odometry: Odometry) -> Prior:
-    """The prior of a pose, from that of the last key scan (3,), world frame, and the odometry since then."""
+    """The prior of a pose, from that of the last keyframe (3,), world frame, and the odometry since then."""
     pose = Pose.from_array(key_pose)
     return Prior((pose @ odometry.motion).array(), informations_in_world(key_pose[None], odometry.cov[None])[0])
 

@@ -1,4 +1,4 @@
-"""Search of a key scan's place in submaps of earlier passes."""
+"""Search of a keyframe's place in submaps of earlier passes."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the esti
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
 _LEAST_SCORE, _WORTH = 0.4, 0.7  # of a place that is compared, and as a share of the best one
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
-_BACK_M = 16.0  # travel beyond the submap whose old key scans are compared
+_BACK_M = 16.0  # travel beyond the submap whose old keyframes are compared
 _APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
 
 
 class Hypothesis(NamedTuple):
-    """The best pose of the newest key scan among old submaps."""
+    """The best pose of the newest keyframe among old submaps."""
 
     pose: Array
-    """(3,) of the key scan, world frame"""
+    """(3,) of the keyframe, world frame"""
     old: NDArray[np.int64]
-    """key scans of its pass around it"""
+    """keyframes of its pass around it"""
     score: float
     is_ambiguous: bool
     """whether another place is nearly as good"""
@@ -51,7 +51,7 @@ class _Submap(NamedTuple):
 class _Candidate(NamedTuple):
     submap: _Submap
     pose: Array
-    """(3,) of the newest key scan, world frame"""
+    """(3,) of the newest keyframe, world frame"""
     score: float
 
 
@@ -63,7 +63,7 @@ class PlaceSearch:
         self._submaps: dict[int, _Submap] = {}
 
     def forget(self) -> None:
-        """Draw submaps anew: the key scans have moved."""
+        """Draw submaps anew: the keyframes have moved."""
         self._submaps.clear()
 
     def best(
@@ -75,9 +75,9 @@ class PlaceSearch:
         travelled_m: Array,
         expected: Sequence[Array],
     ) -> Hypothesis | None:
-        """The best pose of key scan `key` among the uncertain key scans `old`; None if none is good enough.
+        """The best pose of keyframe `key` among the uncertain keyframes `old`; None if none is good enough.
 
-        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all key scans, and `expected` are poses (3,) that the graph
+        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all keyframes, and `expected` are poses (3,) that the graph
         and earlier hypotheses say.
         """
         anchors = self._anchors(key, old, sigma_m, travelled_m)
@@ -104,14 +104,14 @@ class PlaceSearch:
     def _look(
         self, key: int, anchor: int, past: int, sigmas: tuple[Array, Array], travelled_m: Array
     ) -> tuple[_Submap, Window]:
-        """The submap around an anchor, and where in it the key scan may be; `sigmas` are of position and heading."""
+        """The submap around an anchor, and where in it the keyframe may be; `sigmas` are of position and heading."""
         half_m = min(_SIGMAS * float(sigmas[0][anchor]) + _MARGIN_M, self._config.search_radius_m)
         half_rad = min(_SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
         window = Window(between(self._graph.poses[anchor], self._graph.poses[key]), half_m, half_rad)
         return self._submap(anchor, travelled_m, past), window
 
     def _anchors(self, key: int, old: NDArray[np.int64], sigma_m: Array, travelled_m: Array) -> list[int]:
-        """Anchors of old submaps that the key scan may be in, the likeliest first."""
+        """Anchors of old submaps that the keyframe may be in, the likeliest first."""
         number = np.floor(travelled_m / _ANCHORS_APART_M)
         firsts = np.flatnonzero(np.diff(number, prepend=-1.0) > 0)
         anchors = firsts[np.isin(firsts, old)]
@@ -128,7 +128,7 @@ class PlaceSearch:
         return chosen
 
     def _recent_points(self, key: int, travelled_m: Array) -> Array:
-        """(N, 2) points of the last key scans, in the frame of the newest."""
+        """(N, 2) points of the last keyframes, in the frame of the newest."""
         keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - _RECENT_M)
         poses = self._graph.poses
         points = submap_points(self._graph.store.returns, keys, poses, poses[key], _RECENT_VOXEL_M)
@@ -137,7 +137,7 @@ class PlaceSearch:
         return points
 
     def _submap(self, anchor: int, travelled_m: Array, past: int) -> _Submap:
-        """The submap around an anchor, of one pass, without key scans from `past` on."""
+        """The submap around an anchor, of one pass, without keyframes from `past` on."""
         if (known := self._submaps.get(anchor)) is not None:
             return known
         keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)

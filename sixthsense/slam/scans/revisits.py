@@ -1,10 +1,10 @@
 """Revisits: old places that the robot is at again.
 
-How uncertain an old key scan is relative to the newest one, along the graph, decides what is done. One that is certain
+How uncertain an old keyframe is relative to the newest one, along the graph, decides what is done. One that is certain
 is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
 alike. One is believed if the scans of the last metres say clearly more for it than for any other, if pairs of scans
 align at it and agree, and if another vote some metres later, by other scans, says the same. Until then the robot drives
-on, and afterwards the key scans since are linked, too.
+on, and afterwards the keyframes since are linked, too.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from sixthsense.slam.scans.verification import verified
 _PERIOD_M = 0.6  # of travel between two looks for revisits
 _AMBIGUOUS_M = 1.5  # of travel before the next search where places look alike: there is little new before that
 _M_PER_RAD = 0.3  # what a turn counts as travel
-_OLD_AGE = 25  # key scans; nearer ones are of the same pass
-_CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a key scan is linked without a search
-_DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked key scans adds, per square root of travel in m
+_OLD_AGE = 25  # keyframes; nearer ones are of the same pass
+_CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
+_DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
 _WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
 _VOTE_APART_M, _VOTE_LASTS_M = 1.5, 10.0  # travel between two votes that count both, and after which one is dropped
@@ -49,13 +49,13 @@ class _Vote(NamedTuple):
 
     key: int
     pose: Array
-    """(3,) of the key scan, world frame"""
+    """(3,) of the keyframe, world frame"""
     travelled_m: float
     links: list[tuple[Alignments, int]]
 
 
 class Revisits:
-    """Finds old places, and links key scans to them."""
+    """Finds old places, and links keyframes to them."""
 
     def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
         self._config, self._graph = config, graph
@@ -65,7 +65,7 @@ class Revisits:
         self._search = PlaceSearch(config, graph)
         self._votes: list[_Vote] = []
         self._travelled = np.zeros(64)
-        """(K,) m, at each key scan"""
+        """(K,) m, at each keyframe"""
         self._looked_m = self._search_from_m = 0.0
         self._refused = 0
         """places that looked right, and were refused"""
@@ -77,11 +77,11 @@ class Revisits:
         return RevisitCounts(self.closings.accepted - undone, self._refused, undone)
 
     def sigmas(self, key: int) -> tuple[Array, Array]:
-        """(K,) sigmas of position, m, and heading, rad, of all key scans relative to `key`; infinite if unconnected."""
+        """(K,) sigmas of position, m, and heading, rad, of all keyframes relative to `key`; infinite if unconnected."""
         return self._uncertainty.sigmas(key, self._graph.poses)
 
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
-        """Add a key scan after the first; `odometry_information` (3, 3) is the prior's, world axes."""
+        """Add a keyframe after the first; `odometry_information` (3, 3) is the prior's, world axes."""
         if key == len(self._travelled):
             self._travelled = np.concatenate([self._travelled, np.zeros_like(self._travelled)])
         if tracked is None:
@@ -104,12 +104,12 @@ class Revisits:
         self._uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def _carried(self, key: int, cov: Array) -> None:
-        """Add a key scan that was not tracked; `cov` (3, 3) is of the motion to it."""
+        """Add a keyframe that was not tracked; `cov` (3, 3) is of the motion to it."""
         self._travelled[key] = self._travelled[key - 1] + _APART_M
         self._uncertainty.add(key - 1, key, float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2]))
 
     def look(self, key: int) -> None:
-        """From time to time, link the newest key scan to old ones around it, and look for a revisit."""
+        """From time to time, link the newest keyframe to old ones around it, and look for a revisit."""
         if self._travelled[key] - self._looked_m >= _PERIOD_M:
             self._looked_m = float(self._travelled[key])
             self._look_around(key)
@@ -163,15 +163,15 @@ class Revisits:
         return True
 
     def _lasting(self, key: int) -> list[_Vote]:
-        """Votes that still count at a key scan."""
+        """Votes that still count at a keyframe."""
         return [vote for vote in self._votes if self._travelled[key] - vote.travelled_m < _VOTE_LASTS_M]
 
     def _said(self, vote: _Vote, key: int) -> Array:
-        """What a vote says of the pose (3,) of a later key scan."""
+        """What a vote says of the pose (3,) of a later keyframe."""
         return compose(vote.pose, between(self._graph.poses[vote.key], self._graph.poses[key]))
 
     def _agree(self, one: _Vote, newest: _Vote) -> bool:
-        """Whether two votes say the same of the newest key scan's pose."""
+        """Whether two votes say the same of the newest keyframe's pose."""
         off, apart = between(self._said(one, newest.key), newest.pose), newest.travelled_m - one.travelled_m
         near = math.hypot(off[0], off[1]) < _VOTE_M + _VOTE_M_PER_M * apart
         return near and abs(off[2]) < _VOTE_RAD + _VOTE_RAD_PER_M * apart

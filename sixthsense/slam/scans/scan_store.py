@@ -24,7 +24,7 @@ class Returns(NamedTuple):
 
 
 class ScanStore:
-    """Key scans, one row each; the row after the last one holds the newest scan until it is kept or replaced."""
+    """Keyframes, one row each; the row after the last one holds the newest scan until it is kept or replaced."""
 
     def __init__(self, max_range_m: float) -> None:
         """Begin empty; returns beyond `max_range_m` are not used."""

@@ -1,4 +1,4 @@
-"""Submaps: the points of consecutive key scans in the frame of one of them, and pyramids of cells to search in."""
+"""Submaps: the points of consecutive keyframes in the frame of one of them, and pyramids of cells to search in."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Pyramid(NamedTuple):
 
 
 def submap_points(returns: Returns, keys: NDArray[np.int64], poses: Array, frame: Array, voxel_m: float) -> Array:
-    """(N, 2) points of key scans in `frame` (3,), one per voxel; `poses` (K, 3) are those of all key scans."""
+    """(N, 2) points of keyframes in `frame` (3,), one per voxel; `poses` (K, 3) are those of all keyframes."""
     seen = between(frame, poses[keys])
     return _gathered(returns, keys, seen, voxel_m)
 

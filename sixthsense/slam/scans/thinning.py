@@ -1,8 +1,8 @@
-"""Thinning: where enough key scans show a place from much the same pose, later ones leave the graph.
+"""Thinning: where enough keyframes show a place from much the same pose, later ones leave the graph.
 
-A robot that comes back to the same rooms all day adds key scans for ever, and says nothing new by them. Keeping the
+A robot that comes back to the same rooms all day adds keyframes for ever, and says nothing new by them. Keeping the
 poses that are there already, once a place is known, is the reduced pose graph of Johannsson, Kaess, Fallon and Leonard,
-ICRA 2013. A key scan leaves some time after it was made. Its links are lost, so that nothing is counted twice.
+ICRA 2013. A keyframe leaves some time after it was made. Its links are lost, so that nothing is counted twice.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import RECENT, ScanGraph
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
-_AGE = 20  # key scans; those of the present place stay, and the newest cost the estimator least
-_BATCH = 10  # key scans that leave together: each time costs the estimator a solution
+_AGE = 20  # keyframes; those of the present place stay, and the newest cost the estimator least
+_BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
 _NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
-_ENOUGH = 8  # such key scans
-_LEAST_OLD_LINKS = 2  # of a key scan whose place is known
+_ENOUGH = 8  # such keyframes
+_LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
 
 
 class Thinning:
-    """Which key scans leave the graph."""
+    """Which keyframes leave the graph."""
 
     def __init__(self, graph: ScanGraph, closings: Closings, uncertainty: UncertaintyGraph) -> None:
         self._graph, self._closings, self._uncertainty = graph, closings, uncertainty
         self._next = 1
-        """the first key scan that was not judged yet"""
+        """the first keyframe that was not judged yet"""
         self._spare: list[int] = []
-        """key scans that will leave with the next ones"""
+        """keyframes that will leave with the next ones"""
 
     def look(self, key: int) -> None:
-        """Judge key scans that are old enough at the newest one, `key`."""
+        """Judge keyframes that are old enough at the newest one, `key`."""
         for k in range(self._next, key - _AGE + 1):
             if self._is_spare(k):
                 self._spare.append(k)
@@ -44,7 +44,7 @@ class Thinning:
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:
-        """Whether a key scan and those that are linked to it are known by old ones, of which there are enough."""
+        """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough."""
         old_links, graph = self._graph.old_links, self._graph
         if any(len(old_links.get(j, ())) < _LEAST_OLD_LINKS for j in range(k, k + RECENT + 1)):
             return False

@@ -1,4 +1,4 @@
-"""Tracking: the pose of a scan among key scans near it, with the odometry as a prior that can lose."""
+"""Tracking: the pose of a scan among keyframes near it, with the odometry as a prior that can lose."""
 
 from __future__ import annotations
 
@@ -60,26 +60,26 @@ class Prior(NamedTuple):
 
 
 class Views(NamedTuple):
-    """A scan and the key scans that it is aligned with."""
+    """A scan and the keyframes that it is aligned with."""
 
     returns: Returns
     source: int
     """row of the scan"""
     references: NDArray[np.int64]
-    """(R,) rows of the key scans"""
+    """(R,) rows of the keyframes"""
     poses: Array
-    """(n, 3) of key scans, `T_world_laser`"""
+    """(n, 3) of keyframes, `T_world_laser`"""
 
 
 class Tracked(NamedTuple):
-    """A scan's pose among key scans."""
+    """A scan's pose among keyframes."""
 
     pose: Array
     """(3,) `T_world_laser`"""
     information: Array
     """(3, 3) of the error of (x, y, theta), world axes: by the scans alone, without what normals' noise feigns"""
     support: float
-    """share of the returns that lie on lines of one key scan"""
+    """share of the returns that lie on lines of one keyframe"""
     slip: float
     """squared Mahalanobis distance of the odometry from the pose"""
     off: Array
@@ -91,7 +91,7 @@ class Tracked(NamedTuple):
 
 
 def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
-    """The pose of a scan among key scans.
+    """The pose of a scan among keyframes.
 
     `starts` (n, 3) are poses to begin at, the first by odometry since the scan before. `usual` is the support that
     scans have lately had. Where fewer returns find a line, wheels may have slipped: the other starts are tried, with
@@ -146,9 +146,9 @@ def _solved(views: Views, prior: Prior, start: Array, gates_m: Array) -> Tracked
 
 @numba.njit(cache=True, error_model="numpy")
 def share_on_lines(returns: Returns, source: int, references: NDArray[np.int64], poses: Array, pose: Array) -> float:
-    """Share of the returns of `source`, at `pose` (3,), that lie on a line of any of the key scans `references` (R,).
+    """Share of the returns of `source`, at `pose` (3,), that lie on a line of any of the keyframes `references` (R,).
 
-    The support counts one key scan at a time, and so less where each of them has seen another part.
+    The support counts one keyframe at a time, and so less where each of them has seen another part.
     """
     points, bearings = returns.points, returns.bearings
     total, count = 0.0, 0
@@ -200,7 +200,7 @@ def _iterate(
             gx, gy = sums[GRADIENT], sums[GRADIENT + 1]
             gradient += np.array([c * gx - s * gy, s * gx + c * gy, sums[GRADIENT + 2]])
             most = max(most, sums[WEIGHT])
-        # Key scans see the same surfaces: together they count as one.
+        # Keyframes see the same surfaces: together they count as one.
         scale = 1.0 / (_SIGMA_M * _SIGMA_M * max(1, len(references)))
         off = pose - prior.pose
         off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,4 +1,4 @@
-"""How uncertain key scans are relative to one of them, along the graph of links (Dijkstra)."""
+"""How uncertain keyframes are relative to one of them, along the graph of links (Dijkstra)."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 
-_CHAIN = -2  # the group of arcs between consecutive key scans
+_CHAIN = -2  # the group of arcs between consecutive keyframes
 
 
 class UncertaintyGraph:
-    """Arcs between key scans with the variances of their relative poses."""
+    """Arcs between keyframes with the variances of their relative poses."""
 
     def __init__(self) -> None:
         self._ends = np.zeros((128, 2), dtype=np.int64)
@@ -22,14 +22,14 @@ class UncertaintyGraph:
         self._group = np.zeros(128, dtype=np.int64)
         self._count = 0
         self._stand_ins: dict[int, int] = {}
-        """of a key scan that was taken out: the one before it"""
+        """of a keyframe that was taken out: the one before it"""
 
     def add(
         self, before: int, after: int, position_m2: float, heading_rad2: float, group: int = _CHAIN, bias_m: float = 0.0
     ) -> None:
         """Add an arc with the variances of position and heading; arcs of a `group` can be removed together.
 
-        Without a group it belongs to the chain from each key scan to the next.
+        Without a group it belongs to the chain from each keyframe to the next.
 
         `bias_m` is a sigma of position that all arcs have in common: on a path these add up, not their squares.
         """
@@ -52,7 +52,7 @@ class UncertaintyGraph:
         self._count = len(kept)
 
     def take_out(self, keys: Sequence[int]) -> None:
-        """Take key scans out, ascending: their arcs of the chain are joined, and others lost.
+        """Take keyframes out, ascending: their arcs of the chain are joined, and others lost.
 
         What was known of one is from then on what is known of the one before it.
         """
@@ -68,7 +68,7 @@ class UncertaintyGraph:
         self._keep(np.flatnonzero(~is_lost))
 
     def sigmas(self, source: int, poses: Array) -> tuple[Array, Array]:
-        """(K,) sigmas of position, m, and of heading, rad, relative to key scan `source`; infinite where unconnected.
+        """(K,) sigmas of position, m, and of heading, rad, relative to keyframe `source`; infinite where unconnected.
 
         `poses` (K, 3). An arc's variance of heading counts with a third of the squared distance from the source, as
         that of a random walk of the heading over that distance does.
@@ -88,7 +88,7 @@ class UncertaintyGraph:
 def _spread(source: int, first: NDArray[np.int64], heads: NDArray[np.int64], variances: Array, poses: Array) -> Array:
     """(K, 2) variances of position and heading on the path of least variance of position; Dijkstra with a heap.
 
-    `first` (K + 1,) are the rows in `heads` and `variances` (m, 3) of each key scan's arcs.
+    `first` (K + 1,) are the rows in `heads` and `variances` (m, 3) of each keyframe's arcs.
     """
     n, m = len(poses), len(heads)
     # Variance of position, of heading, the position's own part, the largest distance on the path, and the bias.

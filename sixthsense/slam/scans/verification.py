@@ -13,7 +13,7 @@ from sixthsense.slam.scans.links import WIDE_GATES_M, Alignments, align_pairs
 from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between, compose
 
-_PARTNERS = 3  # old key scans that each recent one is aligned with
+_PARTNERS = 3  # old keyframes that each recent one is aligned with
 _REACH_M = 4.0  # between the centres of two views
 _LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
 _AGREEMENT = 0.75  # least share of hits among hits and views through
@@ -24,13 +24,13 @@ class Verified(NamedTuple):
     """A place that pairs of scans agree about."""
 
     pose: Array
-    """(3,) of the newest key scan, world frame"""
+    """(3,) of the newest keyframe, world frame"""
     links: list[tuple[Alignments, int]]
     """the alignments and their good rows"""
 
 
 def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
-    """Align the key scans `recent`, moved with `key` to the hypothesis, with those of its submap.
+    """Align the keyframes `recent`, moved with `key` to the hypothesis, with those of its submap.
 
     None if too few pairs align, or if they do not agree.
     """
@@ -57,7 +57,7 @@ def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypot
 def _pairs(
     graph: ScanGraph, old: NDArray[np.int64], recent: NDArray[np.int64], moved: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent key scan is used."""
+    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent keyframe is used."""
     targets, sources, starts = [], [], []
     for k in range(len(recent) - 1, -1, -2):
         for q in graph.overlapping(int(recent[k]), moved[k], old, _REACH_M)[:_PARTNERS]:

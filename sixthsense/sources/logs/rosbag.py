@@ -41,7 +41,7 @@ class BagLog(Log):
     plan_stamps_ns: tuple[int, ...] = ()
     """Record time of each plan."""
     estimates: tuple[tuple[int, Pose, Array], ...] = ()
-    """Record time, pose and its covariance (3, 3) at each key scan; only in the bag of a run."""
+    """Record time, pose and its covariance (3, 3) at each keyframe; only in the bag of a run."""
     cut_short: bool = False
     """Whether the bag is incomplete because its writer was stopped."""
 

@@ -60,7 +60,7 @@ def test_the_covariance_is_that_of_the_sighting_and_of_the_pose_it_was_made_from
         assert np.allclose(np.cov(drawn.T), block, rtol=0.06, atol=2e-6)
 
 
-def test_a_landmark_of_an_uncertain_key_scan_is_not_placed() -> None:
+def test_a_landmark_of_an_uncertain_keyframe_is_not_placed() -> None:
     proposed, kept = ProposedLandmarks(), records()
     proposed.remember(0, known(HERE), SIGHTINGS, kept)
     proposed.place(proposal(Pose(), sigma_m=2.0), known(HERE), kept)

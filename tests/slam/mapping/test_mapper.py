@@ -1,4 +1,4 @@
-"""The grid follows the smoothed poses of its key scans."""
+"""The grid follows the smoothed poses of its keyframes."""
 
 import numpy as np
 import pytest

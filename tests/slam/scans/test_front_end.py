@@ -22,14 +22,14 @@ from sixthsense.slam.slam import Slam
 
 
 def run(config, poses, walls, **wheels):
-    """The finished Slam, its result, the steps' poses, and the number of key scans at each step."""
+    """The finished Slam, its result, the steps' poses, and the number of keyframes at each step."""
     slam, causal = Slam(config, poses[0]), []
     last_key: list[int] = []
     with slam:
         for tick in ticks(poses, walls, **wheels):
             step = slam.take(tick)
             causal.append(step.pose.array())
-            last_key.append((last_key[-1] if last_key else -1) + (step.key_scan is not None))
+            last_key.append((last_key[-1] if last_key else -1) + (step.keyframe is not None))
         return slam, slam.finish(), np.array(causal), np.array(last_key)
 
 
@@ -112,14 +112,14 @@ def test_in_a_corridor_someone_who_walks_ahead_does_not_hold_the_robot_back(widt
 @pytest.mark.parametrize(
     ("moved_m", "support", "is_due"), [(0.15, 0.55, False), (0.15, 0.45, True), (0.1, 0.45, False), (0.26, 0.55, True)]
 )
-def test_key_scans_are_nearer_to_each_other_where_a_scan_sees_little_of_the_known(moved_m, support, is_due):
+def test_keyframes_are_nearer_to_each_other_where_a_scan_sees_little_of_the_known(moved_m, support, is_due):
     moved = Odometry(Pose(x=moved_m), 1e-4 * np.eye(3))
-    front_end = SimpleNamespace(since_key_scan=moved.motion, _since=moved, _config=CONFIG, _support=0.6)
+    front_end = SimpleNamespace(since_keyframe=moved.motion, _since=moved, _config=CONFIG, _support=0.6)
     tracked = Tracked(np.zeros(3), np.eye(3), support, 0.0, np.zeros(3))
     assert ScanFrontEnd._is_due(front_end, tracked) == is_due
 
 
-def test_the_share_on_lines_is_what_one_key_scan_explains_and_grows_with_another():
+def test_the_share_on_lines_is_what_one_keyframe_explains_and_grows_with_another():
     poses = [Pose(-0.4, 0.3, 0.2), Pose(-3.0, -2.0, 0.4), Pose(-1.5, -0.4, 0.45)]
     returns = stored(*(scan_at(pose, rng=np.random.default_rng(2)) for pose in poses)).returns
     rows = np.array([pose.array() for pose in poses])

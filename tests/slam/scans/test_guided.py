@@ -31,8 +31,8 @@ def errors(config: Config) -> Array:
     with Slam(config, POSES[0]) as slam:
         for tick in slipping():
             step = slam.take(tick)
-            keys += step.key_scan is not None
-            since.append((keys, step.since_key_scan))
+            keys += step.keyframe is not None
+            since.append((keys, step.since_keyframe))
         result = slam.finish()
     poses = np.array([(Pose.from_array(result.trajectory[k]) @ motion).array() for k, motion in since])
     return np.asarray(np.hypot(*(poses - TRUTH)[:, :2].T))
@@ -42,7 +42,7 @@ def errors(config: Config) -> Array:
 def test_landmarks_survive_a_slip_where_aligned_scans_propose_the_pose(estimator: str) -> None:
     config = merge(CONFIG, {"estimator": estimator})
     found = errors(config)
-    found[SLIP_AT : SLIP_AT + 3] = 0.0  # until the next key scan the odometry is all that is known
+    found[SLIP_AT : SLIP_AT + 3] = 0.0  # until the next keyframe the odometry is all that is known
     assert found.max() < 0.2 and np.sqrt(np.mean(found**2)) < 0.07
     assert errors(merge(config, {"association": {"proposed_by": "estimate"}})).max() > 1.0
 

@@ -32,7 +32,7 @@ def corridor(length=24.0, width=2.2, deep=0.2):
 
 
 def graph_of(poses, walls, laser):
-    """A graph whose key scans are scans from these poses."""
+    """A graph whose keyframes are scans from these poses."""
     rng = np.random.default_rng(0)
     graph = ScanGraph(stored(*(scan_at(pose, walls, laser, rng=rng) for pose in poses)), None, 0.01)
     for pose in poses:
@@ -169,7 +169,7 @@ def test_in_a_corridor_of_equal_doors_no_wrong_door_is_taken_and_the_scans_are_l
     slam, truths = Slam(preset("log"), poses[0]), []
     with slam:
         for pose, tick in zip(poses, ticks(poses, walls, scale=1.02, drift=0.009, laser=laser), strict=True):
-            if slam.take(tick).key_scan is not None:
+            if slam.take(tick).keyframe is not None:
                 truths.append(pose.array())
     links, truths = slam._front_end.revisits.closings.links, np.array(truths)
     wrong = [np.hypot(*(between(truths[i], truths[j]) - found)[:2]) for i, j, found, _ in links]

@@ -157,5 +157,5 @@ def test_a_place_that_an_earlier_hypothesis_said_needs_less_evidence(monkeypatch
     found = search._judged(79, np.arange(50), [place_search._Candidate(submap, place, 0.8)], travelled, expected)
     assert (found is not None) == is_found
     if found is not None:
-        # Not only the key scans of the submap: those further along the same pass may see more of the same.
+        # Not only the keyframes of the submap: those further along the same pass may see more of the same.
         assert not found.is_ambiguous and found.old.min() == 0 and found.old.max() == 40

@@ -1,4 +1,4 @@
-"""Key scans of places that are known well leave the graph."""
+"""Keyframes of places that are known well leave the graph."""
 
 import itertools
 
@@ -23,7 +23,7 @@ def laps(count, seed=0):
     with Slam(CONFIG, poses[0]) as slam:
         graph = slam._front_end._graph
         for k, tick in enumerate(ticks(poses, ROOM, seed=seed)):
-            if slam.take(tick).key_scan is not None:
+            if slam.take(tick).keyframe is not None:
                 truth.append(poses[k].array())
             if (k + 1) % (len(poses) // count) == 0:
                 sizes.append(int(graph.is_kept.sum()))
@@ -49,8 +49,8 @@ def test_what_is_seen_a_few_times_stays():
     assert slam._front_end._graph.is_kept.all()
 
 
-def test_new_territory_stays_bound_to_the_key_scans_before_it():
-    """A key scan leaves only if those that are linked to it are known by old ones."""
+def test_new_territory_stays_bound_to_the_keyframes_before_it():
+    """A keyframe leaves only if those that are linked to it are known by old ones."""
     thinning = laps(3)[0]._front_end.revisits._thinning
     graph = thinning._graph
     key = graph.count - 30
@@ -65,7 +65,7 @@ def test_new_territory_stays_bound_to_the_key_scans_before_it():
     assert thinning._is_spare(key)
 
 
-def test_uncertainty_along_a_chain_does_not_change_when_key_scans_leave():
+def test_uncertainty_along_a_chain_does_not_change_when_keyframes_leave():
     whole, less = UncertaintyGraph(), UncertaintyGraph()
     poses = np.column_stack([np.arange(30.0), np.zeros(30), np.zeros(30)])
     for graph, k in itertools.product((whole, less), range(29)):
@@ -75,7 +75,7 @@ def test_uncertainty_along_a_chain_does_not_change_when_key_scans_leave():
     less.take_out([10, 11, 12, 15])
     less.take_out([16])
     (a, b), (c, d) = whole.sigmas(29, poses), less.sigmas(29, poses)
-    # The heading counts by the farthest key scan on the path, which is an end of it here.
+    # The heading counts by the farthest keyframe on the path, which is an end of it here.
     kept = np.setdiff1d(np.arange(17, 30), [10])
     assert np.allclose(a[kept], c[kept]) and np.allclose(b[kept], d[kept])
     assert c[15] == c[14] and c[16] == c[14] and c[10] == c[9] and c[12] == c[9]

@@ -1,22 +1,22 @@
-"""Selection of key scans, and the odometry between them."""
+"""Selection of keyframes, and the odometry between them."""
 
 from __future__ import annotations
 
 import math
 
-from sixthsense.config import KeyScanConfig
+from sixthsense.config import KeyframeConfig
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
 
 
-class KeyScans:
+class Keyframes:
     """Selects the first scan and those after enough motion since the last one, and folds the odometry between."""
 
-    def __init__(self, config: KeyScanConfig) -> None:
+    def __init__(self, config: KeyframeConfig) -> None:
         self._config = config
         self._is_first = True
         self.since = STANDSTILL
-        """motion since the last key scan"""
+        """motion since the last keyframe"""
 
     def moved(self, increment: Odometry) -> None:
         """Add the motion of a tick."""
@@ -32,6 +32,6 @@ class KeyScans:
         return self._is_first or (far and (distance > 0.0 or turn > 0.0))
 
     def take(self) -> Odometry:
-        """The motion since the last key scan; the sum starts again from zero."""
+        """The motion since the last keyframe; the sum starts again from zero."""
         motion, self.since, self._is_first = self.since, STANDSTILL, False
         return motion
