@@ -2,9 +2,9 @@
 
 A true landmark is an end, a corner or a crossing of walls. It is visible in a scan if it lies within the laser's field
 of view and within 3 m, where beams one degree apart are 5 cm apart, and if the ray from the laser's true pose to it is
-free. A sighting is false if it lies farther than 0.15 m from every true landmark, visible or not. A visible landmark is
-missed if no sighting lies within 0.15 m of it. Both are counted on the scans of the baseline's runs, one scan per
-second, placed at their true poses, so that every switch of the extraction is measured on the same scans.
+free. An observation is false if it lies farther than 0.15 m from every true landmark, visible or not. A visible
+landmark is missed if no observation lies within 0.15 m of it. Both are counted on the scans of the baseline's runs, one
+scan per second, placed at their true poses, so that every switch of the extraction is measured on the same scans.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _EXTRACTION = (BASELINE, "iep_off", "least_squares_off")
 COLUMNS = (
     ("false / scan", "false_per_scan"),
     ("missed / scan", "missed_per_scan"),
-    ("error mm", "sighting_rmse_mm"),
+    ("error mm", "observation_rmse_mm"),
     ("walls' mm", "wall_rmse_mm"),
     ("ATE m, median", "ate_rmse_m_median"),
     ("max", "ate_rmse_m_max"),
@@ -111,7 +111,7 @@ def detection_figures(views: Sequence[View], walls: Array, config: Config) -> Fi
     off_walls: list[float] = []
     for view in views:
         features = extract(view.scan, config.assumed, config.features, rng)
-        points = view.truth @ np.array([s.z for s in features.sightings]).reshape(-1, 2)
+        points = view.truth @ np.array([s.z for s in features.observations]).reshape(-1, 2)
         ends = view.truth @ features.walls.reshape(-1, 2)
         off_walls += [float(point_segment_distance(end, walls).min()) for end in ends]
         nearest = _distances(points, landmarks).min(axis=1, initial=math.inf)
@@ -122,7 +122,7 @@ def detection_figures(views: Sequence[View], walls: Array, config: Config) -> Fi
         "false_per_scan": false / len(views),
         "missed_per_scan": missed / len(views),
         "visible_per_scan": sum(len(view.visible) for view in views) / len(views),
-        "sighting_rmse_mm": 1e3 * math.sqrt(sum(squared) / len(squared)) if squared else 0.0,
+        "observation_rmse_mm": 1e3 * math.sqrt(sum(squared) / len(squared)) if squared else 0.0,
         "wall_rmse_mm": 1e3 * math.sqrt(float(np.mean(np.square(off_walls)))) if off_walls else 0.0,
     }
 
@@ -211,7 +211,7 @@ CLAIMS = (
         "least_squares_off",
         "least squares makes detection more stable",
         lambda off, on: off["wall_rmse_mm"] > 1.1 * on["wall_rmse_mm"],
-        ("wall_rmse_mm", "sighting_rmse_mm", "ate_rmse_m_median"),
+        ("wall_rmse_mm", "observation_rmse_mm", "ate_rmse_m_median"),
     ),
     Claim(
         "culling_off",

@@ -1,8 +1,8 @@
 """Which wrong covariances can a set of short tours show? Paired runs of the whole pipeline, sabotaged and not.
 
 Each tour begins at a place of the scene's tour, at a heading drawn from the seed, and is driven in closed loop. Its
-ticks are kept, and replayed through `Slam` with one covariance scaled: that of every sighting, or that of the odometry.
-A run gives three statistics:
+ticks are kept, and replayed through `Slam` with one covariance scaled: that of every observation, or that of the
+odometry. A run gives three statistics:
 
 nees        pose NEES after the update (3 is consistent), mean over the keyframes
 nis         NIS of all matches before the update, per degree of freedom (1)
@@ -50,8 +50,8 @@ EXPECTED = {"nees": 3.0, "nis": 1.0, "increment": 3.0}
 """of each statistic, for a consistent estimator"""
 
 SABOTAGES: dict[str, tuple[str, float]] = {
-    "sightings x 0.7": ("sightings", 0.7),
-    "sightings x 1.5": ("sightings", 1.5),
+    "observations x 0.7": ("observations", 0.7),
+    "observations x 1.5": ("observations", 1.5),
     "odometry x 0.5": ("odometry", 0.5),
 }
 """whose covariance, and its factor"""
@@ -126,18 +126,18 @@ def replayed(
 
 
 def scaled(what: str, factor: float) -> AbstractContextManager[object]:
-    """A context in which `Slam` scales the covariance of all "sightings", or that of the "odometry", by `factor`."""
-    if what == "sightings":
+    """A context in which `Slam` scales the covariance of all "observations", or that of the "odometry", by `factor`."""
+    if what == "observations":
         return mock.patch.object(
-            landmark_front_end, "extract", partial(_scaled_sightings, landmark_front_end.extract, factor)
+            landmark_front_end, "extract", partial(_scaled_observations, landmark_front_end.extract, factor)
         )
     return mock.patch.object(pipeline, "odometry", partial(_scaled_odometry, pipeline.odometry, factor))
 
 
-def _scaled_sightings(extract: Callable[..., Features], factor: float, scan: Scan, *rest: object) -> Features:
+def _scaled_observations(extract: Callable[..., Features], factor: float, scan: Scan, *rest: object) -> Features:
     features = extract(scan, *rest)
-    sightings = tuple(dataclasses.replace(s, cov=factor * s.cov) for s in features.sightings)
-    return dataclasses.replace(features, sightings=sightings)
+    observations = tuple(dataclasses.replace(s, cov=factor * s.cov) for s in features.observations)
+    return dataclasses.replace(features, observations=observations)
 
 
 def _scaled_odometry(odometry: Callable[..., Odometry], factor: float, *arguments_: object) -> Odometry:

@@ -10,7 +10,7 @@ from harness import Figures, alternate, arguments, print_figures, single_threade
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -22,14 +22,14 @@ NOISE_M = 0.02
 MOTION = Pose(0.1, 0.0, 0.01)
 ODOMETRY = Odometry(MOTION, 1e-5 * np.eye(3))
 
-Sightings = dict[int, Sighting]
+Observations = dict[int, Observation]
 
 
-def sight(ids: NDArray[np.int64], landmarks: Array, truth: Pose, rng: np.random.Generator) -> Sightings:
-    """Noisy sightings of some of the landmarks (n, 2)."""
+def sight(ids: NDArray[np.int64], landmarks: Array, truth: Pose, rng: np.random.Generator) -> Observations:
+    """Noisy observations of some of the landmarks (n, 2)."""
     exact, _, _ = predict_points(truth, landmarks[ids])
     noisy = exact + rng.normal(0.0, NOISE_M, exact.shape)
-    return {int(i): Sighting(Kind.CORNER, z, NOISE_M**2 * np.eye(2)) for i, z in zip(ids, noisy, strict=True)}
+    return {int(i): Observation(Kind.CORNER, z, NOISE_M**2 * np.eye(2)) for i, z in zip(ids, noisy, strict=True)}
 
 
 def update_figures(n: int, repeats: int, seen: int = SEEN) -> Figures:
@@ -50,11 +50,11 @@ def update_figures(n: int, repeats: int, seen: int = SEEN) -> Figures:
         scans.append(sight(rng.choice(n, seen, replace=False), landmarks, truth, rng))
     whole = np.asfortranarray(rng.normal(size=(3 + 2 * n, 3 + 2 * n)))
 
-    def update(sightings: Sightings) -> None:
+    def update(observations: Observations) -> None:
         ekf.predict(ODOMETRY)
-        ekf.update(sightings)
+        ekf.update(observations)
 
-    def one_pass(_: Sightings) -> None:
+    def one_pass(_: Observations) -> None:
         nonlocal whole
         whole *= 1.0000001
 
@@ -88,7 +88,7 @@ def save_figure(file: Path, figures: Figures, sizes: tuple[int, ...] = SIZES) ->
     ax = figure.add_subplot()
     update = [figures[f"n{n}_m{SEEN}_ms"] for n in sizes]
     one_pass = [figures[f"n{n}_m{SEEN}_pass_ms"] for n in sizes]
-    ax.loglog(sizes, update, "o-", label=f"predict and update with {SEEN} sightings")
+    ax.loglog(sizes, update, "o-", label=f"predict and update with {SEEN} observations")
     ax.loglog(sizes, one_pass, "s--", label="one pass over the covariance")
     ax.set_xticks(sizes, [f"{n}" for n in sizes])
     ax.minorticks_off()

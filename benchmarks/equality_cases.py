@@ -63,7 +63,7 @@ def cut_intel(log: Path, folder: Path) -> Path:
 
 
 def cut_victoria(log: Path, folder: Path) -> Path:
-    """The graph up to its first poses with a sighting."""
+    """The graph up to its first poses with an observation."""
     lines: list[bytes] = []
     seen: set[bytes] = set()
     for line in log.read_bytes().splitlines(keepends=True):

@@ -95,7 +95,7 @@ def tour_figures(setting: tuple[str, ...], seed: int) -> Figures:
         "nees": nees_of(row),
         "landmark_nees": metrics["landmark_nees_mean"],
         "nis": row["nis"] / max(row["nis_dof"], 1),
-        "wrong_per_1000": 1e3 * row["wrong"] / max(row["sightings"], 1),
+        "wrong_per_1000": 1e3 * row["wrong"] / max(row["observations"], 1),
         "discarded_share": row["discarded_share"],
         "ate_m": row["ate_rmse_m"],
     }

@@ -1,7 +1,7 @@
 """MRCLAM set 6, robot 3, known landmarks: every estimator against Vicon, on the same measurements.
 
 The position RMSE is per axis, sqrt(mean(ex^2 + ey^2) / 2), of the causal estimate at every record of the log. NEES (3
-if consistent) and NIS per degree of freedom (1) are taken at the steps with a sighting.
+if consistent) and NIS per degree of freedom (1) are taken at the steps with an observation.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PUBLISHED = (("published, standard, mean of 5 robots", 0.111), ("published, inva
 
 COLUMNS = (
     ("per axis m", "position_rmse_per_axis_m", ".3f"),
-    ("at sightings", "position_rmse_per_axis_at_sightings_m", ".3f"),
+    ("at observations", "position_rmse_per_axis_at_observations_m", ".3f"),
     ("smoothed", "position_rmse_per_axis_smoothed_m", ".3f"),
     ("heading deg", "heading_rmse_deg", ".2f"),
     ("NEES", "nees3", ".2f"),
@@ -55,7 +55,7 @@ def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
     causal = np.array([estimate.pose.array() for estimate in trace.key_estimates])
     figures = {
         "position_rmse_per_axis_m": per_axis_rmse(np.array(trace.estimates), truth),
-        "position_rmse_per_axis_at_sightings_m": per_axis_rmse(causal, key_truth),
+        "position_rmse_per_axis_at_observations_m": per_axis_rmse(causal, key_truth),
         "position_rmse_per_axis_smoothed_m": per_axis_rmse(trace.trajectory, key_truth),
         "heading_rmse_deg": math.degrees(heading_rmse(np.array(trace.estimates), truth)),
         "nees3": metrics["pose_nees_world_mean"],

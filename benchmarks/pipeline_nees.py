@@ -5,10 +5,10 @@ consistent): at every keyframe after its update, from the first full-rank covari
 a run, then the mean over runs. `nees_position` (2) and `nees_heading` (1) are computed in the same way. `share_in_band`
 is the share of keyframes, by their number in the run, at which the mean over runs lies in the 95 % band for that number
 of runs; successive keyframes are correlated. `nees3_spread` is the standard deviation over runs of their means. A wrong
-match is of another wall or point than the landmark, by the walls
-that the sighting's returns hit (`sixthsense.evaluation.matches`). A spanning sighting is fitted to several walls. An
-unexplained one is of nothing in the scene. Left out are those whose fit does not distinguish the walls concerned.
-`discarded_share` is the share of all sightings that the gates dropped.
+match is of another wall or point than the landmark, by the walls that the observation's returns hit
+(`sixthsense.evaluation.matches`). A spanning observation is fitted to several walls. An unexplained one is of nothing
+in the scene. Left out are those whose fit does not distinguish the walls concerned. `discarded_share` is the share of
+all observations that the gates dropped.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def pipeline_figures(found: Sequence[Row]) -> Figures:
     figures["nees3_spread"] = float(np.std([nees_of(row) for row in found], ddof=1)) if len(found) > 1 else 0.0
     figures["nis_per_dof"] = _ratio(found, "nis", "nis_dof")
     for name in MATCHES:
-        figures[f"{name}_per_1000"] = 1e3 * _ratio(found, name, "sightings")
+        figures[f"{name}_per_1000"] = 1e3 * _ratio(found, name, "observations")
     figures["discarded_share"] = float(np.mean([row["discarded_share"] for row in found]))
     ate = [row["ate_rmse_m"] for row in found]
     figures |= {"ate_median_m": float(np.median(ate)), "ate_max_m": float(np.max(ate))}

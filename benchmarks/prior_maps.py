@@ -114,8 +114,8 @@ def judged(trace: Trace) -> dict[str, Any]:
     scene = trace.scene
     assert scene is not None
     known, laser = true_identities(scene.walls), TrueLaser(trace.config.laser, trace.config.assumed.laser)
-    sightings = [association.sightings for association in trace.associations]
-    identities = landmark_identities(sightings, np.array(trace.key_truths), known, laser)
+    observations = [association.observations for association in trace.associations]
+    identities = landmark_identities(observations, np.array(trace.key_truths), known, laser)
     rows = [k for k, i in enumerate(trace.final.ids.tolist()) if i in identities]
     truth = np.array([known.landmark(identities[i]) for i in trace.final.ids[rows].tolist()])
     walls = trace.final.walls[rows]

@@ -18,7 +18,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import true_landmarks
 from sixthsense.figures import Recording, draw_truth, features_of, legend, new_axes, plot, record, window
-from sixthsense.figures.plot import ESTIMATE, LANDMARK, PLAN, SIGHTING, WALL
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, OBSERVATION, PLAN, WALL
 from sixthsense.navigation.planners.shortcut import shortcut
 from sixthsense.running.warmup import warm_up
 from sixthsense.slam.features import Features
@@ -211,7 +211,7 @@ def moments() -> Any:
         if run.plans[k]:
             fig.draw_path(ax, run.trace.plans[run.plans[k] - 1])
         ax.plot(*run.way(k).T, color=ESTIMATE, linewidth=1.4, zorder=6, label="estimated path")
-        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.2, "zorder": 7}
+        style = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 1.2, "zorder": 7}
         ax.scatter(landmarks[:, 0], landmarks[:, 1], s=22.0, label="landmarks in the state", **style)
         fig.draw_robot(ax, run.pose(k), run.trace.radius_m)
         ax.set_title(f"{run.time_s(k):.1f} s")
@@ -252,7 +252,7 @@ def culling() -> Any:
     ):
         landmarks = run.trace.key_estimates[k].landmarks
         draw_truth(ax, run.scene, near=bad.position, reach_m=2.5)
-        ax.scatter(landmarks[:, 0], landmarks[:, 1], s=60.0, facecolors="none", edgecolors=SIGHTING, linewidths=1.8,
+        ax.scatter(landmarks[:, 0], landmarks[:, 1], s=60.0, facecolors="none", edgecolors=OBSERVATION, linewidths=1.8,
                    label="landmarks in the state", zorder=6)  # fmt: skip
         true = true_landmarks(run.scene.walls)
         ax.scatter(true[:, 0], true[:, 1], s=30.0, marker="+", color=WALL, label="true corners and ends", zorder=7)

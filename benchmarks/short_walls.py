@@ -18,7 +18,7 @@ from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.short_walls import drive_past_short_walls
 
 WAYS = ((30.0, 0.005), (30.0, 0.03), (100.0, 0.005), (100.0, 0.03))
-"""length, metres, and sigma of the direction of a sighting, rad"""
+"""length, metres, and sigma of the direction of an observation, rad"""
 
 
 def figures_of(name: str, way_m: float, direction_rad: float, runs: int) -> Figures:

@@ -75,9 +75,9 @@ def judged_matches(trace: Trace) -> Row:
     assert trace.scene is not None
     laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
     scene, truths = true_identities(trace.scene.walls), np.array(trace.key_truths)
-    matches = judge_matches([a.sightings for a in trace.associations], truths, scene, laser)
+    matches = judge_matches([a.observations for a in trace.associations], truths, scene, laser)
     row: Row = {"nis": sum(a.nis for a in trace.associations), "nis_dof": sum(a.dof for a in trace.associations)}
-    row |= {"sightings": matches.sightings, "discarded_share": discarded_share(trace.associations)}
+    row |= {"observations": matches.observations, "discarded_share": discarded_share(trace.associations)}
     return row | {name: len(getattr(matches, name)) for name in MATCHES}
 
 

@@ -1,8 +1,8 @@
 """Victoria Park with known landmarks: the estimator `isam2` against direct calls of GTSAM's ISAM2.
 
-The log comes with GTSAM: 6,969 poses and 3,640 sightings of 151 trees. As in a replay, a step is a pose with a
-sighting, and odometry between two steps is composed into one motion. Both sides have the same factors, noise, initial
-values and parameters.
+The log comes with GTSAM: 6,969 poses and 3,640 observations of 151 trees. As in a replay, a step is a pose with an
+observation, and odometry between two steps is composed into one motion. Both sides have the same factors, noise,
+initial values and parameters.
 
 Timed for the estimator: `predict`, `update` and `estimate`, which returns the pose, its covariance and all landmarks.
 Timed for the direct calls (`by_hand`): construction of the factors, `ISAM2.update`, and reading the same three results
@@ -26,7 +26,7 @@ from harness import Figures, arguments, check_at_least, machine, print_table, si
 
 from sixthsense.config import ISAM2Config, preset
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.figures.plot import CYCLE, ODOMETRY, new_figure, save
 from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
@@ -41,11 +41,11 @@ FLOOR = 1e-6  # m, rad; sigma that isam2 adds to every motion, so that an exact 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A pose with a sighting, as objects of this package and as numbers for GTSAM."""
+    """A pose with an observation, as objects of this package and as numbers for GTSAM."""
 
     odometry: Odometry
     """motion since the previous step"""
-    sightings: Mapping[LandmarkId, Sighting]
+    observations: Mapping[LandmarkId, Observation]
     motion: tuple[float, float, float]
     motion_cov: Array
     """(3, 3), in the frame of the robot after the motion"""
@@ -60,11 +60,11 @@ def steps_of(log: Log) -> list[Step]:
         if tick.increment_cov is not None:
             since = since.then(Odometry(before.inverse() @ tick.odometry, tick.increment_cov))
         before = tick.odometry
-        if tick.sightings:
+        if tick.observations:
             cov = since.cov_after() + FLOOR**2 * np.eye(3)
-            seen = tuple((i, *sighting.bearing_range()) for i, sighting in tick.sightings.items())
+            seen = tuple((i, *observation.bearing_range()) for i, observation in tick.observations.items())
             motion = (since.motion.x, since.motion.y, since.motion.theta)
-            steps.append(Step(since, tick.sightings, motion, cov, seen))
+            steps.append(Step(since, tick.observations, motion, cov, seen))
             since = STANDSTILL
     return steps
 
@@ -124,7 +124,7 @@ def estimator_step(estimator: Estimator) -> Callable[[Step], object]:
 
     def step(step: Step) -> object:
         estimator.predict(step.odometry)
-        estimator.update(step.sightings)
+        estimator.update(step.observations)
         return estimator.estimate()
 
     return step

@@ -34,7 +34,7 @@ def tour_figures(found: Sequence[Row]) -> Figures:
         "ate_max_m": float(np.max(ate)),
         "nees3": float(np.mean(nees)),
         "nees3_max": float(np.max(nees)),
-        "wrong_per_1000": 1e3 * sum(row["wrong"] for row in found) / max(sum(row["sightings"] for row in found), 1),
+        "wrong_per_1000": 1e3 * sum(row["wrong"] for row in found) / max(sum(row["observations"] for row in found), 1),
     }
 
 

@@ -183,12 +183,12 @@ def make_row(config: Config) -> Row:
 def world_figures(found: Sequence[Row]) -> Figures:
     """Figures of the runs of one family, or of one map, with one estimator."""
     nees = np.array([nees_of(row) for row in found])
-    sightings = max(sum(row["sightings"] for row in found), 1)
+    observations = max(sum(row["observations"] for row in found), 1)
     steps = over_runs(found, "nees3")
     figures: Figures = {"runs": len(found), "nees3": float(nees.mean())}
     figures["nees3_se"] = float(nees.std(ddof=1) / math.sqrt(len(nees))) if len(nees) > 1 else math.nan
     figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
-    figures |= {f"{name}_per_1000": 1e3 * sum(row[name] for row in found) / sightings for name in MATCHES}
+    figures |= {f"{name}_per_1000": 1e3 * sum(row[name] for row in found) / observations for name in MATCHES}
     for name in ("discarded_share", "sigma_m", "sigma_rad"):
         figures[name] = float(np.mean([row[name] for row in found]))
     errors = [row["ate_rmse_m"] for row in found]

@@ -25,7 +25,7 @@ from .slam.prior_map import PriorMap as PriorMap
 from .core.geometry import Pose as Pose
 from .slam.mapping.grid import Grid as Grid
 from .core.landmarks import Kind as Kind
-from .core.landmarks import Sighting as Sighting
+from .core.landmarks import Observation as Observation
 from .core.laser import Scan as Scan
 from .core.ray_casting import cast_rays as cast_rays
 from .sources.logs import open_log as open_log

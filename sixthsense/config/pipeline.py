@@ -117,26 +117,26 @@ class AlignConfig(Section):
     """Alignment of a scan's walls with the map's before matching: only the choice of matches depends on it."""
 
     enabled: bool = True
-    """Off: landmarks near the predicted sightings are compared, however wrong the predicted pose may be."""
+    """Off: landmarks near the predicted observations are compared, however wrong the predicted pose may be."""
     steps: PositiveCount = 6
     """Robust Gauss-Newton steps."""
     headings_rad: tuple[Positive, Positive] = (0.12, 0.25)
     """Offsets of further initial headings, to either side, when the predicted heading leaves much unexplained."""
     reach_m: Positive = 0.6
-    """Largest offset between a sighted wall and the known wall it is aligned with."""
+    """Largest offset between an observed wall and the known wall it is aligned with."""
     reach_rad: Positive = 0.2
     """The same for the angle between them."""
     scale_m: Positive = 0.05
     """Scale of the robust loss, m of offset."""
     enough: Probability = 0.6
-    """No other heading is tried when this share of the sighted walls' length lies on known ones."""
+    """No other heading is tried when this share of the observed walls' length lies on known ones."""
     margin: Probability = 0.15
     """Another heading must explain this much more of it."""
 
 
 @dataclass(frozen=True)
 class AssociationConfig(Section):
-    """Which sighting is of which landmark (report section 4.3)."""
+    """Which observation is of which landmark (report section 4.3)."""
 
     method: Literal["chi2", "report"] = "chi2"
     """chi2: gates by probability; report: squared Mahalanobis thresholds."""
@@ -151,11 +151,11 @@ class AssociationConfig(Section):
     wall_gap_m: NonNegative = 0.05
     """Collinear walls may be one landmark if the gap between their seen extents is at most this."""
     pre_gate_m: Positive = 1.5
-    """Only landmarks this near a sighting are compared with it."""
+    """Only landmarks this near an observation are compared with it."""
     new_separation_m: NonNegative = 0.3
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
-    """A named sighting outside this quantile of its innovation's distribution is a misread name; 1: never."""
+    """A named observation outside this quantile of its innovation's distribution is a misread name; 1: never."""
     assignment: Literal["agreeing", "optimal", "joint"] = "agreeing"
     """optimal: the likeliest one-to-one matches; agreeing: those of them that all others agree with; joint: the most
     jointly compatible ones (Neira and Tardos 2001)."""
@@ -169,7 +169,7 @@ class AssociationConfig(Section):
     cull_period: PositiveCount = 25
     """Keyframes between two checks."""
     cull_below: Count = 3
-    """A landmark with fewer sightings than this, a period after its first one, is removed."""
+    """A landmark with fewer observations than this, a period after its first one, is removed."""
     align: AlignConfig = field(default_factory=AlignConfig)
 
 
@@ -190,7 +190,7 @@ class ISAM2Config(Section):
     undo_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.999999
     """A match is rejected later if its residual lies outside this quantile of its noise; 1: never."""
     least_gain: NonNegative = 0.02
-    """A key pose is taken out of the graph whose sightings say less than this of each landmark, nats; 0: none is."""
+    """A key pose is taken out of the graph whose observations say less than this of each landmark, nats; 0: none is."""
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ class AssumedConfig(Section):
     drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven; corrected before use."""
     landmark_floor_m: Noise = 0.0
-    """Sigma added to every sighting, for the deviation of real walls from straight lines."""
+    """Sigma added to every observation, for the deviation of real walls from straight lines."""
     wall_floor_rad: Noise = 0.0
     """The same for the direction of a wall."""
     floor_m: Noise = 1e-4

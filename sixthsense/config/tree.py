@@ -36,8 +36,8 @@ class Config(Section):
     """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf or isam2. The first three are filters that stay consistent when
     the robot turns, ekf is the report's filter, isam2 a smoother."""
     front_end: Literal["landmarks", "scans"] = "landmarks"
-    """What the estimator is given: landmarks or scans. landmarks: sightings of walls and points; scans: relative poses
-    of aligned scans, for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an
+    """What the estimator is given: landmarks or scans. landmarks: observations of walls and points; scans: relative
+    poses of aligned scans, for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an
     estimator is named."""
     calibrate_wheels: bool = False
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their

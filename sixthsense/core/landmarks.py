@@ -1,4 +1,4 @@
-"""Landmarks and their sightings: parameters, predicted sightings and initialization, with Jacobians."""
+"""Landmarks and their observations: parameters, predicted observations and initialization, with Jacobians."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class WallShape(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class Observation:
     """One landmark as one scan saw it."""
 
     kind: Kind
@@ -54,8 +54,8 @@ class Sighting:
     extent: tuple[float, float] = (0.0, 0.0)
     """of a wall: first and last place that was seen, m along (-sin alpha, cos alpha) from the robot"""
     bearings: Array = field(default_factory=lambda: _NO_BEARINGS, repr=False, compare=False)
-    """(B,) rad in the laser's frame, not wrapped, of the returns that the sighting was fitted to; empty where they are
-    not known; for evaluation only, not recorded"""
+    """(B,) rad in the laser's frame, not wrapped, of the returns that the observation was fitted to; empty where they
+    are not known; for evaluation only, not recorded"""
     shape: WallShape = field(default=WallShape(), repr=False, compare=False)
     """of a wall; not recorded"""
 
@@ -65,7 +65,7 @@ class Sighting:
         return self.kind == Kind.WALL
 
     def bearing_range(self) -> tuple[float, float, Array]:
-        """The same sighting of a point in polar coordinates: bearing (rad), range (m) and their covariance (2, 2).
+        """The same observation of a point in polar coordinates: bearing (rad), range (m) and their covariance (2, 2).
 
         The mean of a range exceeds the range of the mean by sigma_t^2 / 2 r for an error sigma_t across the beam. This
         bias is removed (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993, to second order), as is the bias of the bearing
@@ -82,21 +82,23 @@ class Sighting:
         return bearing + mixed / arm**2, max(r - 0.5 * across / arm, 0.5 * arm), cov
 
 
-def polar_sighting(distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0) -> Sighting:
-    """A sighting from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
+def polar_observation(
+    distance: float, bearing: float, variances: tuple[float, float], floor_m: float = 0.0
+) -> Observation:
+    """An observation from range (m) and bearing (rad) with `variances` in that order, m^2 and rad^2.
 
     A bearing error biases the mean of the point towards the sensor by the factor exp(-variance / 2); this bias is
-    removed (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Sighting.bearing_range` is the inverse.
+    removed (Lerro and Bar-Shalom, IEEE TAES 29(3), 1993). `Observation.bearing_range` is the inverse.
     """
     reach = distance * math.exp(0.5 * variances[1])
     turn = rotation(bearing)
     cov = turn @ np.diag([variances[0], distance**2 * variances[1]]) @ turn.T
     z = reach * turn[:, 0]
-    return Sighting(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
+    return Observation(Kind.CORNER, z, 0.5 * (cov + cov.T) + floor_m**2 * np.eye(2))
 
 
 def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
-    """Predict the sightings of m points from a pose (report eq. 5).
+    """Predict the observations of m points from a pose (report eq. 5).
 
     `landmarks` (m, 2) world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose (m, 2, 3) and by
     the landmark (2, 2), the same for every point.
@@ -112,7 +114,7 @@ def predict_points(pose: Pose, landmarks: Array) -> tuple[Array, Array, Array]:
 
 
 def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
-    """World position of a point sighted at z (2,), and its Jacobians by pose (2, 3) and by z (2, 2)."""
+    """World position of a point observed at z (2,), and its Jacobians by pose (2, 3) and by z (2, 2)."""
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     by_z = np.array([[c, -s], [s, c]])
     offset = by_z @ z
@@ -121,7 +123,7 @@ def initialize_point(pose: Pose, z: Array) -> tuple[Array, Array, Array]:
 
 
 def predict_walls(pose: Pose, walls: Array) -> tuple[Array, Array, Array]:
-    """Predict the sightings of m walls from a pose.
+    """Predict the observations of m walls from a pose.
 
     `walls` (m, 2) alpha, d in the world frame. Returns z (m, 2) in the robot's frame, its Jacobians by the pose
     (m, 2, 3) and by the wall (m, 2, 2).
@@ -138,7 +140,7 @@ def predict_walls(pose: Pose, walls: Array) -> tuple[Array, Array, Array]:
 
 
 def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Predict the sightings of m landmarks (m, 2), of which those marked in `walls` (m,) are walls.
+    """Predict the observations of m landmarks (m, 2), of which those marked in `walls` (m,) are walls.
 
     Returns z (m, 2) and its Jacobians by the pose (m, 2, 3) and by the landmark (m, 2, 2).
     """
@@ -150,7 +152,7 @@ def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Arr
 
 
 def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
-    """(2m, 3 + 2m) Jacobian of m predicted sightings by the pose and the landmarks, in order."""
+    """(2m, 3 + 2m) Jacobian of m predicted observations by the pose and the landmarks, in order."""
     m = len(by_pose)
     H = np.zeros((2 * m, 3 + 2 * m))
     H[:, :3] = by_pose.reshape(2 * m, 3)
@@ -166,8 +168,8 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
     return np.asarray(difference)
 
 
-def sighting_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """(..., 2) innovations of sightings, and (..., 2, 2) their covariances about the predictions.
+def observation_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """(..., 2) innovations of observations, and (..., 2, 2) their covariances about the predictions.
 
     The error of a fitted line is a turn about the centre of its returns and a shift there, independent of each other:
     `cov` tells where the centre is. About the foot of its perpendicular, a turn by delta also moves the offset d by
@@ -203,20 +205,20 @@ def line_point(line: Array, lever: float) -> Array:
     return np.array([line[1] * c - lever * s, line[1] * s + lever * c])
 
 
-def sighted_centre(sighting: Sighting) -> Array:
-    """(2,) the centre of the returns of a sighted wall, robot's frame."""
-    lever, _, _ = line_errors(sighting.cov)
-    return line_point(sighting.z, float(lever))
+def observed_centre(observation: Observation) -> Array:
+    """(2,) the centre of the returns of an observed wall, robot's frame."""
+    lever, _, _ = line_errors(observation.cov)
+    return line_point(observation.z, float(lever))
 
 
-def initialize_landmark(pose: Pose, sighting: Sighting) -> tuple[Array, Array, Array]:
-    """The landmark (2,) of a sighting from a pose, world frame; its Jacobians by pose (2, 3) and by z (2, 2)."""
-    if not sighting.is_wall:
-        return initialize_point(pose, sighting.z)
-    alpha = wrap_angle(float(sighting.z[0]) + pose.theta)
+def initialize_landmark(pose: Pose, observation: Observation) -> tuple[Array, Array, Array]:
+    """The landmark (2,) of an observation from a pose, world frame; its Jacobians by pose (2, 3) and by z (2, 2)."""
+    if not observation.is_wall:
+        return initialize_point(pose, observation.z)
+    alpha = wrap_angle(float(observation.z[0]) + pose.theta)
     c, s = math.cos(alpha), math.sin(alpha)
     lever = -s * pose.x + c * pose.y
-    mean = np.array([alpha, float(sighting.z[1]) + c * pose.x + s * pose.y])
+    mean = np.array([alpha, float(observation.z[1]) + c * pose.x + s * pose.y])
     return mean, np.array([[0.0, 0.0, 1.0], [c, s, lever]]), np.array([[1.0, 0.0], [lever, 1.0]])
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 
 
@@ -31,8 +31,8 @@ class Tick:
     """Pose by wheel odometry alone, `T_odom_robot`; the loop takes differences of it."""
     scan: Scan | None = None
     """The laser's scan at this stamp, if there is one."""
-    sightings: Mapping[LandmarkId, Sighting] | None = None
-    """Sightings of landmarks that the log identifies; empty if none was in view, None without an observation."""
+    observations: Mapping[LandmarkId, Observation] | None = None
+    """Observations of landmarks that the log identifies; empty if none was in view, None without an observation."""
     increment_cov: Array | None = None
     """(3, 3) of the motion since the last tick, frame before, if the log states it; else it follows from the assumed
     noise."""

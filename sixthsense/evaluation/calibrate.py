@@ -55,7 +55,7 @@ class Calibration:
     propagation: tuple[PropagationErrors, PropagationErrors]
     """errors of odometry before and after"""
     landmarks: tuple[LandmarkErrors, LandmarkErrors]
-    """errors of sightings before and after"""
+    """errors of observations before and after"""
 
 
 def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], object] | None = None) -> Calibration:
@@ -76,11 +76,11 @@ def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], ob
         motion, systematic = fit_motion(driven, assumed)
         fitted = fit_laser(driven, landmarks, motion, config, seed)
         propagation = propagation_errors(driven, assumed), propagation_errors(driven, fitted)
-        sightings = (
+        observations = (
             landmark_errors(driven, landmarks, assumed, config, seed),
             landmark_errors(driven, landmarks, fitted, config, seed),
         )
-    return Calibration(fitted, samples, systematic, propagation, sightings)
+    return Calibration(fitted, samples, systematic, propagation, observations)
 
 
 def drive_samples(
@@ -152,7 +152,7 @@ def as_partial_config(found: Calibration, config: Config) -> dict[str, Any]:
 
 def summary(found: Calibration) -> list[str]:
     """Lines with the counts, systematic errors, covariances (report eq. 3) and NEES before and after."""
-    (odometry, odometry_after), (sightings, sightings_after) = found.propagation, found.landmarks
+    (odometry, odometry_after), (observations, observations_after) = found.propagation, found.landmarks
     lines = [
         f"propagation: {found.samples} samples, mean NEES {odometry.nees.mean():.2f} before, "
         f"{odometry_after.nees.mean():.2f} after; 3 is consistent"
@@ -161,23 +161,24 @@ def summary(found: Calibration) -> list[str]:
         kept = "kept" if getattr(found.assumed, name) else f"set to 0: within {SIGNIFICANT:.0f} sigma"
         lines.append(f"{name}: {value:.4f} +- {sigma:.4f}, {kept}")
     lines.append(
-        f"landmarks: {len(sightings.errors)} sightings, mean NEES {sightings.mean_nees:.2f} before; "
-        f"{len(sightings_after.errors)}, {sightings_after.mean_nees:.2f} after; 2 is consistent"
+        f"landmarks: {len(observations.errors)} observations, mean NEES {observations.mean_nees:.2f} before; "
+        f"{len(observations_after.errors)}, {observations_after.mean_nees:.2f} after; 2 is consistent"
     )
     lines.append(
-        f"excluded: {sightings.outside} sightings outside the 99.9 % gate before, {sightings_after.outside} after; "
-        f"without a true landmark nearby: {sightings.false} before, {sightings_after.false} after"
+        f"excluded: {observations.outside} observations outside the 99.9 % gate before, "
+        f"{observations_after.outside} after; "
+        f"without a true landmark nearby: {observations.false} before, {observations_after.false} after"
     )
     for kind in (Kind.CORNER, Kind.END):
-        errors = 1e3 * sightings_after.of(kind)
+        errors = 1e3 * observations_after.of(kind)
         name = kind.name.lower()
         if len(errors) < 2:
-            lines.append(f"{name}: {len(errors)} sightings, too few for a covariance")
+            lines.append(f"{name}: {len(errors)} observations, too few for a covariance")
             continue
         (xx, xy), (_, yy) = errors.T @ errors / len(errors)
         mean, about = errors.mean(axis=0), np.cov(errors.T)
         lines.append(
-            f"{name}: {len(errors)} sightings, covariance with zero mean xx {xx:.1f} xy {xy:.1f} yy {yy:.1f} mm^2"
+            f"{name}: {len(errors)} observations, covariance with zero mean xx {xx:.1f} xy {xy:.1f} yy {yy:.1f} mm^2"
         )
         lines.append(
             f"{name}: sample mean x {mean[0]:.2f} y {mean[1]:.2f} mm, "

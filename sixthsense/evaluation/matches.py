@@ -1,7 +1,7 @@
 """Correctness of the data association, judged by the truth; for evaluation only.
 
-The true identity of a sighting is the wall or point of the scene that its returns hit (`true_identities`). The identity
-of a landmark is that of its first sighting with a single identity.
+The true identity of an observation is the wall or point of the scene that its returns hit (`true_identities`). The
+identity of a landmark is that of its first observation with a single identity.
 """
 
 from __future__ import annotations
@@ -10,20 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, distinguished, identify
 from sixthsense.slam.association.associator import Association
 
 Match = tuple[int, LandmarkId]
-"""Keyframe, and the landmark that its sighting was matched with."""
+"""Keyframe, and the landmark that its observation was matched with."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Sightings of a run by what the truth says of them; all that are not listed are right."""
+    """Observations of a run by what the truth says of them; all that are not listed are right."""
 
-    sightings: int
-    """number of sightings used by the estimator"""
+    observations: int
+    """number of observations used by the estimator"""
     wrong: tuple[Match, ...]
     """of another wall or point than the landmark"""
     spanning: tuple[Match, ...]
@@ -35,44 +35,44 @@ class Matches:
 
     @property
     def wrong_per_1000(self) -> float:
-        """Wrong matches per thousand sightings; 0 without sightings."""
+        """Wrong matches per thousand observations; 0 without observations."""
         return self._per_1000(self.wrong)
 
     @property
     def spanning_per_1000(self) -> float:
-        """Spanning sightings per thousand; 0 without sightings."""
+        """Spanning observations per thousand; 0 without observations."""
         return self._per_1000(self.spanning)
 
     @property
     def unexplained_per_1000(self) -> float:
-        """Unexplained sightings per thousand; 0 without sightings."""
+        """Unexplained observations per thousand; 0 without observations."""
         return self._per_1000(self.unexplained)
 
     @property
     def left_out_per_1000(self) -> float:
-        """Sightings that were not judged, per thousand; 0 without sightings."""
+        """Observations that were not judged, per thousand; 0 without observations."""
         return self._per_1000(self.left_out)
 
     def _per_1000(self, matches: tuple[Match, ...]) -> float:
-        return 1e3 * len(matches) / max(self.sightings, 1)
+        return 1e3 * len(matches) / max(self.observations, 1)
 
 
 def judge_matches(
-    associations: Sequence[Mapping[LandmarkId, Sighting]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
+    associations: Sequence[Mapping[LandmarkId, Observation]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
 ) -> Matches:
-    """Judge the sightings of each keyframe, by landmark, given the true poses `truths` (K, 3) of the robot.
+    """Judge the observations of each keyframe, by landmark, given the true poses `truths` (K, 3) of the robot.
 
-    A sighting with another identity than its landmark is wrong, unless the sighting's fit does not distinguish the two
-    walls; then it is left out.
+    An observation with another identity than its landmark is wrong, unless the observation's fit does not distinguish
+    the two walls; then it is left out.
     """
     identities: dict[LandmarkId, Identity] = {}
     wrong: list[Match] = []
     listed: dict[str, list[Match]] = {"spanning": [], "unexplained": [], "left out": []}
-    for k, (sightings, truth) in enumerate(zip(associations, truths, strict=True)):
+    for k, (observations, truth) in enumerate(zip(associations, truths, strict=True)):
         pose = Pose.from_array(truth)
         position = (pose @ Pose(*laser.config.mount)).position
-        seen = identify(list(sightings.values()), pose, scene, laser)
-        for i, one in zip(sightings, seen, strict=True):
+        seen = identify(list(observations.values()), pose, scene, laser)
+        for i, one in zip(observations, seen, strict=True):
             if one.identity is None:
                 listed[one.verdict].append((k, i))
                 continue
@@ -80,28 +80,28 @@ def judge_matches(
             if own != one.identity:
                 told_apart = distinguished(own, one.identity, one, position, scene)
                 (wrong if told_apart else listed["left out"]).append((k, i))
-    count = sum(len(sightings) for sightings in associations)
+    count = sum(len(observations) for observations in associations)
     others = (tuple(listed[name]) for name in ("spanning", "unexplained", "left out"))
     return Matches(count, tuple(wrong), *others)
 
 
 def landmark_identities(
-    associations: Sequence[Mapping[LandmarkId, Sighting]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
+    associations: Sequence[Mapping[LandmarkId, Observation]], truths: Array, scene: TrueLandmarks, laser: TrueLaser
 ) -> dict[LandmarkId, Identity]:
     """The identity of each landmark, as of `judge_matches`; without those that have none."""
     identities: dict[LandmarkId, Identity] = {}
-    for sightings, truth in zip(associations, truths, strict=True):
-        new = [i for i in sightings if i not in identities]
-        seen = identify([sightings[i] for i in new], Pose.from_array(truth), scene, laser) if new else ()
+    for observations, truth in zip(associations, truths, strict=True):
+        new = [i for i in observations if i not in identities]
+        seen = identify([observations[i] for i in new], Pose.from_array(truth), scene, laser) if new else ()
         identities |= {i: one.identity for i, one in zip(new, seen, strict=True) if one.identity is not None}
     return identities
 
 
 def discarded_share(associations: Sequence[Association]) -> float:
-    """Share of all sightings of a run that were neither matched nor taken as new landmarks; 0 without sightings.
+    """Share of all observations of a run that were neither matched nor taken as new landmarks; 0 without observations.
 
     The NIS of the matches says nothing of these: a gate that discards what does not fit makes the rest look consistent.
     """
     discarded = sum(association.discarded for association in associations)
-    used = sum(len(association.sightings) + association.fused for association in associations)
+    used = sum(len(association.observations) + association.fused for association in associations)
     return discarded / max(discarded + used, 1)

@@ -124,7 +124,7 @@ def _errors(trace: Trace) -> dict[str, float]:
 
 
 def _consistency(trace: Trace) -> dict[str, float]:
-    """NEES of the pose after each update and of its prediction before it; NIS and discarded sightings."""
+    """NEES of the pose after each update and of its prediction before it; NIS and discarded observations."""
     out: dict[str, float] = {}
     if trace.key_truths:
         truth = np.array(trace.key_truths)
@@ -141,7 +141,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
     dof = sum(a.dof for a in trace.associations)
     if dof:
         out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
-    if any(a.sightings or a.discarded for a in trace.associations):
+    if any(a.observations or a.discarded for a in trace.associations):
         out["discarded_share"] = discarded_share(trace.associations)
     return out
 
@@ -161,7 +161,7 @@ def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
     known = true_identities(scene.walls)
     laser = TrueLaser(trace.config.laser, trace.config.assumed.laser)
     identities = landmark_identities(
-        [a.sightings for a in trace.associations], np.array(trace.key_truths), known, laser
+        [a.observations for a in trace.associations], np.array(trace.key_truths), known, laser
     )
     rows = [k for k, i in enumerate(trace.final.ids.tolist()) if i in identities]
     if not rows:

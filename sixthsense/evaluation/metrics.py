@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.landmarks import sighting_innovations
+from sixthsense.core.landmarks import observation_innovations
 from sixthsense.sources.logs.relations import scan_rows
 
 
@@ -70,7 +70,7 @@ def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov:
     `estimate`, `truth` (M, 2) world frame; of those marked in `walls` (M,) the first column is an angle, and its error
     is wrapped; `cov` (M, 2, 2) full rank. Landmarks of one run share errors, so these are not independent samples.
     """
-    e, cov = sighting_innovations(estimate, cov, truth, walls)
+    e, cov = observation_innovations(estimate, cov, truth, walls)
     return np.asarray(np.einsum("mi,mi->m", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
 
 

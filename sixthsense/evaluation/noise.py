@@ -25,7 +25,7 @@ from sixthsense.slam.features import extract
 FEWEST_SAMPLES = 20
 SIGNIFICANT = 3.0  # sigmas
 
-_GATE_M = 0.25  # largest distance of a sighting from its true landmark
+_GATE_M = 0.25  # largest distance of an observation from its true landmark
 _FINEST_M = 1e-3  # lower bound of the range noise
 _HALVINGS = 10
 _UNIT_SQ = 1e-12  # (1 um)^2, (1 urad)^2, so that no covariance is singular
@@ -63,16 +63,16 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class LandmarkErrors:
-    """Errors of sightings against the true landmarks (report eq. 2)."""
+    """Errors of observations against the true landmarks (report eq. 2)."""
 
     kinds: Array
     """(K,) Kind of each"""
     errors: Array
-    """(K, 2) sighted minus true position, robot's frame, metres"""
+    """(K, 2) observed minus true position, robot's frame, metres"""
     covs: Array
-    """(K, 2, 2) covariance of each sighting"""
+    """(K, 2, 2) covariance of each observation"""
     false: int
-    """number of sightings without a true landmark nearby, excluded above"""
+    """number of observations without a true landmark nearby, excluded above"""
 
     @property
     def nees(self) -> Array:
@@ -83,18 +83,18 @@ class LandmarkErrors:
 
     @property
     def mean_nees(self) -> float:
-        """Mean NEES of the sightings within the 99.9 % gate; infinite without any."""
+        """Mean NEES of the observations within the 99.9 % gate; infinite without any."""
         nees = self.nees
         inside = nees[nees <= _OUTLIER]
         return float(inside.mean()) if len(inside) else math.inf
 
     @property
     def outside(self) -> int:
-        """Number of sightings outside the 99.9 % gate."""
+        """Number of observations outside the 99.9 % gate."""
         return int(np.sum(self.nees > _OUTLIER))
 
     def of(self, kind: Kind) -> Array:
-        """(N, 2) errors of the sightings of one kind."""
+        """(N, 2) errors of the observations of one kind."""
         return np.asarray(self.errors[self.kinds == kind])
 
 
@@ -209,30 +209,30 @@ def _fit_scales(errors: Array, floor: Array, basis: Array, start: Array) -> Arra
 def landmark_errors(
     samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
 ) -> LandmarkErrors:
-    """Errors of the sightings of each sample against the nearest true `landmarks` (M, 2) (report eq. 2)."""
+    """Errors of the observations of each sample against the nearest true `landmarks` (M, 2) (report eq. 2)."""
     rng = np.random.default_rng(seed)  # the same random numbers each time, so that only `assumed` differs
     kinds, errors, covs, false = [], [], [], 0
     for sample in samples:
         true = predict_points(sample.truth, landmarks)[0]  # (M, 2), robot frame
-        for sighting in extract(sample.scan, assumed, config.features, rng).sightings:
-            gaps = sighting.z - true
+        for observation in extract(sample.scan, assumed, config.features, rng).observations:
+            gaps = observation.z - true
             gap = gaps[np.argmin((gaps**2).sum(axis=1))] if len(gaps) else np.full(2, math.inf)
             if math.hypot(*gap) > _GATE_M:
                 false += 1
                 continue
-            kinds.append(float(sighting.kind))
+            kinds.append(float(observation.kind))
             errors.append(gap)
-            covs.append(sighting.cov + _UNIT_SQ * np.eye(2))
+            covs.append(observation.cov + _UNIT_SQ * np.eye(2))
     return LandmarkErrors(np.array(kinds), np.array(errors).reshape(-1, 2), np.array(covs).reshape(-1, 2, 2), false)
 
 
 def fit_laser(
     samples: Sequence[Sample], landmarks: Array, assumed: AssumedConfig, config: Config, seed: int
 ) -> AssumedConfig:
-    """`assumed` with the range noise at which the mean NEES of the sightings is 2.
+    """`assumed` with the range noise at which the mean NEES of the observations is 2.
 
     The range noise is bounded by the RANSAC threshold, since line fitting rejects returns beyond it; larger errors of
-    sightings go into `landmark_floor_m`. Raises CalibrationError for too few sightings.
+    observations go into `landmark_floor_m`. Raises CalibrationError for too few observations.
     """
 
     def is_overconfident(changes: dict[str, Any]) -> bool:
@@ -240,7 +240,7 @@ def fit_laser(
         return found.mean_nees > 2.0
 
     def crossing(low: float, high: float, changes: Callable[[float], dict[str, Any]]) -> float:
-        """The value at which the sightings stop being overconfident, by bisection on a logarithmic scale."""
+        """The value at which the observations stop being overconfident, by bisection on a logarithmic scale."""
         for _ in range(_HALVINGS):
             middle = math.sqrt(low * high)
             low, high = (middle, high) if is_overconfident(changes(middle)) else (low, middle)
@@ -252,7 +252,7 @@ def fit_laser(
     count = len(landmark_errors(samples, landmarks, assumed, config, seed).errors)
     if count < FEWEST_SAMPLES:
         raise CalibrationError(
-            f"scene: found {count} sightings of landmarks in {len(samples)} scans, allowed: a place with at least "
+            f"scene: found {count} observations of landmarks in {len(samples)} scans, allowed: a place with at least "
             f"{FEWEST_SAMPLES}"
         )
     widest = max(config.features.lines.ransac_threshold_m, 2.0 * _FINEST_M)

@@ -76,7 +76,7 @@ def _quantities() -> dict[str, Quantity]:
             ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
             ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
             ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
-            ("discarded_share", "1", "share of the sightings that the gates discarded"),
+            ("discarded_share", "1", "share of the observations that the gates discarded"),
         ],
         "Wheels": list(_WHEELS),
         "Map and path": [

@@ -1,7 +1,7 @@
-"""The true identity of a sighting: which walls of the scene its returns hit; for evaluation only.
+"""The true identity of an observation: which walls of the scene its returns hit; for evaluation only.
 
-The returns decide, not the covariance that the sighting states. A sighting with a large covariance would otherwise
-agree with everything.
+The returns decide, not the covariance that the observation states. An observation with a large covariance would
+otherwise agree with everything.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig, LaserNoise
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Sighting, innovations, predict_walls
+from sixthsense.core.landmarks import Observation, innovations, predict_walls
 from sixthsense.core.laser import beam_angles
 from sixthsense.core.motion import variance
 from sixthsense.core.ray_casting import hit_walls
@@ -73,7 +73,7 @@ class TrueLaser:
 
 @dataclass(frozen=True, slots=True)
 class Identified:
-    """What a sighting truly is of."""
+    """What an observation truly is of."""
 
     verdict: Verdict
     """"single": of one line or point; "spanning": of several lines; "left out": of several lines that its fit does not
@@ -108,21 +108,21 @@ def true_identities(walls: Array) -> TrueLandmarks:
 
 
 def identify(
-    sightings: Sequence[Sighting], T_world_robot: Pose, scene: TrueLandmarks, laser: TrueLaser
+    observations: Sequence[Observation], T_world_robot: Pose, scene: TrueLandmarks, laser: TrueLaser
 ) -> list[Identified]:
-    """What each sighting of a scan truly is of, from the true pose of the robot at the scan's stamp.
+    """What each observation of a scan truly is of, from the true pose of the robot at the scan's stamp.
 
-    The beams of the sighting's returns are cast through the scene. A line counts if at least 3 returns and at least
+    The beams of the observation's returns are cast through the scene. A line counts if at least 3 returns and at least
     10 % of them hit it. A point is the nearest corner or end of the lines that its returns hit, as far away as the beam
     spacing and the laser's noise allow. A de-skewed scan is judged at its stamp: the error of the odometry over its
-    sweep is neglected. A sighting without bearings is unexplained.
+    sweep is neglected. An observation without bearings is unexplained.
     """
     T_world_laser = T_world_robot @ Pose(*laser.config.mount)
-    counts = [len(sighting.bearings) for sighting in sightings]
-    bearings = np.concatenate([np.empty(0), *(sighting.bearings for sighting in sightings)])
+    counts = [len(observation.bearings) for observation in observations]
+    bearings = np.concatenate([np.empty(0), *(observation.bearings for observation in observations)])
     ranges, segment = hit_walls(T_world_laser, bearings, scene.segments, laser.config.max_range)
     found = []
-    for sighting, past, count in zip(sightings, np.cumsum(counts, dtype=np.int64).tolist(), counts, strict=True):
+    for observation, past, count in zip(observations, np.cumsum(counts, dtype=np.int64).tolist(), counts, strict=True):
         own = np.arange(past - count, past)
         own = own[segment[own] >= 0]
         angles = bearings[own] + T_world_laser.theta
@@ -130,15 +130,15 @@ def identify(
         on = scene.line_of[segment[own]]
         if not len(on):
             found.append(UNEXPLAINED)
-        elif sighting.is_wall:
+        elif observation.is_wall:
             found.append(_identify_wall(hits, on, count, T_world_laser, scene, laser))
         else:
-            found.append(_identify_point(T_world_robot @ sighting.z, on, T_world_laser, scene, laser))
+            found.append(_identify_point(T_world_robot @ observation.z, on, T_world_laser, scene, laser))
     return found
 
 
 def distinguished(first: Identity, second: Identity, seen: Identified, position: Array, scene: TrueLandmarks) -> bool:
-    """Whether the fit of a sighting of a wall, made by a laser at `position` (2,), distinguishes two true walls."""
+    """Whether the fit of an observation of a wall, made by a laser at `position` (2,), distinguishes two true walls."""
     if seen.fit_cov is None or "point" in (first[0], second[0]):
         return first != second
     faces = np.array([_face_line(scene, face) for face in (first, second)])

@@ -1,4 +1,4 @@
-"""NIS of sightings against the landmarks that they truly are of, whether or not the gates matched them.
+"""NIS of observations against the landmarks that they truly are of, whether or not the gates matched them.
 
 The NIS of the matches is that of survivors: what a gate rejects is not in its mean. In simulation the true pairs are
 known, so that their NIS has no such bias.
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, identify
 from sixthsense.record.trace import Trace
@@ -30,9 +30,9 @@ from sixthsense.slam.estimators.base import Belief
 
 @dataclass(frozen=True, slots=True)
 class PriorInnovations:
-    """All sightings of a keyframe against all landmarks, before the update."""
+    """All observations of a keyframe against all landmarks, before the update."""
 
-    sightings: tuple[Sighting, ...]
+    observations: tuple[Observation, ...]
     """m, before any was matched, fused or discarded"""
     ids: NDArray[np.int64]
     """(n,) of the landmarks"""
@@ -42,16 +42,16 @@ class PriorInnovations:
 
 @dataclass(frozen=True, slots=True)
 class TruePairs:
-    """Sightings paired with the landmarks that they truly are of."""
+    """Observations paired with the landmarks that they truly are of."""
 
     nis: Array
     """(P,) normalised innovation squared before the update, 2 degrees of freedom each"""
     matched: NDArray[np.bool_]
-    """(P,) whether the estimator used the sighting, for a landmark of its identity"""
+    """(P,) whether the estimator used the observation, for a landmark of its identity"""
 
 
 class InnovationObserver:
-    """Keeps the innovations of all sightings against all landmarks; it slows a run with many landmarks down."""
+    """Keeps the innovations of all observations against all landmarks; it slows a run with many landmarks down."""
 
     def __init__(self) -> None:
         self.scans: list[PriorInnovations] = []
@@ -67,15 +67,15 @@ class InnovationObserver:
             trace.live.associator.observer = self
             self.scans += [PriorInnovations((), np.empty(0, np.int64), np.empty((0, 0)))] * len(trace.associations)
 
-    def __call__(self, sightings: Sequence[Sighting], estimator: Belief) -> None:
+    def __call__(self, observations: Sequence[Observation], estimator: Belief) -> None:
         """Add a keyframe; the observer of an `Associator`."""
         estimate = estimator.estimate()
-        squared = np.full((len(sightings), len(estimate.ids)), np.inf)
+        squared = np.full((len(observations), len(estimate.ids)), np.inf)
         if squared.size:
             joint = estimator.joint_covariance(estimate.ids.tolist())
-            alike = np.array([s.is_wall for s in sightings])[:, None] == estimate.walls[None, :]
-            squared = compare(sightings, estimate, np.arange(len(estimate.ids)), joint, alike).squared
-        self.scans.append(PriorInnovations(tuple(sightings), estimate.ids, squared))
+            alike = np.array([s.is_wall for s in observations])[:, None] == estimate.walls[None, :]
+            squared = compare(observations, estimate, np.arange(len(estimate.ids)), joint, alike).squared
+        self.scans.append(PriorInnovations(tuple(observations), estimate.ids, squared))
 
 
 def true_pair_nis(
@@ -85,23 +85,23 @@ def true_pair_nis(
     scene: TrueLandmarks,
     laser: TrueLaser,
 ) -> TruePairs:
-    """NIS of each sighting with a single identity against the known landmark of that identity.
+    """NIS of each observation with a single identity against the known landmark of that identity.
 
     `observed`, `associations` and the true poses `truths` (K, 3) are of the same keyframes. Of several landmarks with
-    the identity the oldest is taken, which does not depend on the innovations. A sighting without such a landmark has
-    no pair.
+    the identity the oldest is taken, which does not depend on the innovations. An observation without such a landmark
+    has no pair.
     """
     identities: dict[LandmarkId, Identity] = {}
     nis: list[float] = []
     matched: list[bool] = []
     for scan, association, truth in zip(observed, associations, truths, strict=True):
         pose = Pose.from_array(truth)
-        for j, seen in enumerate(identify(scan.sightings, pose, scene, laser)):
+        for j, seen in enumerate(identify(scan.observations, pose, scene, laser)):
             of_it = [k for k, i in enumerate(scan.ids.tolist()) if i in identities and identities[i] == seen.identity]
             if of_it:
                 nis.append(float(scan.squared[j, min(of_it, key=lambda k: int(scan.ids[k]))]))
-                matched.append(_is_used(scan.sightings[j], association, identities, seen.identity))
-        accepted = association.sightings
+                matched.append(_is_used(scan.observations[j], association, identities, seen.identity))
+        accepted = association.observations
         for i, one in zip(accepted, identify(list(accepted.values()), pose, scene, laser), strict=True):
             if one.identity is not None:
                 identities.setdefault(i, one.identity)
@@ -109,13 +109,16 @@ def true_pair_nis(
 
 
 def _is_used(
-    sighting: Sighting, association: Association, identities: dict[LandmarkId, Identity], identity: Identity | None
+    observation: Observation,
+    association: Association,
+    identities: dict[LandmarkId, Identity],
+    identity: Identity | None,
 ) -> bool:
-    """Whether a sighting, or one that it was fused into, was matched with a known landmark of the identity.
+    """Whether an observation, or one that it was fused into, was matched with a known landmark of the identity.
 
-    A return is part of one sighting only, so its bearing tells which.
+    A return is part of one observation only, so its bearing tells which.
     """
     return any(
-        identities.get(i) == identity and bool(np.isin(sighting.bearings[0], other.bearings))
-        for i, other in association.sightings.items()
+        identities.get(i) == identity and bool(np.isin(observation.bearings[0], other.bearings))
+        for i, other in association.observations.items()
     )

@@ -21,10 +21,10 @@ from sixthsense.core.source import Tick
 from sixthsense.figures.plot import (
     ESTIMATE,
     LANDMARK,
+    OBSERVATION,
     ODOMETRY,
     PLAN,
     SEEN,
-    SIGHTING,
     TRUTH,
     WALL,
     draw_segments,
@@ -91,7 +91,7 @@ def animate(
     with _opened_film(drawing.figure, file) as writer:
 
         def show(tick: Tick, trace: Trace) -> None:
-            if (tick.scan is None and tick.sightings is None) or len(trace.stamps_ns) - 1 not in due:
+            if (tick.scan is None and tick.observations is None) or len(trace.stamps_ns) - 1 not in due:
                 return
             k = int(np.searchsorted(log.plan_stamps_ns, tick.stamp_ns, side="right"))
             drawing.show(tick, trace, log.plans[k - 1] if k else np.zeros((0, 2)))
@@ -169,7 +169,7 @@ class _MapDrawing:
         from matplotlib.collections import LineCollection, PolyCollection
         from matplotlib.colors import ListedColormap
 
-        colors = ListedColormap(["#FFFFFF00", SEEN, SIGHTING])
+        colors = ListedColormap(["#FFFFFF00", SEEN, OBSERVATION])
         self._image = ax.imshow(
             self._cells.empty(), cmap=colors, vmin=0, vmax=2, origin="lower", extent=self._cells.extent,
             interpolation="nearest", zorder=0,

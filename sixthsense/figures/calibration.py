@@ -1,4 +1,4 @@
-"""Figure and file of a calibration: errors of sightings of each kind, and errors of odometry (report figure 1)."""
+"""Figure and file of a calibration: errors of observations of each kind, and errors of odometry (report figure 1)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse
 _WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
 
 
-def draw_sighting_errors(ax: Any, errors: Array, name: str) -> None:
-    """Draw errors (N, 2) of sightings, metres, robot frame, with the 95 % ellipse of their zero-mean Gaussian."""
+def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
+    """Draw errors (N, 2) of observations, metres, robot frame, with the 95 % ellipse of their zero-mean Gaussian."""
     shown = 1e3 * errors
     ax.scatter(shown[:, 0], shown[:, 1], s=9, color=LANDMARK, linewidths=0.0, zorder=3, label="samples")
     if len(shown):
@@ -31,7 +31,7 @@ def draw_sighting_errors(ax: Any, errors: Array, name: str) -> None:
         _frame(ax, max(float(np.abs(outline).max()), float(np.percentile(np.abs(shown), 99.5))))
     ax.set_xlabel("forward error [mm]")
     ax.set_ylabel("lateral error [mm]")
-    ax.set_title(f"{name}, {len(errors)} sightings")
+    ax.set_title(f"{name}, {len(errors)} observations")
 
 
 def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
@@ -63,8 +63,8 @@ def save_calibration(found: Calibration, file: Path | str, title: str) -> None:
     """Write the figure of a calibration as a PNG (report figure 1)."""
     figure = new_figure(_WIDTH_IN, _HEIGHT_IN)
     corners, ends, propagation = figure.subplots(1, 3)
-    draw_sighting_errors(corners, found.landmarks[1].of(Kind.CORNER), "corners")
-    draw_sighting_errors(ends, found.landmarks[1].of(Kind.END), "wall ends")
+    draw_observation_errors(corners, found.landmarks[1].of(Kind.CORNER), "corners")
+    draw_observation_errors(ends, found.landmarks[1].of(Kind.END), "wall ends")
     draw_propagation_errors(propagation, *found.propagation)
     for ax in (corners, ends, propagation):
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), ncols=2, frameon=False, fontsize="small")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.figures.plot import ESTIMATE, LANDMARK, PLAN, SEEN, SIGHTING, WALL, draw_segments, label_plane
+from sixthsense.figures.plot import ESTIMATE, LANDMARK, OBSERVATION, PLAN, SEEN, WALL, draw_segments, label_plane
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import Trace
 from sixthsense.slam.mapping.freespace import Bools, FreeSpace
@@ -50,7 +50,7 @@ def draw_path(ax: Any, plan: Array, optimised: Array | None = None) -> None:
     ax.plot(plan[:, 0], plan[:, 1], color=PLAN, linewidth=1.6, zorder=5, label="planned path")
     if optimised is not None:
         ax.plot(optimised[:, 0], optimised[:, 1], color=ESTIMATE, linewidth=1.6, zorder=6, label="path after shortcut")
-        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 2.0, "zorder": 7}
+        style = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 2.0, "zorder": 7}
         ax.scatter(*optimised[min(1, len(optimised) - 1)], s=90.0, label="current way point", **style)
     ax.scatter(*plan[-1], s=80.0, marker="*", color=PLAN, zorder=7, label="goal")
     label_plane(ax)
@@ -91,7 +91,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
         left = np.array([(place.x, place.y) for place in trace.left])
         ax.scatter(left[:, 0], left[:, 1], s=60.0, marker="x", color=LANDMARK, label="places left unseen", zorder=8)
     _shade(ax, seen, grid.origin, cell_m, SEEN, 0.1)
-    _shade(ax, grid.obstacles, grid.origin, cell_m, SIGHTING, 0.2)
+    _shade(ax, grid.obstacles, grid.origin, cell_m, OBSERVATION, 0.2)
     label_plane(ax)
     shown = np.concatenate([driven[:, :2], *(() if trace.scene is None else trace.scene.walls)])
     low, high = shown.min(axis=0) - 0.5, shown.max(axis=0) + 0.5

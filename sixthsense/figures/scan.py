@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Sighting
+from sixthsense.core.landmarks import Observation
 from sixthsense.core.laser import Scan
-from sixthsense.figures.plot import CYCLE, LANDMARK, SIGHTING, WALL_FOUND, draw_segments, ellipse, label_plane
+from sixthsense.figures.plot import CYCLE, LANDMARK, OBSERVATION, WALL_FOUND, draw_segments, ellipse, label_plane
 from sixthsense.slam.features import Features
 from sixthsense.slam.features.partition import Indices
 
@@ -58,29 +58,29 @@ def draw_partitions(ax: Any, pose: Pose, scan: Scan, parts: Sequence[Indices], l
 def draw_detections(ax: Any, pose: Pose, features: Features, enlarged: float = 0.0) -> None:
     """Draw the walls (pink) and landmarks (cyan circles) detected in one scan from `pose`.
 
-    With `enlarged` above 0, draw the 95 % ellipses of the sightings, enlarged by this factor.
+    With `enlarged` above 0, draw the 95 % ellipses of the observations, enlarged by this factor.
     """
     draw_segments(ax, pose @ features.walls, colors=WALL_FOUND, linewidths=2.0, zorder=4, label="detected walls")
-    sightings = [sighting for sighting in features.sightings if not sighting.is_wall]
-    if sightings:
-        points = pose @ np.array([sighting.z for sighting in sightings])
-        style = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.6, "zorder": 5}
+    observations = [observation for observation in features.observations if not observation.is_wall]
+    if observations:
+        points = pose @ np.array([observation.z for observation in observations])
+        style = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 1.6, "zorder": 5}
         ax.scatter(points[:, 0], points[:, 1], s=50.0, label="detected landmarks", **style)
-        for k, sighting in enumerate(sightings if enlarged else ()):
-            outline = pose @ ellipse(sighting.z, enlarged**2 * sighting.cov)
+        for k, observation in enumerate(observations if enlarged else ()):
+            outline = pose @ ellipse(observation.z, enlarged**2 * observation.cov)
             label = f"95 %, enlarged {enlarged:g} times" if k == 0 else None
             ax.plot(outline[:, 0], outline[:, 1], color=LANDMARK, linewidth=0.8, zorder=6, label=label)
     label_plane(ax)
 
 
-def draw_wall_bands(ax: Any, pose: Pose, sightings: Sequence[Sighting], enlarged: float = 1.0) -> None:
-    """Draw the 95 % bands of the walls among the sightings from `pose`, `enlarged` in width by a factor.
+def draw_wall_bands(ax: Any, pose: Pose, observations: Sequence[Observation], enlarged: float = 1.0) -> None:
+    """Draw the 95 % bands of the walls among the observations from `pose`, `enlarged` in width by a factor.
 
     A line with covariance [aa, ad; ad, dd] of (alpha, d) has the variance dd - 2 s ad + s^2 aa across at the distance s
     along it from the foot of the robot's perpendicular, so the band is narrowest near that point.
     """
     label: str | None = f"walls, 95 %, enlarged {enlarged:g} times" if enlarged != 1.0 else "walls, 95 %"
-    for wall in (sighting for sighting in sightings if sighting.is_wall):
+    for wall in (observation for observation in observations if observation.is_wall):
         normal = np.array([math.cos(wall.z[0]), math.sin(wall.z[0])])
         along = np.array([-normal[1], normal[0]])
         s = np.linspace(*wall.extent, 25)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.figures.plot import LANDMARK, PLAN, SIGHTING, WALL_FOUND, draw_segments, label_plane
+from sixthsense.figures.plot import LANDMARK, OBSERVATION, PLAN, WALL_FOUND, draw_segments, label_plane
 from sixthsense.slam.features import Features
 from sixthsense.sources.scene import Scene
 
 SAME_POINT_M = 0.15
-"""Largest distance of two sightings of the same landmark."""
+"""Largest distance of two observations of the same landmark."""
 SAME_WALL_M = 0.1
 """Largest distance of a wall's middle and quarter points from walls of the other set, for a wall in both."""
 
@@ -45,7 +45,7 @@ class Change:
 def compare_features(features: Features, usual: Features) -> Change:
     """Compare features with the `usual` ones: points within 0.15 m and walls within 0.1 m are the same."""
     new, old = (
-        np.array([s.z for s in one.sightings if not s.is_wall], dtype=np.float64).reshape(-1, 2)
+        np.array([s.z for s in one.observations if not s.is_wall], dtype=np.float64).reshape(-1, 2)
         for one in (features, usual)
     )
     gaps = np.linalg.norm(new[:, None] - old[None], axis=2)
@@ -82,7 +82,7 @@ def draw_change(ax: Any, pose: Pose, change: Change) -> None:
     draw_segments(ax, pose @ change.walls_gained, colors=PLAN, linewidths=2.4, zorder=4, label="gained walls")
     hollow: dict[str, Any] = {"s": 50.0, "facecolors": "none", "linewidths": 1.6}
     kept, lost, gained = (pose @ points for points in (change.kept, change.lost, change.gained))
-    ax.scatter(*kept.T, edgecolors=SIGHTING, zorder=5, label="detected landmarks", **hollow)
+    ax.scatter(*kept.T, edgecolors=OBSERVATION, zorder=5, label="detected landmarks", **hollow)
     ax.scatter(*lost.T, s=45.0, marker="x", color=LANDMARK, linewidths=1.6, zorder=6, label="lost landmarks")
     ax.scatter(*gained.T, edgecolors=PLAN, zorder=6, label="gained landmarks", **hollow)
     label_plane(ax)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.figures.plot import CHI2_95, ESTIMATE, SIGHTING, ellipse, label_plane
+from sixthsense.figures.plot import CHI2_95, ESTIMATE, OBSERVATION, ellipse, label_plane
 from sixthsense.slam.estimators import Estimator
 
 
@@ -32,7 +32,7 @@ def draw_state(
 
 
 def draw_innovations(ax: Any, pose: Pose, z: Array, predicted: Array, covs: Array, gate: float = CHI2_95) -> None:
-    """Draw predicted sightings with the gates of their innovations, and the actual sightings.
+    """Draw predicted observations with the gates of their innovations, and the actual observations.
 
     `z` (m, 2) and `predicted` (k, 2) in the robot's frame at `pose`; `covs` (k, 2, 2); a gate is the ellipse at the
     squared Mahalanobis distance `gate`.
@@ -40,9 +40,9 @@ def draw_innovations(ax: Any, pose: Pose, z: Array, predicted: Array, covs: Arra
     for k, (mean, cov) in enumerate(zip(predicted, covs, strict=True)):
         outline = pose @ ellipse(mean, gate / CHI2_95 * cov)
         ax.plot(*outline.T, color=ESTIMATE, linewidth=1.1, zorder=5, label="gate" if k == 0 else None)
-    ax.scatter(*(pose @ predicted).T, s=12.0, color=ESTIMATE, zorder=5, label="predicted sighting")
-    style: dict[str, Any] = {"facecolors": "none", "edgecolors": SIGHTING, "linewidths": 1.8}
-    ax.scatter(*(pose @ z).T, s=60.0, zorder=6, label="sighting", **style)
+    ax.scatter(*(pose @ predicted).T, s=12.0, color=ESTIMATE, zorder=5, label="predicted observation")
+    style: dict[str, Any] = {"facecolors": "none", "edgecolors": OBSERVATION, "linewidths": 1.8}
+    ax.scatter(*(pose @ z).T, s=60.0, zorder=6, label="observation", **style)
     label_plane(ax)
 
 

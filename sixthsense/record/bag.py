@@ -21,7 +21,7 @@ from sixthsense.core.source import Tick
 from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.sighting_cloud import CLOUD
+from sixthsense.sources.logs.observation_cloud import CLOUD
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
@@ -32,8 +32,8 @@ TOPICS = {
     "/plan": "nav_msgs/msg/Path",
 }
 """recorded topics and their types, in the order of one tick"""
-SIGHTINGS = "/sightings"
-"""additional topic of a log with known landmark identities: sightings, robot's frame"""
+OBSERVATIONS = "/observations"
+"""additional topic of a log with known landmark identities: observations, robot's frame"""
 
 _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
@@ -144,11 +144,11 @@ class BagWriter:
             self._write_pose("/truth", stamp, tick.truth, self._truth_form)
         if tick.scan is not None:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
-        if tick.sightings is not None:
-            if SIGHTINGS not in self._channels:
-                self._names[SIGHTINGS] = CLOUD
-                self._channels[SIGHTINGS] = self._register(SIGHTINGS, CLOUD)
-            self._write(SIGHTINGS, stamp, make.cloud(stamp, tick.sightings))
+        if tick.observations is not None:
+            if OBSERVATIONS not in self._channels:
+                self._names[OBSERVATIONS] = CLOUD
+                self._channels[OBSERVATIONS] = self._register(OBSERVATIONS, CLOUD)
+            self._write(OBSERVATIONS, stamp, make.cloud(stamp, tick.observations))
         for estimate in trace.key_estimates[self._keyframes :]:
             self._write("/estimate", stamp, make.estimate(stamp, estimate.pose, estimate.pose_cov))
         self._keyframes = len(trace.key_estimates)

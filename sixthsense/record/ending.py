@@ -38,7 +38,7 @@ def write_arrays(folder: Path, trace: Trace) -> None:
         "since_key": np.reshape(trace.since_key, (-1, 3)),
         "ids": np.array(list(trace.records), dtype=np.int64),
         "kinds": np.array([record.kind for record in records], dtype=np.int64),
-        "sightings": np.array([record.sightings for record in records], dtype=np.int64),
+        "observations": np.array([record.observations for record in records], dtype=np.int64),
         "first_scans": np.array([record.first_scan for record in records], dtype=np.int64),
         "last_scans": np.array([record.last_scan for record in records], dtype=np.int64),
         "sigmas_m": np.array([record.sigma_m for record in records], dtype=np.float64),
@@ -79,20 +79,20 @@ def read_records(file: Path) -> dict[LandmarkId, Record]:
 def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
     ids = _integers(arrays, "ids")
     n = len(ids)
-    kinds, sightings = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "sightings", n).tolist()
+    kinds, observations = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "observations", n).tolist()
     first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
     sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
     if sigmas_m.shape != (n,):
         raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
     shapes = _floats(arrays, "shapes", (n, 5)) if "shapes" in arrays else np.zeros((n, 5))  # not in older records
     columns = zip(
-        map(Kind, kinds), sightings, first, last, sigmas_m.tolist(), extents, map(_shape_of, shapes), strict=True
+        map(Kind, kinds), observations, first, last, sigmas_m.tolist(), extents, map(_shape_of, shapes), strict=True
     )
     return {i: Record(*row) for i, row in zip(ids.tolist(), columns, strict=True)}
 
 
 def _shape_row(shape: MeanShape) -> tuple[float, ...]:
-    return (shape.sightings, *shape.information, *shape.weighted)
+    return (shape.observations, *shape.information, *shape.weighted)
 
 
 def _shape_of(row: Array) -> MeanShape:
@@ -135,7 +135,7 @@ def read_landmark_table(file: Path) -> dict[LandmarkId, Record]:
                 kind = Kind[row["kind"].upper()]
                 ends = [float(row[name] or 0.0) for name in ("from_x", "from_y", "to_x", "to_y")]
                 extent = np.array(ends).reshape(2, 2)
-                found[int(row["id"])] = Record(kind, int(row["sightings"]), 0, 0, extent=extent)
+                found[int(row["id"])] = Record(kind, int(row["observations"]), 0, 0, extent=extent)
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
     except (LookupError, TypeError, ValueError, AttributeError, csv.Error):

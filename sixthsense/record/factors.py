@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
@@ -19,7 +19,7 @@ _MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matr
 
 @dataclass(frozen=True, slots=True)
 class FactorGraph:
-    """Key poses, the odometry between them, and the sightings of the final landmarks."""
+    """Key poses, the odometry between them, and the observations of the final landmarks."""
 
     poses: Array
     """(K, 3) final pose at each keyframe, world frame"""
@@ -31,25 +31,25 @@ class FactorGraph:
     """(K - 1, 3) odometry from each key pose to the next, frame of the first of the two"""
     motion_covs: Array
     """(K - 1, 3, 3) their covariances, axes of the second frame"""
-    sighting_of: NDArray[np.int64]
+    observation_of: NDArray[np.int64]
     """(M, 2) index of the key pose, index of the landmark"""
-    sightings: Array
+    observations: Array
     """(M, 2) position in the robot's frame, m"""
-    sighting_covs: Array
+    observation_covs: Array
     """(M, 2, 2) their covariances"""
     bearing_range: Array
-    """(M, 2) the sightings as bearing and range, the form used by the smoother; rad, m"""
+    """(M, 2) the observations as bearing and range, the form used by the smoother; rad, m"""
     bearing_range_covs: Array
     """(M, 2, 2) their covariances"""
     wall_ids: NDArray[np.int64]
     """(w,)"""
     walls: Array
     """(w, 2) final means: alpha, rad, and d, m, world frame"""
-    wall_sighting_of: NDArray[np.int64]
+    wall_observation_of: NDArray[np.int64]
     """(L, 2) index of the key pose, index of the wall"""
-    wall_sightings: Array
+    wall_observations: Array
     """(L, 2) alpha and d in the robot's frame"""
-    wall_sighting_covs: Array
+    wall_observation_covs: Array
     """(L, 2, 2) their covariances"""
 
 
@@ -58,11 +58,11 @@ def factor_graph(trace: Trace) -> FactorGraph:
 
     Those of a prior map that it has not seen again are left out, as is what is known of the others by the prior map.
     """
-    seen = np.isin(trace.final.ids, [i for association in trace.associations for i in association.sightings])
+    seen = np.isin(trace.final.ids, [i for association in trace.associations for i in association.observations])
     ids, landmarks, walls = trace.final.ids[seen], trace.final.landmarks[seen], trace.final.walls[seen]
-    point_rows = _sightings_of(trace, ids[~walls].tolist())
-    wall_rows = _sightings_of(trace, ids[walls].tolist())
-    polar = [sighting.bearing_range() for _, _, sighting in point_rows]
+    point_rows = _observations_of(trace, ids[~walls].tolist())
+    wall_rows = _observations_of(trace, ids[walls].tolist())
+    polar = [observation.bearing_range() for _, _, observation in point_rows]
     motions = trace.key_odometry[1:]
     return FactorGraph(
         trace.trajectory.copy(),
@@ -83,13 +83,13 @@ def factor_graph(trace: Trace) -> FactorGraph:
     )
 
 
-def _sightings_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Sighting]]:
-    """Sightings of the landmarks `ids`: index of the keyframe, index of the landmark, sighting."""
+def _observations_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Observation]]:
+    """Observations of the landmarks `ids`: index of the keyframe, index of the landmark, observation."""
     column = {i: k for k, i in enumerate(ids)}
     return [
-        (k, column[i], sighting)
+        (k, column[i], observation)
         for k, association in enumerate(trace.associations)
-        for i, sighting in association.sightings.items()
+        for i, observation in association.observations.items()
         if i in column
     ]
 
@@ -101,9 +101,10 @@ def _regularized_cov(odometry: Odometry) -> Array:
 def write_graph(folder: Path, graph: FactorGraph) -> None:
     """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz`, which also contains the walls.
 
-    In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and a
-    sighting `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of bearing and range.
-    The first pose is the start of the run; the format has no tag for a prior. Poses are numbered first, then landmarks.
+    In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and an
+    observation `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of bearing and
+    range. The first pose is the start of the run; the format has no tag for a prior. Poses are numbered first, then
+    landmarks.
     """
     first = len(graph.poses)
     lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph.poses)]
@@ -111,7 +112,7 @@ def write_graph(folder: Path, graph: FactorGraph) -> None:
     upper = np.triu_indices(3)
     for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
         lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
-    rows = zip(graph.sighting_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
+    rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), polar, cov in rows:
         lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
     with whole(folder / "graph.g2o") as file:

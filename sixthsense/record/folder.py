@@ -219,7 +219,7 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
     estimate, records = trace.final, trace.records
     with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
         writer = csv.writer(out)
-        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "sightings", "from_x", "from_y", "to_x", "to_y"])
+        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "observations", "from_x", "from_y", "to_x", "to_y"])
         for k, i in enumerate(estimate.ids.tolist()):
             block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
             record = records[i]
@@ -227,7 +227,7 @@ def write_landmarks(folder: Path, trace: Trace) -> None:
             # A point has x and y. A wall has alpha and d, and the extent of its seen part.
             columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
             extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
-            writer.writerow([i, record.kind.name.lower(), *columns, record.sightings, *extent])
+            writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
     with whole(folder / "landmarks.npz") as file:
         np.savez(
             file,

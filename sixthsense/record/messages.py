@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.record.message_form import quaternion
+from sixthsense.sources.logs.observation_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
 from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
-from sixthsense.sources.logs.sighting_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
 
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""
@@ -107,13 +107,13 @@ class Messages:
         info = self._types["nav_msgs/msg/MapMetaData"](header.stamp, cell_m, width, height, self.pose(Pose(*origin)))
         return self._types["nav_msgs/msg/OccupancyGrid"](header, info, occupancy.ravel())
 
-    def cloud(self, stamp_ns: int, sightings: Mapping[LandmarkId, Sighting]) -> Any:
-        """sensor_msgs/PointCloud2 of sightings of landmarks, robot's frame."""
-        data = to_bytes(sightings)
+    def cloud(self, stamp_ns: int, observations: Mapping[LandmarkId, Observation]) -> Any:
+        """sensor_msgs/PointCloud2 of observations of landmarks, robot's frame."""
+        data = to_bytes(observations)
         field = self._types["sensor_msgs/msg/PointField"]
         fields = [field(name, offset, kind, 1) for name, offset, kind in FIELDS]
         header = self.header(stamp_ns, ROBOT)
-        return self._types[CLOUD](header, 1, len(sightings), fields, False, POINT_BYTES, len(data), data, True)
+        return self._types[CLOUD](header, 1, len(observations), fields, False, POINT_BYTES, len(data), data, True)
 
 
 def seconds_and_nanoseconds(stamp_ns: int) -> tuple[int, int]:

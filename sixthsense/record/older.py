@@ -42,7 +42,7 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
             unknown = Association({}, 0, 0.0, 0)
             trace.add_keyframe(tick, Keyframe(folded.take(), pose_estimate(pose, cov), unknown, None))
         trace.add_tick(tick, tick.odometry)
-        if tick.scan is not None or tick.sightings is not None:
+        if tick.scan is not None or tick.observations is not None:
             since = folded.since.motion
             trace.add_scan(tick, Step(tick.stamp_ns, pose, tick.odometry, None, since, None, None, no_grid))
     return trace

@@ -13,7 +13,7 @@ from sixthsense.config import Config
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
@@ -143,9 +143,9 @@ def _take_scan(table: Line, trace: Trace) -> None:
 def _take_keyframe(table: Line, trace: Trace) -> None:
     motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
     estimate = pose_estimate(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
-    sightings = dict(map(_sighting, _unpacked(table, "sightings", (-1, 10)).tolist()))
+    observations = dict(map(_observation, _unpacked(table, "observations", (-1, 10)).tolist()))
     association = Association(
-        sightings,
+        observations,
         _whole(table, "discarded"),
         _number(table, "nis"),
         _whole(table, "dof"),
@@ -202,12 +202,12 @@ def pose_estimate(pose: Pose, pose_cov: Array) -> Estimate:
     return Estimate(pose, pose_cov, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
 
 
-def _sighting(row: list[float]) -> tuple[LandmarkId, Sighting]:
+def _observation(row: list[float]) -> tuple[LandmarkId, Observation]:
     landmark, kind, x, y, c00, c01, c10, c11, first, last = row
     if not landmark.is_integer():
-        raise ValueError(f"a sighting of landmark {landmark}")
+        raise ValueError(f"an observation of landmark {landmark}")
     cov = np.array([[c00, c01], [c10, c11]])
-    return int(landmark), Sighting(Kind(int(kind)), np.array([x, y]), cov, (first, last))
+    return int(landmark), Observation(Kind(int(kind)), np.array([x, y]), cov, (first, last))
 
 
 def _truth(table: Line, has_rows: bool, has_truth: bool) -> Array | None:

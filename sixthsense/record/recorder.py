@@ -31,7 +31,7 @@ class Recorder:
             trace.live.features = keyframe.features or trace.live.features
             trace.add_keyframe(tick, keyframe)
         trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
-        if tick.scan is not None or tick.sightings is not None:
+        if tick.scan is not None or tick.observations is not None:
             trace.add_scan(tick, step)
 
     def finish(self, outcome: str) -> None:

@@ -2,8 +2,8 @@
 
 The first line describes the run: format, robot's radius and scene. Then follow, tick by tick, a line for each keyframe
 (`keyframe`), plan (`plan`) and scan (`scan`), and at last one for the run's end (`end`). Every float64 is kept to the
-last bit; walls and sightings of a keyframe are rows of them in base64. A killed run has no `end`, and its last line may
-be cut.
+last bit; walls and observations of a keyframe are rows of them in base64. A killed run has no `end`, and its last line
+may be cut.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Trace
 from sixthsense.sources.scene import Scene
@@ -161,7 +161,7 @@ def _keyframe_line(trace: Trace, k: int) -> Line:
         "motion_cov": motion.cov.tolist(),
         "pose": estimate.pose.array().tolist(),
         "pose_cov": estimate.pose_cov.tolist(),
-        "sightings": packed(_sightings(association.sightings)),
+        "observations": packed(_observations(association.observations)),
         "discarded": int(association.discarded),
         "nis": float(association.nis),
         "dof": int(association.dof),
@@ -182,9 +182,9 @@ def packed(numbers: ArrayLike) -> str:
     return base64.b64encode(np.asarray(numbers, dtype="<f8").tobytes()).decode("ascii")
 
 
-def _sightings(sightings: Mapping[LandmarkId, Sighting]) -> list[list[float]]:
+def _observations(observations: Mapping[LandmarkId, Observation]) -> list[list[float]]:
     """A row per match: landmark's id, kind, z (2), its covariance (4), extent (2)."""
-    return [[i, int(s.kind), *s.z.tolist(), *s.cov.ravel().tolist(), *s.extent] for i, s in sightings.items()]
+    return [[i, int(s.kind), *s.z.tolist(), *s.cov.ravel().tolist(), *s.extent] for i, s in observations.items()]
 
 
 def _end_line(trace: Trace) -> Line:

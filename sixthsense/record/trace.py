@@ -65,7 +65,7 @@ class Trace:
     key_truths: list[Array] = field(default_factory=list)
     """per keyframe: (3,) true pose; empty for a log"""
     associations: list[Association] = field(default_factory=list)
-    """per keyframe: matches, innovations and discarded sightings"""
+    """per keyframe: matches, innovations and discarded observations"""
     walls_found: list[Array] = field(default_factory=list)
     """per keyframe: (W, 2, 2) extracted segments, robot's frame"""
     stopwatch: Stopwatch = field(default_factory=Stopwatch)

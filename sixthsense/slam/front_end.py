@@ -32,9 +32,9 @@ class Keyframe:
     estimate: Estimate
     """after the update"""
     association: Association
-    """which sighting is of which landmark"""
+    """which observation is of which landmark"""
     features: Features | None
-    """robot's frame; None where the log itself gives the sightings, and where scans are aligned"""
+    """robot's frame; None where the log itself gives the observations, and where scans are aligned"""
 
     @property
     def walls_robot(self) -> Array:

@@ -1,7 +1,7 @@
 """The front end of landmarks whose matches are chosen where aligned scans say that the robot is.
 
 The aligned scans have a graph of their own. What it says is used to choose matches, and to doubt the wheels where they
-slip. The estimator is given odometry and sightings, as without it: no aligned pose is a measurement.
+slip. The estimator is given odometry and observations, as without it: no aligned pose is a measurement.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sixthsense.slam.scans.front_end import ScanFrontEnd
 
 
 class GuidedFrontEnd(LandmarkFrontEnd):
-    """Sightings of landmarks in the keyframes of the front end of scans, which proposes where the robot is."""
+    """Observations of landmarks in the keyframes of the front end of scans, which proposes where the robot is."""
 
     def __init__(
         self,
@@ -59,16 +59,16 @@ class GuidedFrontEnd(LandmarkFrontEnd):
             return super()._associated(features, tick)
         estimate = self._estimator.estimate()
         self._proposed.place(self._guide.proposal(), estimate, self._associator.records)
-        found = self._associator.associate(features.sightings, self._proposed)
-        nis, dof = self._associator.nis(found.sightings, self._estimator)
+        found = self._associator.associate(features.observations, self._proposed)
+        nis, dof = self._associator.nis(found.observations, self._estimator)
         return dataclasses.replace(
             found, nis=nis, dof=dof, predicted_pose=estimate.pose, predicted_cov=estimate.pose_cov
         )
 
     def _updated(self, association: Association) -> Estimate:
-        self._estimator.update(association.sightings)
+        self._estimator.update(association.observations)
         estimate = self._estimator.estimate()
-        self._proposed.remember(self._guide.newest, estimate, association.sightings, self._associator.records)
+        self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
         gone = [*self._associator.cull(), *self._associator.merged(self._estimator)]
         self._estimator.forget(gone)
         self._proposed.forget(gone)

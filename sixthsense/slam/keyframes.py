@@ -23,9 +23,9 @@ class Keyframes:
         self.since = self.since.then(increment) if self.since is not STANDSTILL else increment
 
     def due(self, tick: Tick) -> bool:
-        """Whether a tick's evidence is used: a scan after enough motion, or sightings of landmarks known by name."""
+        """Whether a tick's evidence is used: a scan after enough motion, or observations of landmarks known by name."""
         if tick.scan is None:
-            return bool(tick.sightings)
+            return bool(tick.observations)
         motion = self.since.motion
         distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
         far = distance >= self._config.distance_m or turn >= self._config.turn_rad

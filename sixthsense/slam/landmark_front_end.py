@@ -19,7 +19,7 @@ from sixthsense.slam.keyframes import Keyframes
 
 
 class LandmarkFrontEnd:
-    """Sightings of landmarks in keyframes, which are selected by odometry."""
+    """Observations of landmarks in keyframes, which are selected by odometry."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class LandmarkFrontEnd:
         return self._keyframes.since.motion
 
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
-        """Process a tick: on keyframes, sightings are extracted, matched with landmarks and fused."""
+        """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
         if increment is not None:
             self._keyframes.moved(increment)
             self._pose = self._pose @ increment.motion
@@ -90,12 +90,12 @@ class LandmarkFrontEnd:
 
     def _associated(self, features: Features | None, tick: Tick) -> Association:
         if features is None:
-            return self._associator.known(tick.sightings or {}, self._estimator)
-        return self._associator.associate(features.sightings, self._estimator)
+            return self._associator.known(tick.observations or {}, self._estimator)
+        return self._associator.associate(features.observations, self._estimator)
 
     def _unlearn(self, scan: Scan, estimate: Estimate, association: Association) -> Estimate:
         """The estimate without the landmarks of a prior map that are no longer there."""
-        gone = self._vanished.gone(scan, estimate, association.sightings, self._associator.records)
+        gone = self._vanished.gone(scan, estimate, association.observations, self._associator.records)
         if not gone:
             return estimate
         self._estimator.forget(gone)
@@ -105,6 +105,6 @@ class LandmarkFrontEnd:
         return self._estimator.estimate()
 
     def _updated(self, association: Association) -> Estimate:
-        self._estimator.update(association.sightings)
+        self._estimator.update(association.observations)
         self._estimator.forget([*self._associator.cull(), *self._associator.merged(self._estimator)])
         return self._estimator.estimate()

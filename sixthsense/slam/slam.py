@@ -68,7 +68,7 @@ class SlamResult:
     trajectory: Array
     """(K, 3) final pose at each keyframe"""
     landmark_records: Mapping[LandmarkId, Record]
-    """sightings, kind and extent of each landmark of the estimate"""
+    """observations, kind and extent of each landmark of the estimate"""
     culled: int
     """landmarks removed"""
     walls_merged: int
@@ -149,7 +149,7 @@ class Slam:
         self._blas.restore_original_limits()
 
     def take(self, tick: Tick) -> Step:
-        """Process a tick: its odometry always, its sightings, and its scan if it is a keyframe."""
+        """Process a tick: its odometry always, its observations, and its scan if it is a keyframe."""
         increment, scan = self._fold(tick)
         keyframe = self._front_end.take(tick, scan, self._placed(scan, increment))
         if keyframe is not None and self._wheels is not None:

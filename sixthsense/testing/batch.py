@@ -1,6 +1,6 @@
 """Batch least squares over all poses and landmarks: the reference of the laws of the posterior.
 
-It shares no code with the estimators. The sighting models are written from geometry alone, Jacobians are central
+It shares no code with the estimators. The observation models are written from geometry alone, Jacobians are central
 differences, and the information matrix of all variables is dense.
 """
 
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate
 
-Log = Sequence[tuple[Odometry, Mapping[LandmarkId, Sighting]]]
+Log = Sequence[tuple[Odometry, Mapping[LandmarkId, Observation]]]
 Residual = Callable[[Array], Array]
 Places = NDArray[np.intp]
 
@@ -31,7 +31,7 @@ class Posterior:
     """Mean and joint covariance of the last pose, of all landmarks, world frame, and of the wheels' parameters."""
 
     ids: list[LandmarkId]
-    """in the order of the first sighting"""
+    """in the order of the first observation"""
     mean: Array
     """(3 + 2n,) x, y, theta, then the two numbers of each landmark; m, rad; the four parameters of wheels if they are
     estimated"""
@@ -54,7 +54,7 @@ class _Factor:
 
 
 def to_robot(pose: Array, landmark: Array, is_wall: bool) -> Array:
-    """The sighting (2,) of a landmark (2,) from a pose (3,): of a wall by two points on it."""
+    """The observation (2,) of a landmark (2,) from a pose (3,): of a wall by two points on it."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     world_to_robot = np.array([[c, s], [-s, c]])
     if not is_wall:
@@ -63,7 +63,7 @@ def to_robot(pose: Array, landmark: Array, is_wall: bool) -> Array:
 
 
 def to_world(pose: Array, z: Array, is_wall: bool) -> Array:
-    """The landmark (2,) that is sighted at z (2,) from a pose (3,): the inverse of `to_robot`."""
+    """The landmark (2,) that is observed at z (2,) from a pose (3,): the inverse of `to_robot`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     robot_to_world = np.array([[c, -s], [s, c]])
     if not is_wall:
@@ -77,8 +77,8 @@ def jacobian(function: Residual, x: Array) -> Array:
     return np.column_stack(columns)
 
 
-def sighting_jacobian(pose: Array, landmark: Array, is_wall: bool) -> Array:
-    """(2, 5) Jacobian of a sighting by the pose, then by the landmark."""
+def observation_jacobian(pose: Array, landmark: Array, is_wall: bool) -> Array:
+    """(2, 5) Jacobian of an observation by the pose, then by the landmark."""
     z = to_robot(pose, landmark, is_wall)
     return jacobian(lambda x: _difference(to_robot(x[:3], x[3:], is_wall), z, is_wall), np.append(pose, landmark))
 
@@ -90,7 +90,7 @@ def batch_posterior(
     wheels: WheelEstimate | None = None,
     restarts: Mapping[int, Odometry] | None = None,
 ) -> Posterior:
-    """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first sightings.
+    """The posterior of a log by Gauss-Newton iterations from dead reckoning and the first observations.
 
     `start_cov` (3, 3) and the covariances of odometry must be invertible. With a prior of `wheels` their parameters are
     estimated, too. At an entry of the log with one of the `restarts` the robot is put there, `T_world_robot` with its
@@ -123,15 +123,15 @@ def batch_posterior(
 def _initial(
     log: Log, start: Pose, restarts: Mapping[int, Odometry]
 ) -> tuple[list[Array], dict[LandmarkId, Array], dict[LandmarkId, bool]]:
-    """Poses by dead reckoning, the start first; landmarks at their first sighting; which of them are walls."""
+    """Poses by dead reckoning, the start first; landmarks at their first observation; which of them are walls."""
     poses, landmarks, walls = [start.array()], {}, {}
-    for k, (odometry, sightings) in enumerate(log):
+    for k, (odometry, observations) in enumerate(log):
         before = restarts[k].motion if k in restarts else Pose.from_array(poses[-1])
         poses.append((before @ odometry.motion).array())
-        for i, sighting in sightings.items():
+        for i, observation in observations.items():
             if i not in landmarks:
-                landmarks[i] = to_world(poses[-1], sighting.z, sighting.is_wall)
-                walls[i] = sighting.is_wall
+                landmarks[i] = to_world(poses[-1], observation.z, observation.is_wall)
+                walls[i] = observation.is_wall
     return poses, landmarks, walls
 
 
@@ -142,22 +142,22 @@ def _factors(
     wheels: WheelEstimate | None,
     restarts: Mapping[int, Odometry],
 ) -> list[_Factor]:
-    """Priors, odometry and sightings."""
+    """Priors, odometry and observations."""
     factors = [_start(np.arange(3), start)]
     of_wheels = 3 * len(log) + 3 + 2 * len(of_landmarks) + np.arange(PARAMETERS if wheels is not None else 0)
     if wheels is not None:
         mean = wheels.values.array()
         factors.append(_Factor(of_wheels, lambda x: x - mean, _inverse(wheels.cov)))
-    for k, (odometry, sightings) in enumerate(log):
+    for k, (odometry, observations) in enumerate(log):
         before, after = 3 * k + np.arange(3), 3 * k + 3 + np.arange(3)
         at = np.concatenate([before, after, of_wheels])
         if k in restarts:
             factors.append(_start(after, restarts[k].then(odometry)))
         else:
             factors.append(_Factor(at, _motion_residual(odometry), _inverse(odometry.cov)))
-        for i, sighting in sightings.items():
+        for i, observation in observations.items():
             at = np.append(after, of_landmarks[i])
-            factors.append(_Factor(at, _sighting_residual(sighting), _inverse(sighting.cov)))
+            factors.append(_Factor(at, _observation_residual(observation), _inverse(observation.cov)))
     return factors
 
 
@@ -180,9 +180,9 @@ def _motion_residual(odometry: Odometry) -> Residual:
     return residual
 
 
-def _sighting_residual(sighting: Sighting) -> Residual:
+def _observation_residual(observation: Observation) -> Residual:
     def residual(x: Array) -> Array:
-        return _difference(to_robot(x[:3], x[3:], sighting.is_wall), sighting.z, sighting.is_wall)
+        return _difference(to_robot(x[:3], x[3:], observation.is_wall), observation.z, observation.is_wall)
 
     return residual
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.evaluation.tables import html_table
 from sixthsense.slam.estimators import (
     Estimator,
@@ -63,9 +63,9 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
 
     `factory` makes an estimator from the start, `T_world_robot`, and its covariance (3, 3), as for
     `ss.register_estimator`. It is registered under `name`, by default the name of the factory. If the estimator raises
-    NotImplementedError for the first sighting of a wall, the laws of walls are skipped. The laws of links are tested if
-    it has `link` and `unlink`, those of wheels if it has `estimate_wheels` and `wheels`, those of prior maps if it has
-    `start_from`. Raises ValueError for the name of a built-in estimator and for an invalid name.
+    NotImplementedError for the first observation of a wall, the laws of walls are skipped. The laws of links are tested
+    if it has `link` and `unlink`, those of wheels if it has `estimate_wheels` and `wheels`, those of prior maps if it
+    has `start_from`. Raises ValueError for the name of a built-in estimator and for an invalid name.
     """
     name = name or getattr(factory, "__name__", "")
     register_estimator(name, factory)
@@ -88,9 +88,9 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
 
 
 def _refusal_of_walls(name: str) -> str:
-    """The error with which an estimator refuses the first sighting of a wall; empty if it does not."""
+    """The error with which an estimator refuses the first observation of a wall; empty if it does not."""
     try:
-        make(name).update({0: Sighting(Kind.WALL, np.array([0.5, -2.0]), 0.01 * np.eye(2), (-1.0, 1.0))})
+        make(name).update({0: Observation(Kind.WALL, np.array([0.5, -2.0]), 0.01 * np.eye(2), (-1.0, 1.0))})
     except NotImplementedError as error:
         return f"{type(error).__name__}: {error}"
     except Exception:  # the laws find it and name it

@@ -17,7 +17,7 @@ import numpy as np
 from sixthsense.config import ISAM2Config
 from sixthsense.core.arc import arc_jacobian
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, predict_points
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.slam.estimators import make_estimator
@@ -41,7 +41,7 @@ class Evidence:
     """(K, 3) poses at the end of each step"""
     odometry: tuple[Odometry, ...]
     """K increments"""
-    sightings: tuple[dict[LandmarkId, Sighting], ...]
+    observations: tuple[dict[LandmarkId, Observation], ...]
     """K, each at the end of its step"""
     full_rank_from: int
     """first step at which the covariance has full rank; the noise of one step has rank 2"""
@@ -79,7 +79,7 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
     truth = np.stack([RADIUS * np.sin(turn), RADIUS * (1.0 - np.cos(turn)), turn], axis=1)
     truth[:, 2] = wrap_angle(truth[:, 2])
     points = landmarks()
-    odometry, sightings, motion, covs = [], [], STANDSTILL, []
+    odometry, observations, motion, covs = [], [], STANDSTILL, []
     for row in truth:
         speed = SPEED + SIGMA_SPEED * rng.standard_normal()
         turn_rate = TURN_RATE + SIGMA_TURN_RATE * rng.standard_normal()
@@ -91,8 +91,8 @@ def simulate(seed: int, run: int, steps: int = STEPS) -> Evidence:
         z_range = np.hypot(z[:, 0], z[:, 1])
         z += SIGMA_POINT * rng.standard_normal(z.shape)
         seen = np.flatnonzero((z_range > NEAREST) & (z_range < FARTHEST)).tolist()
-        sightings.append({i: Sighting(Kind.CORNER, z[i], POINT_COV) for i in seen})
-    return Evidence(truth, tuple(odometry), tuple(sightings), full_rank_from(np.array(covs)))
+        observations.append({i: Observation(Kind.CORNER, z[i], POINT_COV) for i in seen})
+    return Evidence(truth, tuple(odometry), tuple(observations), full_rank_from(np.array(covs)))
 
 
 def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> Track:
@@ -100,10 +100,10 @@ def follow(name: str, evidence: Evidence, isam2: ISAM2Config | None = None) -> T
     settings = isam2 or ISAM2Config(undo_probability=1.0)  # all matches are correct
     estimator = make_estimator(name, Pose(), np.zeros((3, 3)), settings)
     poses, covs, spent_s = [], [], 0.0
-    for odometry, sightings in zip(evidence.odometry, evidence.sightings, strict=True):
+    for odometry, observations in zip(evidence.odometry, evidence.observations, strict=True):
         began = perf_counter()
         estimator.predict(odometry)
-        estimator.update(sightings)
+        estimator.update(observations)
         spent_s += perf_counter() - began
         now = estimator.estimate()
         poses.append(now.pose.array())

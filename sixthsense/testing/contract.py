@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.testing.estimation import (
     assert_same,
@@ -74,7 +74,7 @@ def predicting_in_pieces_is_predicting_at_once(name: str) -> None:
 
 
 @LAWS.law
-def a_sighting_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: str) -> None:
+def an_observation_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: str) -> None:
     estimator = driven(name)
     estimator.predict(step())
     before, cov = joint_state(estimator)
@@ -89,27 +89,27 @@ def a_sighting_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: st
 
 
 @LAWS.law
-def a_new_landmark_is_initialized_from_its_sighting(name: str) -> None:
+def a_new_landmark_is_initialized_from_its_observation(name: str) -> None:
     estimator = driven(name)
     estimator.predict(step())
     before, cov = joint_state(estimator)
-    sighting = Sighting(Kind.END, np.array([1.0, 0.5]), np.array([[0.01, 0.004], [0.004, 0.02]]))
-    estimator.update({77: sighting})
+    observation = Observation(Kind.END, np.array([1.0, 0.5]), np.array([[0.01, 0.004], [0.004, 0.02]]))
+    estimator.update({77: observation})
     after, joint = joint_state(estimator)
-    mean, own, with_pose = expected_new_landmark(name, before, sighting)
+    mean, own, with_pose = expected_new_landmark(name, before, observation)
     assert after.ids[-1] == 77 and np.allclose(after.landmarks[-1], mean, atol=1e-9)
     assert np.allclose(joint[-2:, -2:], own, atol=1e-9) and np.allclose(joint[-2:, :3], with_pose, atol=1e-9)
-    # The first sighting of a landmark changes nothing else.
+    # The first observation of a landmark changes nothing else.
     assert np.allclose(joint[:-2, :-2], cov, atol=1e-9) and np.allclose(after.landmarks[:-1], before.landmarks)
 
 
 @LAWS.law
 def known_landmarks_of_a_scan_update_before_new_ones_are_initialized(name: str) -> None:
     one, two = driven(name), driven(name)
-    sightings = sight(Pose(1.0, 1.0, 1.0), [0, 2], np.random.default_rng(5))
-    new = {77: Sighting(Kind.END, np.array([1.0, 0.5]), np.eye(2) * 0.01)}
-    one.update(new | sightings)
-    two.update(sightings)
+    observations = sight(Pose(1.0, 1.0, 1.0), [0, 2], np.random.default_rng(5))
+    new = {77: Observation(Kind.END, np.array([1.0, 0.5]), np.eye(2) * 0.01)}
+    one.update(new | observations)
+    two.update(observations)
     two.update(new)
     # With a motion noise of a micrometre, a Cholesky factorisation keeps about five digits of a covariance.
     assert_same(joint_state(one), joint_state(two), max(1e-7, family(name).step_rounding))
@@ -179,8 +179,8 @@ def arguments_may_change_after_the_call(name: str) -> None:
             motion.cov[:] = 7.0
     one.update(seen)
     two.update(seen)
-    for sighting in seen.values():
-        sighting.z[:], sighting.cov[:] = 9.0, 9.0
+    for observation in seen.values():
+        observation.z[:], observation.cov[:] = 9.0, 9.0
     assert_same(joint_state(one), joint_state(two))
 
 
@@ -190,8 +190,8 @@ def integers_give_the_same_result_as_floats(name: str) -> None:
     for number in (int, float):
         estimator = make(name, Pose(number(0), number(1), number(0)), np.zeros((3, 3)).astype(number))
         estimator.predict(Odometry(Pose(number(1), number(0), number(1)), np.eye(3).astype(number)))
-        estimator.update({0: Sighting(Kind.CORNER, np.array([2, 1], number), np.eye(2).astype(number))})
-        estimator.update({0: Sighting(Kind.CORNER, np.array([2, 1.5]), np.eye(2))})
+        estimator.update({0: Observation(Kind.CORNER, np.array([2, 1], number), np.eye(2).astype(number))})
+        estimator.update({0: Observation(Kind.CORNER, np.array([2, 1.5]), np.eye(2))})
         results.append(joint_state(estimator))
     assert_same(results[0], results[1])
 
@@ -205,7 +205,7 @@ def the_same_input_gives_the_same_bits(name: str) -> None:
 
 @LAWS.law
 def forgetting_a_landmark_leaves_the_others_unchanged(name: str) -> None:
-    """A smoother also removes the sightings of the forgotten landmarks."""
+    """A smoother also removes the observations of the forgotten landmarks."""
     estimator = driven(name)
     before, cov = joint_state(estimator)
     forgotten = before.ids[[1, 3]].tolist()
@@ -249,13 +249,13 @@ def forgetting_all_landmarks_leaves_the_pose(name: str) -> None:
 
 @LAWS.law
 def a_forgotten_landmark_seen_again_is_new(name: str) -> None:
-    """Its position and covariance depend only on the new sighting, even far from the old position."""
+    """Its position and covariance depend only on the new observation, even far from the old position."""
     estimator = driven(name)
     estimator.forget([1])
     before = estimator.estimate()
-    sighting = Sighting(Kind.END, np.array([-4.0, 2.5]), np.eye(2) * 0.01)
-    estimator.update({1: sighting})
-    mean, own, with_pose = expected_new_landmark(name, before, sighting)
+    observation = Observation(Kind.END, np.array([-4.0, 2.5]), np.eye(2) * 0.01)
+    estimator.update({1: observation})
+    mean, own, with_pose = expected_new_landmark(name, before, observation)
     after, joint = estimator.estimate(), estimator.joint_covariance([1])
     assert after.ids[-1] == 1 and np.allclose(after.landmarks[-1], mean, atol=1e-8)
     slack = family(name).step_rounding  # the same rounding as above

@@ -1,4 +1,4 @@
-"""Edge cases of the contract: invalid input, exact knowledge, zero noise, long drives without sightings."""
+"""Edge cases of the contract: invalid input, exact knowledge, zero noise, long drives without observations."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.testing.estimation import (
     POINTS,
@@ -34,7 +34,7 @@ BAD_POSE_COVS = {
     "an eigenvalue of -0.01": np.diag([0.01, -0.01, 0.01]),
     r"expected shape \(3, 3\), got \(2, 2\)": np.eye(2),
 }
-BAD_SIGHTINGS = {
+BAD_OBSERVATIONS = {
     "a value that is not finite": ([1.0, 2.0], [[0.01, np.nan], [np.nan, 0.01]]),
     "not finite": ([1.0, 2.0], [[np.inf, 0.0], [0.0, 0.01]]),
     "an asymmetric matrix": ([1.0, 2.0], [[0.01, 1e-3], [0.0, 0.01]]),
@@ -63,15 +63,15 @@ def an_invalid_odometry_covariance_is_named_and_changes_nothing(name: str, fault
         assert_same(before, joint_state(estimator))
 
 
-@LAWS.law_for(BAD_SIGHTINGS)
-def an_invalid_sighting_is_named_and_changes_nothing(name: str, fault: str) -> None:
-    """The valid sightings of the same scan are rejected as well."""
+@LAWS.law_for(BAD_OBSERVATIONS)
+def an_invalid_observation_is_named_and_changes_nothing(name: str, fault: str) -> None:
+    """The valid observations of the same scan are rejected as well."""
     estimator = driven(name)
     before, rows = joint_state(estimator), estimator.trajectory()
-    z, cov = BAD_SIGHTINGS[fault]
+    z, cov = BAD_OBSERVATIONS[fault]
     good = sight(Pose(1.0, 1.0, 1.0), [0, 1, 2], np.random.default_rng(0))
     for i in (7, 1):
-        bad = {i: Sighting(Kind.CORNER, np.array(z), np.array(cov))}
+        bad = {i: Observation(Kind.CORNER, np.array(z), np.array(cov))}
         with raises(ValueError, fault.replace("landmark 7", f"landmark {i}")):
             estimator.update(good | bad if i == 7 else bad)
         assert_same(before, joint_state(estimator))
@@ -81,10 +81,10 @@ def an_invalid_sighting_is_named_and_changes_nothing(name: str, fault: str) -> N
 
 
 @LAWS.law
-def the_error_of_a_sighting_names_its_landmark(name: str) -> None:
+def the_error_of_an_observation_names_its_landmark(name: str) -> None:
     good = sight(START, [0, 1, 2], np.random.default_rng(0))
     with raises(ValueError, "landmark 41: found an asymmetric matrix, allowed: a covariance, symmetric"):
-        make(name).update(good | {41: Sighting(Kind.END, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]]))})
+        make(name).update(good | {41: Observation(Kind.END, np.ones(2), np.array([[1.0, 0.5], [0.0, 1.0]]))})
 
 
 @LAWS.law
@@ -101,8 +101,8 @@ def an_exact_motion_moves_the_pose_and_transports_its_covariance(name: str) -> N
 
 
 @LAWS.law
-def every_update_without_sightings_adds_a_pose_to_the_trajectory(name: str) -> None:
-    """The estimate is that of odometry alone, and later sightings are used as usual."""
+def every_update_without_observations_adds_a_pose_to_the_trajectory(name: str) -> None:
+    """The estimate is that of odometry alone, and later observations are used as usual."""
     estimator, folded, rows = make(name), STANDSTILL, []
     for k in range(300):
         if k % 3:

@@ -9,7 +9,7 @@ import numpy as np
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, initialize_point, predict_points
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, initialize_point, predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimate, Estimator, make_estimator
 
@@ -25,7 +25,7 @@ class Family:
     """Differences between filters and the smoother in the laws."""
 
     polar: bool = False
-    """Whether sightings are used as bearing and range, without their bias."""
+    """Whether observations are used as bearing and range, without their bias."""
     rounding: float = 0.0
     """Largest difference of two results for one covariance, relative to its largest entry."""
     forgets_evidence: bool = False
@@ -52,38 +52,38 @@ def make(
     return make_estimator(name, start, start_cov, isam2)
 
 
-def as_used(name: str, sighting: Sighting) -> Sighting:
-    """The sighting as the family uses it, in Cartesian coordinates."""
+def as_used(name: str, observation: Observation) -> Observation:
+    """The observation as the family uses it, in Cartesian coordinates."""
     if not family(name).polar:
-        return sighting
-    bearing, distance, cov = sighting.bearing_range()
+        return observation
+    bearing, distance, cov = observation.bearing_range()
     outward = rotation(bearing) @ np.array([[0.0, 1.0], [distance, 0.0]])  # by bearing, by range
-    return Sighting(sighting.kind, outward[:, 1] * distance, outward @ cov @ outward.T)
+    return Observation(observation.kind, outward[:, 1] * distance, outward @ cov @ outward.T)
 
 
-def exact(name: str, z: Array, cov: Array) -> Sighting:
-    """The sighting with covariance (2, 2) that the family uses as z (2,)."""
-    sighting = Sighting(Kind.CORNER, z, cov)
+def exact(name: str, z: Array, cov: Array) -> Observation:
+    """The observation with covariance (2, 2) that the family uses as z (2,)."""
+    observation = Observation(Kind.CORNER, z, cov)
     for _ in range(50):
-        sighting = Sighting(Kind.CORNER, sighting.z + z - as_used(name, sighting).z, cov)
-    assert np.allclose(as_used(name, sighting).z, z, atol=1e-13)
-    return sighting
+        observation = Observation(Kind.CORNER, observation.z + z - as_used(name, observation).z, cov)
+    assert np.allclose(as_used(name, observation).z, z, atol=1e-13)
+    return observation
 
 
 def sight(
     pose: Pose, ids: Iterable[int], rng: np.random.Generator, sigma: float = 0.05, points: Array = POINTS
-) -> dict[LandmarkId, Sighting]:
-    """Noisy sightings of known points from a pose."""
+) -> dict[LandmarkId, Observation]:
+    """Noisy observations of known points from a pose."""
     ids = list(ids)
     z, _, _ = predict_points(pose, points[ids])
     noise = rng.normal(0, sigma, z.shape)
-    return {int(i): Sighting(Kind.CORNER, z[k] + noise[k], np.eye(2) * sigma**2) for k, i in enumerate(ids)}
+    return {int(i): Observation(Kind.CORNER, z[k] + noise[k], np.eye(2) * sigma**2) for k, i in enumerate(ids)}
 
 
 def sight_exactly(
     name: str, pose: Pose, ids: Iterable[int], sigma: float = 0.05, points: Array = POINTS
-) -> dict[LandmarkId, Sighting]:
-    """Sightings without error and with covariance sigma^2 I."""
+) -> dict[LandmarkId, Observation]:
+    """Observations without error and with covariance sigma^2 I."""
     ids = list(ids)
     z, _, _ = predict_points(pose, points[ids])
     return {int(i): exact(name, z[k], np.eye(2) * sigma**2) for k, i in enumerate(ids)}
@@ -115,7 +115,7 @@ def driven(
     isam2: ISAM2Config | None = CONVERGED,
     unseen: Collection[LandmarkId] = (),
 ) -> Estimator:
-    """An estimator after a short drive in a world moved by `transform`, without sightings of the landmarks `unseen`."""
+    """An estimator after a short drive in a world moved by `transform`; the landmarks `unseen` are not observed."""
     T = transform or Pose()
     estimator = make(name, T @ START, rotated_covariance(T.theta, START_COV), isam2)
     rng, true = np.random.default_rng(0), START
@@ -123,16 +123,16 @@ def driven(
         estimator.predict(step())
         true = true @ step().motion
         seen = sight(true, [0, 1, 2] if k % 2 else [1, 3, 4], rng)
-        estimator.update({i: sighting for i, sighting in seen.items() if i not in unseen})
+        estimator.update({i: observation for i, observation in seen.items() if i not in unseen})
     return estimator
 
 
 def random_log(
     seed: int, points: Array, steps: int = 60, most: int = 8, sigma: float = 0.05
-) -> list[tuple[Odometry, dict[LandmarkId, Sighting]]]:
-    """The inputs of a random drive, [(odometry, sightings)], with up to `most` - 1 sightings per step."""
+) -> list[tuple[Odometry, dict[LandmarkId, Observation]]]:
+    """The inputs of a random drive, [(odometry, observations)], with up to `most` - 1 observations per step."""
     rng, true = np.random.default_rng(seed), START
-    log: list[tuple[Odometry, dict[LandmarkId, Sighting]]] = []
+    log: list[tuple[Odometry, dict[LandmarkId, Observation]]] = []
     for _ in range(steps):
         odometry = step(rng.uniform(-0.1, 0.4), rng.normal(0, 0.3))
         true = true @ noisy(odometry, rng)
@@ -141,11 +141,11 @@ def random_log(
     return log
 
 
-def fed(estimator: Estimator, log: Iterable[tuple[Odometry, Mapping[LandmarkId, Sighting]]]) -> Estimator:
+def fed(estimator: Estimator, log: Iterable[tuple[Odometry, Mapping[LandmarkId, Observation]]]) -> Estimator:
     """The estimator after the inputs of a drive."""
-    for odometry, sightings in log:
+    for odometry, observations in log:
         estimator.predict(odometry)
-        estimator.update(sightings)
+        estimator.update(observations)
     return estimator
 
 
@@ -164,9 +164,9 @@ def assert_same(one: tuple[Estimate, Array], two: tuple[Estimate, Array], atol: 
     assert np.abs(cov_a - cov_b).max() <= atol
 
 
-def expected_new_landmark(name: str, before: Estimate, sighting: Sighting) -> tuple[Array, Array, Array]:
+def expected_new_landmark(name: str, before: Estimate, observation: Observation) -> tuple[Array, Array, Array]:
     """Mean, covariance (2, 2) and covariance with the pose (2, 3) of a new landmark."""
-    sighting = as_used(name, sighting)
-    mean, by_pose, by_z = initialize_point(before.pose, sighting.z)
-    cov = by_pose @ before.pose_cov @ by_pose.T + by_z @ sighting.cov @ by_z.T
+    observation = as_used(name, observation)
+    mean, by_pose, by_z = initialize_point(before.pose, observation.z)
+    cov = by_pose @ before.pose_cov @ by_pose.T + by_z @ observation.cov @ by_z.T
     return mean, cov, by_pose @ before.pose_cov

@@ -34,7 +34,7 @@ _LINKS = [
 
 
 def linked(name: str, poses: int = 8) -> PoseGraphEstimator:
-    """An estimator after a drive without a sighting."""
+    """An estimator after a drive without an observation."""
     estimator = make(name, Pose(0.5, -0.2, 0.3), _START_COV)
     assert keeps_poses(estimator)
     for k in range(poses):
@@ -97,7 +97,7 @@ def removed_links_leave_no_trace(name: str) -> None:
 
 
 @LAWS.law
-def links_and_sightings_of_one_drive_are_used_together(name: str) -> None:
+def links_and_observations_of_one_drive_are_used_together(name: str) -> None:
     estimator = driven(name)
     assert keeps_poses(estimator)
     before = np.linalg.det(estimator.estimate().pose_cov)

@@ -1,8 +1,8 @@
 """Laws of the posterior, for points and for walls: mean and joint covariance against batch least squares.
 
 The noise is small, so that all estimators linearize at nearly the same place: their posteriors differ by about the
-noise, relative to a lever of 1 m. A wrong covariance of a sighting, a wrong Jacobian or a lost correlation changes the
-posterior by a part of itself, whatever the noise.
+noise, relative to a lever of 1 m. A wrong covariance of an observation, a wrong Jacobian or a lost correlation changes
+the posterior by a part of itself, whatever the noise.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from functools import cache
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator
-from sixthsense.testing.batch import Log, Posterior, batch_posterior, jacobian, sighting_jacobian, to_robot
+from sixthsense.testing.batch import Log, Posterior, batch_posterior, jacobian, observation_jacobian, to_robot
 from sixthsense.testing.estimation import fed, joint_state, make
 from sixthsense.testing.laws import Laws
 
@@ -49,17 +49,17 @@ class World:
         """Whether one of the landmarks is a wall."""
         return Kind.WALL in self.kinds
 
-    def sight(self, pose: Pose, ids: Sequence[LandmarkId], rng: np.random.Generator) -> dict[LandmarkId, Sighting]:
-        """Noisy sightings of landmarks from a pose."""
-        sightings = {}
+    def sight(self, pose: Pose, ids: Sequence[LandmarkId], rng: np.random.Generator) -> dict[LandmarkId, Observation]:
+        """Noisy observations of landmarks from a pose."""
+        observations = {}
         for i in ids:
             wall = self.kinds[i] == Kind.WALL
             cov = WALL_COV if wall else POINT_COV
             z = to_robot(pose.array(), self.landmarks[i], wall) + np.linalg.cholesky(cov) @ rng.standard_normal(2)
             if wall:
                 z[0] = wrap_angle(float(z[0]))
-            sightings[i] = Sighting(self.kinds[i], z, cov, (-1.0, 1.0) if wall else (0.0, 0.0))
-        return sightings
+            observations[i] = Observation(self.kinds[i], z, cov, (-1.0, 1.0) if wall else (0.0, 0.0))
+        return observations
 
 
 _POINTS = np.array([[7.0, -1.5], [3.0, 0.0], [6.0, -5.0]])
@@ -122,17 +122,17 @@ def reference_of(estimator: Estimator) -> Posterior:
     return Posterior(estimate.ids.tolist(), np.append(estimate.pose.array(), estimate.landmarks), joint, angles)
 
 
-def _linearized(state: Array, sighting: Sighting) -> tuple[Array, Array, Array]:
-    """Jacobian (2, 5) of a sighting by pose and landmark, its innovation (2,), and the covariance (2, 2) of that.
+def _linearized(state: Array, observation: Observation) -> tuple[Array, Array, Array]:
+    """Jacobian (2, 5) of an observation by pose and landmark, its innovation (2,), and the covariance (2, 2) of that.
 
-    The error of a wall's sighting is a turn about the place where direction and offset are independent, and a shift.
+    The error of a wall's observation is a turn about the place where direction and offset are independent, and a shift.
     """
     pose, landmark = state[:3], state[3:]
-    if not sighting.is_wall:
-        H = sighting_jacobian(pose, landmark, False)
-        return H, sighting.z - to_robot(pose, landmark, False), sighting.cov
-    alpha, d = (float(value) for value in sighting.z)
-    (var, mixed), (_, of_offset) = sighting.cov.tolist()
+    if not observation.is_wall:
+        H = observation_jacobian(pose, landmark, False)
+        return H, observation.z - to_robot(pose, landmark, False), observation.cov
+    alpha, d = (float(value) for value in observation.z)
+    (var, mixed), (_, of_offset) = observation.cov.tolist()
     place = np.array([d * math.cos(alpha), d * math.sin(alpha)])
     place += mixed / var * np.array([-math.sin(alpha), math.cos(alpha)])
 
@@ -144,14 +144,14 @@ def _linearized(state: Array, sighting: Sighting) -> tuple[Array, Array, Array]:
     return -jacobian(residual, state), residual(state), np.diag([var, of_offset - mixed**2 / var])
 
 
-def corrected(prior: Posterior, sightings: dict[LandmarkId, Sighting]) -> Posterior:
-    """A prior after sightings of its landmarks, in information form: H^T R^-1 H is added, linearized at the prior."""
+def corrected(prior: Posterior, observations: dict[LandmarkId, Observation]) -> Posterior:
+    """A prior after observations of its landmarks, in information form: adds H^T R^-1 H, linearized at the prior."""
     information = np.linalg.inv(prior.cov)
     gradient = np.zeros(len(prior.mean))
-    for i, sighting in sightings.items():
+    for i, observation in observations.items():
         k = prior.ids.index(i)
         at = np.append(np.arange(3), 3 + 2 * k + np.arange(2))
-        H, innovation, cov = _linearized(prior.mean[at], sighting)
+        H, innovation, cov = _linearized(prior.mean[at], observation)
         weight = np.linalg.inv(cov)
         information[np.ix_(at, at)] += H.T @ weight @ H
         gradient[at] += H.T @ weight @ innovation
@@ -175,24 +175,24 @@ def a_drive_gives_the_posterior_of_batch_least_squares(name: str, world: World) 
 
 
 @LAWS.law_for(WORLDS)
-def an_update_adds_the_information_of_its_sightings(name: str, world: World) -> None:
+def an_update_adds_the_information_of_its_observations(name: str, world: World) -> None:
     estimator = driven(name, world)
     estimator.predict(MOTION)
     prior = reference_of(estimator)
     true = drive(world, 6)[1] @ MOTION.motion
-    sightings = world.sight(true, [0, len(world.kinds) - 1], np.random.default_rng(1))
-    estimator.update(sightings)
-    assert_agrees(estimator, corrected(prior, sightings))
+    observations = world.sight(true, [0, len(world.kinds) - 1], np.random.default_rng(1))
+    estimator.update(observations)
+    assert_agrees(estimator, corrected(prior, observations))
 
 
 @LAWS.law_for(WORLDS)
-def two_updates_with_one_sighting_equal_one_with_half_its_covariance(name: str, world: World) -> None:
+def two_updates_with_one_observation_equal_one_with_half_its_covariance(name: str, world: World) -> None:
     true = drive(world, 6)[1]
     twice, once = driven(name, world), driven(name, world)
-    sightings = world.sight(true, [0, len(world.kinds) - 1], np.random.default_rng(2))
+    observations = world.sight(true, [0, len(world.kinds) - 1], np.random.default_rng(2))
     for _ in range(2):
-        twice.update(sightings)
-    once.update({i: Sighting(s.kind, s.z, 0.5 * s.cov, s.extent) for i, s in sightings.items()})
+        twice.update(observations)
+    once.update({i: Observation(s.kind, s.z, 0.5 * s.cov, s.extent) for i, s in observations.items()})
     assert_agrees(twice, reference_of(once))
 
 

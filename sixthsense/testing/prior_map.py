@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Estimator, LandmarkPrior, PriorMapEstimator, takes_prior_map
 from sixthsense.testing import posterior
@@ -15,7 +15,7 @@ from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
 
-Log = list[tuple[Odometry, dict[LandmarkId, Sighting]]]
+Log = list[tuple[Odometry, dict[LandmarkId, Observation]]]
 
 
 def begun(name: str, prior: LandmarkPrior, start: Pose = START, start_cov: Array = START_COV) -> PriorMapEstimator:
@@ -70,7 +70,7 @@ def before_any_motion_the_landmarks_are_their_prior_and_independent_of_the_start
 
 
 @LAWS.law_for(posterior.WORLDS)
-def the_first_sightings_add_their_information_to_the_prior(name: str, world: posterior.World) -> None:
+def the_first_observations_add_their_information_to_the_prior(name: str, world: posterior.World) -> None:
     rng = np.random.default_rng(2)
     prior = prior_of(world, rng)
     estimator = begun(name, prior, posterior.START, posterior.START_COV)
@@ -106,7 +106,7 @@ def landmarks_known_exactly_stay_where_they_are(name: str) -> None:
     estimator = begun(name, prior, posterior.START, posterior.START_COV)
     for _ in range(3):
         estimator.predict(posterior.MOTION)
-        estimator.update({10: Sighting(Kind.CORNER, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
+        estimator.update({10: Observation(Kind.CORNER, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
     assert np.allclose(estimator.estimate().landmarks, prior.landmarks, atol=1e-4)
 
 
@@ -115,7 +115,7 @@ def a_new_landmark_beside_those_of_the_prior_is_added_after_them(name: str) -> N
     prior = prior_of(posterior.BOTH, np.random.default_rng(3))
     estimator = begun(name, prior, posterior.START, posterior.START_COV)
     estimator.predict(posterior.MOTION)
-    estimator.update({3: Sighting(Kind.END, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
+    estimator.update({3: Observation(Kind.END, np.array([1.0, 0.5]), np.eye(2) * 0.01)})
     estimate, joint = joint_state(estimator)
     assert estimate.ids.tolist() == [*prior.ids.tolist(), 3]
     assert np.allclose(joint[3:-2, 3:-2], prior.cov, rtol=1e-3, atol=1e-2 * posterior.NOISE**2)

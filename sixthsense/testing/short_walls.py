@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.testing.estimation import make
 
@@ -18,7 +18,7 @@ _ROWS_APART = 10  # steps
 def drive_past_short_walls(name: str, seed: int, way_m: float, direction_rad: float) -> tuple[Array, Array]:
     """Errors (N, 3) of an estimator's pose every 4 m along a straight way, and their covariances (N, 3, 3).
 
-    The start is known. Walls of half a metre stand within 4 m of the way, in any direction; their sightings have the
+    The start is known. Walls of half a metre stand within 4 m of the way, in any direction; their observations have the
     sigma `direction_rad` of a turn about the wall's middle, and one of 5 mm of a shift there, which the stated
     covariances are of.
     """
@@ -33,7 +33,7 @@ def drive_past_short_walls(name: str, seed: int, way_m: float, direction_rad: fl
         slip = np.linalg.cholesky(_MOTION_COV) @ rng.standard_normal(3)
         estimator.predict(Odometry(Pose(_STEP_M + slip[0], slip[1], slip[2]), _MOTION_COV))
         near = np.flatnonzero(np.hypot(*(middles - true.position).T) < _REACH_M)
-        estimator.update({int(i): _sighting(true, float(alpha[i]), middles[i], direction_rad, rng) for i in near})
+        estimator.update({int(i): _observation(true, float(alpha[i]), middles[i], direction_rad, rng) for i in near})
         if step % _ROWS_APART == 0:
             estimate = estimator.estimate()
             error = estimate.pose.array() - true.array()
@@ -42,7 +42,9 @@ def drive_past_short_walls(name: str, seed: int, way_m: float, direction_rad: fl
     return np.array(errors), np.array(covs)
 
 
-def _sighting(pose: Pose, alpha: float, middle: Array, direction_rad: float, rng: np.random.Generator) -> Sighting:
+def _observation(
+    pose: Pose, alpha: float, middle: Array, direction_rad: float, rng: np.random.Generator
+) -> Observation:
     """A wall through `middle` (2,) with the normal `alpha`, seen with a turn about its middle and a shift there."""
     turned = wrap_angle(alpha - pose.theta + direction_rad * rng.standard_normal())
     place = rotation(-pose.theta) @ (middle - pose.position)
@@ -50,4 +52,4 @@ def _sighting(pose: Pose, alpha: float, middle: Array, direction_rad: float, rng
     to_foot = np.array([[1.0, 0.0], [along, 1.0]])
     cov = to_foot @ np.diag([direction_rad**2, _OFFSET_M**2]) @ to_foot.T
     z = np.array([turned, ahead + _OFFSET_M * rng.standard_normal()])
-    return Sighting(Kind.WALL, z, cov, (along - 0.5 * _LENGTH_M, along + 0.5 * _LENGTH_M))
+    return Observation(Kind.WALL, z, cov, (along - 0.5 * _LENGTH_M, along + 0.5 * _LENGTH_M))

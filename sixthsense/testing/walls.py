@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.testing.batch import Posterior, jacobian, to_robot, to_world
 from sixthsense.testing.estimation import assert_same, family, fed, joint_state, make, sight
 from sixthsense.testing.estimation import driven as driven_among_points
@@ -35,9 +35,9 @@ BAD_WALLS = {
 }
 
 
-def wall(z: Array, cov: Array = WALL_COV) -> Sighting:
-    """A sighting of a wall that was seen over two metres."""
-    return Sighting(Kind.WALL, z, cov, (-1.0, 1.0))
+def wall(z: Array, cov: Array = WALL_COV) -> Observation:
+    """An observation of a wall that was seen over two metres."""
+    return Observation(Kind.WALL, z, cov, (-1.0, 1.0))
 
 
 @LAWS.law
@@ -56,17 +56,17 @@ def a_scan_with_a_wall_is_used_or_refused_as_a_whole(name: str) -> None:
 
 
 @LAWS.wall_law
-def a_new_wall_is_initialized_from_its_sighting(name: str) -> None:
+def a_new_wall_is_initialized_from_its_observation(name: str) -> None:
     estimator = driven(name, BOTH)
     estimator.predict(MOTION)
     before, cov = posterior(estimator)
-    sighting = wall(np.array([2.9, -1.5]))
-    estimator.update({77: sighting})
+    observation = wall(np.array([2.9, -1.5]))
+    estimator.update({77: observation})
     after, joint = posterior(estimator)
-    mean = to_world(before[:3], sighting.z, True)
-    by_both = jacobian(lambda x: to_world(x[:3], x[3:], True), np.append(before[:3], sighting.z))
+    mean = to_world(before[:3], observation.z, True)
+    by_both = jacobian(lambda x: to_world(x[:3], x[3:], True), np.append(before[:3], observation.z))
     G = np.hstack([by_both[:, :3], np.zeros((2, len(before) - 3))])
-    own = G @ cov @ G.T + by_both[:, 3:] @ sighting.cov @ by_both[:, 3:].T
+    own = G @ cov @ G.T + by_both[:, 3:] @ observation.cov @ by_both[:, 3:].T
     expected = np.block([[cov, cov @ G.T], [G @ cov, own]])
     angles = np.append(reference_of(driven(name, BOTH)).angles, [True, False])
     ids = [*estimator.estimate().ids.tolist()[:-1], 77]
@@ -86,7 +86,7 @@ def a_wall_is_returned_as_a_wall(name: str) -> None:
 
 
 @LAWS.wall_law
-def a_sighting_of_a_wall_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: str) -> None:
+def an_observation_of_a_wall_with_zero_innovation_moves_nothing_and_grows_no_marginal(name: str) -> None:
     estimator = driven(name, BOTH)
     estimator.predict(MOTION)
     before, cov = posterior(estimator)
@@ -103,14 +103,14 @@ def a_sighting_of_a_wall_with_zero_innovation_moves_nothing_and_grows_no_margina
 
 @LAWS.wall_law
 def the_innovation_of_a_wall_is_wrapped(name: str) -> None:
-    """The predicted angle and the sighting's are on the two sides of a half turn."""
+    """The predicted angle and the observation's are on the two sides of a half turn."""
     estimator = make(name, Pose(), START_COV)
     near = math.pi - 0.1 * NOISE
     estimator.update({3: wall(np.array([near, -2.0]))})
     prior = reference_of(estimator)
-    sightings = {3: wall(np.array([-near, -2.0]))}
-    estimator.update(sightings)
-    assert_agrees(estimator, corrected(prior, sightings))
+    observations = {3: wall(np.array([-near, -2.0]))}
+    estimator.update(observations)
+    assert_agrees(estimator, corrected(prior, observations))
 
 
 @LAWS.wall_law_for([Pose(0.0, 0.0, 2.5), Pose(-8.0, 5.0, -1.2)])
@@ -149,7 +149,7 @@ def the_joint_covariance_of_points_and_walls_is_in_the_requested_order(name: str
 
 @LAWS.wall_law
 def forgetting_a_wall_leaves_the_others_unchanged(name: str) -> None:
-    """A smoother also removes the sightings of the forgotten wall."""
+    """A smoother also removes the observations of the forgotten wall."""
     estimator = driven(name, BOTH)
     before = reference_of(estimator)
     estimator.forget([3])
@@ -166,7 +166,7 @@ def forgetting_a_wall_leaves_the_others_unchanged(name: str) -> None:
 
 
 @LAWS.wall_law_for(BAD_WALLS)
-def an_invalid_sighting_of_a_wall_is_named_and_changes_nothing(name: str, fault: str) -> None:
+def an_invalid_observation_of_a_wall_is_named_and_changes_nothing(name: str, fault: str) -> None:
     estimator = driven(name, BOTH)
     before = joint_state(estimator)
     z, cov = BAD_WALLS[fault]

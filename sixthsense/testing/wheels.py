@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels, corrected, corrected_with_terms
 from sixthsense.slam.estimators import WheelEstimator, estimates_wheels
@@ -56,7 +56,8 @@ def calibrated(
 ) -> tuple[WheelEstimator, Pose]:
     """An estimator after a drive among points with the wheels `true`, and the true pose.
 
-    `sigma` is that of motions in m, half of it in rad, and a fifth of that of sightings. Odometry follows the estimate.
+    `sigma` is that of motions in m, half of it in rad, and a fifth of that of observations. Odometry follows the
+    estimate.
     """
     at, cov = Pose(), np.diag([sigma, sigma, 0.5 * sigma]) ** 2
     estimator = calibrating(name, PRIOR, at, 1e-2 * cov)
@@ -117,7 +118,7 @@ def a_drive_with_uncertain_wheels_gives_the_posterior_of_batch_least_squares(nam
     prior = WheelEstimate(Wheels(0.02, 0.01, -0.01, 0.03), (4.0 * noise) ** 2 * np.eye(PARAMETERS))
     true = Wheels.from_array(prior.values.array() + 4.0 * noise * rng.standard_normal(PARAMETERS))
     at = Pose.from_array(posterior.START.array() + np.linalg.cholesky(posterior.START_COV) @ rng.standard_normal(3))
-    log: list[tuple[Odometry, dict[LandmarkId, Sighting]]] = []
+    log: list[tuple[Odometry, dict[LandmarkId, Observation]]] = []
     estimator = calibrating(name, prior, posterior.START, posterior.START_COV)
     for k in range(8):
         error = np.linalg.cholesky(posterior.MOTION.cov) @ rng.standard_normal(3)
@@ -157,11 +158,11 @@ def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str
         at = at @ noisy(Odometry(corrected(reported, true), cov), rng)
         motion, terms = corrected_with_terms(reported, estimate_of(estimator).values, np.zeros(3))
         estimator.predict(Odometry(motion, cov, terms))
-        sightings = {}
+        observations = {}
         for i, wall in enumerate(walls):
             z = to_robot(at.array(), wall, True) + np.linalg.cholesky(seen) @ rng.standard_normal(2)
-            sightings[i] = Sighting(Kind.WALL, z, seen, (-2.0, 2.0))
-        estimator.update(sightings)
+            observations[i] = Observation(Kind.WALL, z, seen, (-2.0, 2.0))
+        estimator.update(observations)
     found, prior = estimate_of(estimator), np.sqrt(np.diag(PRIOR.cov))
     sigmas = np.sqrt(np.diag(found.cov))
     assert sigmas[0] > 0.98 * prior[0] and abs(found.values.forward_scale_error) < 0.3 * prior[0]

@@ -18,7 +18,18 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics
-from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, PLAN, SEEN, SIGHTING, TRUTH, WALL, WALL_FOUND, ellipse
+from sixthsense.figures.plot import (
+    ESTIMATE,
+    LANDMARK,
+    OBSERVATION,
+    ODOMETRY,
+    PLAN,
+    SEEN,
+    TRUTH,
+    WALL,
+    WALL_FOUND,
+    ellipse,
+)
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.record.trace import Trace
@@ -29,7 +40,7 @@ _CIRCLE = np.linspace(0.0, 2.0 * math.pi, 33)
 _FILE_TICK = timedelta(seconds=5.0)  # wall time between two writes to a file
 _BAND = "#999999"
 _STAGE_COLORS = (
-    "#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, SIGHTING, PLAN, WALL_FOUND, LANDMARK, SIGHTING
+    "#999999", WALL_FOUND, ESTIMATE, ODOMETRY, LANDMARK, OBSERVATION, PLAN, WALL_FOUND, LANDMARK, OBSERVATION
 )  # fmt: skip
 
 
@@ -60,7 +71,7 @@ class Drawing:
         rr, scene = self._rr, trace.scene
         self._stream.send_blueprint(self._blueprint(trace))
         self._stream.log("map", rr.Transform3D(scale=[1.0, -1.0, 1.0]), static=True)
-        names = [(0, "unseen", (0, 0, 0, 0)), (_FREE, "free", _rgb(SEEN)), (_OBSTACLE, "obstacle", _rgb(SIGHTING))]
+        names = [(0, "unseen", (0, 0, 0, 0)), (_FREE, "free", _rgb(SEEN)), (_OBSTACLE, "obstacle", _rgb(OBSERVATION))]
         self._stream.log("map/grid", rr.AnnotationContext(names), static=True)
         if scene is not None:
             self._lines("map/true/walls", scene.walls, WALL, _THICK, static=True)
@@ -98,7 +109,9 @@ class Drawing:
         self._lines("map/pose", [outline], ESTIMATE, _THICK)
         if live is None or live.features is None:
             return
-        points = np.array([sighting.z for sighting in live.features.sightings if not sighting.is_wall]).reshape(-1, 2)
+        points = np.array(
+            [observation.z for observation in live.features.observations if not observation.is_wall]
+        ).reshape(-1, 2)
         self._lines("map/features/walls", estimate.pose @ live.features.walls, WALL_FOUND, 3.0)
         self._points("map/features/points", estimate.pose @ points, WALL_FOUND, 5.0)
 

@@ -51,7 +51,7 @@ def test_a_perfect_scan_of_a_room_has_no_false_and_no_missed_landmark(ablations)
     assert len(views) == 4
     assert figures["false_per_scan"] == 0.0
     assert figures["missed_per_scan"] < figures["visible_per_scan"]
-    assert figures["sighting_rmse_mm"] < 20.0 and figures["wall_rmse_mm"] < 1.0
+    assert figures["observation_rmse_mm"] < 20.0 and figures["wall_rmse_mm"] < 1.0
 
 
 def test_a_landmark_without_a_true_one_is_false_and_an_unseen_one_is_missed(ablations) -> None:
@@ -59,7 +59,7 @@ def test_a_landmark_without_a_true_one_is_false_and_an_unseen_one_is_missed(abla
     _, views = ablations.collect(config)
     far = load_scene("rectangle").walls + 50.0
     seen = ablations.detection_figures(views, far, config)
-    assert seen["false_per_scan"] > 1.0 and seen["sighting_rmse_mm"] == 0.0
+    assert seen["false_per_scan"] > 1.0 and seen["observation_rmse_mm"] == 0.0
     blind = merge(config, {"features": {"points": {"corners": False, "ends": False}}})
     missed = ablations.detection_figures(views, load_scene("rectangle").walls, blind)
     assert missed["missed_per_scan"] == missed["visible_per_scan"] > 0.0

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import AssociationConfig, PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
@@ -34,20 +34,20 @@ def features_at(config, T_world_laser=None):
     return extract(scan, config.assumed, config.features, np.random.default_rng(0))
 
 
-def test_the_mount_rotates_the_covariance_with_the_sighting():
+def test_the_mount_rotates_the_covariance_with_the_observation():
     corners = {"features": {"landmarks": "corners"}}
-    plain = features_at(preset(**corners)).sightings
+    plain = features_at(preset(**corners)).observations
     mount = (0.2, -0.1, 1.1)
-    turned = features_at(preset(laser={"mount": mount}, **corners)).sightings
+    turned = features_at(preset(laser={"mount": mount}, **corners)).observations
     assert len(plain) == len(turned) > 4
     for a, b in zip(plain, turned, strict=True):
         assert np.allclose(Pose(*mount) @ a.z, b.z, atol=1e-9)
         assert np.allclose(rotation(1.1) @ a.cov @ rotation(1.1).T, b.cov, atol=1e-15)
 
 
-def test_the_floor_of_landmarks_adds_to_every_sighting():
+def test_the_floor_of_landmarks_adds_to_every_observation():
     corners = {"features": {"landmarks": "corners"}}
-    plain, floored = (features_at(preset(assumed={"landmark_floor_m": f}, **corners)).sightings for f in (0.0, 0.05))
+    plain, floored = (features_at(preset(assumed={"landmark_floor_m": f}, **corners)).observations for f in (0.0, 0.05))
     for a, b in zip(plain, floored, strict=True):
         assert np.allclose(a.cov + 0.0025 * np.eye(2), b.cov, atol=1e-12)
 
@@ -62,7 +62,7 @@ def test_bearing_noise_increases_the_variance_of_a_free_end_along_its_wall():
 def test_the_margin_below_the_maximum_range_hides_free_ends():
     def ends(margin):
         config = preset(laser={"max_range": 3.0}, features={"points": {"range_margin_m": margin}})
-        return [s for s in features_at(config, Pose(-1.5, -0.5, 0.0)).sightings if s.kind == Kind.END]
+        return [s for s in features_at(config, Pose(-1.5, -0.5, 0.0)).observations if s.kind == Kind.END]
 
     assert len(ends(0.2)) == 1  # the stub's end, 2.5 m away
     assert ends(0.6) == []
@@ -75,12 +75,12 @@ def test_range_noise_alone_does_not_split_a_wall():
 
 
 def matched(config, point, cov=1e-2):
-    """Whether a sighting at `point` is matched with the known landmark at (2, 0), and whether it is a new one."""
+    """Whether an observation at `point` is matched with the known landmark at (2, 0), and whether it is a new one."""
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
-    known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * cov)]
-    estimator.update(associator.associate(known, estimator).sightings)
-    found = associator.associate([Sighting(Kind.CORNER, np.array(point), np.eye(2) * cov)], estimator)
-    return 0 in found.sightings, 1 in found.sightings
+    known = [Observation(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * cov)]
+    estimator.update(associator.associate(known, estimator).observations)
+    found = associator.associate([Observation(Kind.CORNER, np.array(point), np.eye(2) * cov)], estimator)
+    return 0 in found.observations, 1 in found.observations
 
 
 def test_only_landmarks_within_the_pre_gate_are_compared():
@@ -95,12 +95,12 @@ def test_a_new_landmark_keeps_its_distance_from_known_ones():
 
 def test_of_two_landmarks_at_the_same_distance_in_sigmas_the_more_certain_one_is_matched():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    known = [Sighting(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * 1e-4),
-             Sighting(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2) * 0.1)]  # fmt: skip
-    estimator.update(associator.associate(known, estimator).sightings)
+    known = [Observation(Kind.CORNER, np.array([2.0, 0.0]), np.eye(2) * 1e-4),
+             Observation(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2) * 0.1)]  # fmt: skip
+    estimator.update(associator.associate(known, estimator).observations)
     # 0.044 m from the first is 3.1 of its sigmas, 0.956 m from the second 3.0 of its own: the density decides.
-    found = associator.associate([Sighting(Kind.CORNER, np.array([2.0, 0.044]), np.eye(2) * 1e-4)], estimator)
-    assert list(found.sightings) == [0]
+    found = associator.associate([Observation(Kind.CORNER, np.array([2.0, 0.044]), np.eye(2) * 1e-4)], estimator)
+    assert list(found.observations) == [0]
 
 
 def test_simulated_bearing_noise_is_as_configured():

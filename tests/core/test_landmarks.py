@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import initialize_point, innovations, predict_points, sighting_innovations
+from sixthsense.core.landmarks import initialize_point, innovations, observation_innovations, predict_points
 
 
 def test_jacobians_agree_with_finite_differences():
@@ -25,7 +25,7 @@ def test_jacobians_agree_with_finite_differences():
             assert np.allclose((ahead - mean) / 1e-6, by_z[:, k], atol=1e-4)
 
 
-def test_a_landmark_is_initialized_where_its_prediction_is_the_sighting():
+def test_a_landmark_is_initialized_where_its_prediction_is_the_observation():
     rng = np.random.default_rng(1)
     for _ in range(20):
         pose, z = Pose(*rng.normal(size=3)), rng.normal(size=2)
@@ -43,7 +43,7 @@ def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
         levers.append(along @ place)
     to_foot = np.array([[1.0, 0.0], [levers[1], 1.0]])
     cov = to_foot @ np.diag([0.1**2, 0.01**2]) @ to_foot.T
-    values, about = sighting_innovations(lines[1], cov, lines[0], np.array(True))
+    values, about = observation_innovations(lines[1], cov, lines[0], np.array(True))
     assert values[0] == pytest.approx(turn)
     # All of it is explained by the direction's sigma.
     assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)
@@ -59,7 +59,7 @@ def test_innovations_about_the_centre_are_the_plain_ones_to_first_order():
     cov = root @ root.transpose(0, 2, 1)
     for small in (1e-3, 1e-5):
         z = predicted + small * rng.normal(size=(3, 2))
-        values, about = sighting_innovations(z, cov, predicted, walls)
+        values, about = observation_innovations(z, cov, predicted, walls)
         plain = innovations(z, predicted, walls)
         assert np.abs(values - plain).max() < 100.0 * small**2
         assert np.abs(about - cov).max() < 100.0 * small

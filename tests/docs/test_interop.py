@@ -206,12 +206,12 @@ def test_the_stamps_of_the_trajectories_are_those_of_the_bag(recorded):
 def test_gtsam_reads_every_factor_and_every_value_of_the_graph(recorded):
     folder, trace = recorded
     points = set(trace.final.ids[~trace.final.walls].tolist())
-    sightings = sum(i in points for association in trace.associations for i in association.sightings)
+    observations = sum(i in points for association in trace.associations for i in association.observations)
     steps = len(trace.key_stamps_ns) - 1
     factors, values = gtsam.readG2o(str(folder / "graph.g2o"))
     kinds = Counter(type(factors.at(k)).__name__ for k in range(factors.size()))
-    assert kinds == {"BetweenFactorPose2": steps, "BearingRangeFactor2D": sightings}
-    assert steps > 20 and sightings > 50
+    assert kinds == {"BetweenFactorPose2": steps, "BearingRangeFactor2D": observations}
+    assert steps > 20 and observations > 50
     np.testing.assert_allclose(gtsam.utilities.extractPose2(values), trace.trajectory, atol=1e-12)
     assert gtsam.utilities.extractPoint2(values).shape == (len(points), 2)
 

@@ -160,20 +160,20 @@ def test_the_file_is_a_partial_configuration_with_the_fitted_values(name: str, t
     assert sorted(p.name for p in file.parent.iterdir()) == ["noise.png", "noise.toml"]
 
 
-def test_the_figure_is_drawn_without_sightings_of_a_kind(tmp_path: Path) -> None:
+def test_the_figure_is_drawn_without_observations_of_a_kind(tmp_path: Path) -> None:
     one = calibrate(preset(**COARSE, features={"points": {"ends": False}}), 30)
     assert len(one.landmarks[1].of(Kind.END)) == 0
     save_calibration(one, tmp_path / "noise.png", "no free ends")
     assert (tmp_path / "noise.png").is_file()
 
 
-def test_the_mean_nees_without_sightings_in_the_gate_is_infinite() -> None:
+def test_the_mean_nees_without_observations_in_the_gate_is_infinite() -> None:
     errors = LandmarkErrors(np.zeros(1), np.ones((1, 2)), 1e-4 * np.eye(2)[None], 0)
     assert errors.mean_nees == np.inf and errors.outside == 1
 
 
 @pytest.mark.parametrize(
-    ("text", "field"), [(CUPBOARD, "start: the robot touched a wall"), (WALL, "scene: found 0 sightings")]
+    ("text", "field"), [(CUPBOARD, "start: the robot touched a wall"), (WALL, "scene: found 0 observations")]
 )
 def test_an_invalid_start_is_named(text: str, field: str, tmp_path: Path) -> None:
     file = tmp_path / "place.toml"

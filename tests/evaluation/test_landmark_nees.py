@@ -72,7 +72,7 @@ def tour():
 def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known(tour):
     scene = true_identities(tour.scene.walls)
     laser = TrueLaser(tour.config.laser, tour.config.assumed.laser)
-    scans = [association.sightings for association in tour.associations]
+    scans = [association.observations for association in tour.associations]
     identities = landmark_identities(scans, np.array(tour.key_truths), scene, laser)
     expected = []
     for k, i in enumerate(tour.final.ids.tolist()):
@@ -89,7 +89,7 @@ def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known(tour):
 def test_the_true_normal_of_a_wall_points_to_the_side_that_the_robot_saw(tour):
     scene = true_identities(tour.scene.walls)
     laser = TrueLaser(tour.config.laser, tour.config.assumed.laser)
-    scans = [association.sightings for association in tour.associations]
+    scans = [association.observations for association in tour.associations]
     identities = landmark_identities(scans, np.array(tour.key_truths), scene, laser)
     sides = {"front": 0, "back": 0}
     for k, i in enumerate(tour.final.ids.tolist()):
@@ -100,10 +100,10 @@ def test_the_true_normal_of_a_wall_points_to_the_side_that_the_robot_saw(tour):
     assert min(sides.values()) > 5
 
 
-def test_without_the_returns_of_the_sightings_no_truth_is_known(tour):
+def test_without_the_returns_of_the_observations_no_truth_is_known(tour):
     def forgotten(association):
-        seen = {i: dataclasses.replace(s, bearings=np.empty(0)) for i, s in association.sightings.items()}
-        return dataclasses.replace(association, sightings=seen)
+        seen = {i: dataclasses.replace(s, bearings=np.empty(0)) for i, s in association.observations.items()}
+        return dataclasses.replace(association, observations=seen)
 
     loaded = dataclasses.replace(tour, associations=[forgotten(association) for association in tour.associations])
     assert "landmark_nees_mean" not in measure(loaded)

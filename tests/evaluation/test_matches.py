@@ -1,6 +1,7 @@
-"""Scenes in which a sighting can be of the wrong wall, or of two.
+"""Scenes in which an observation can be of the wrong wall, or of two.
 
-A sighting here is an ideal one unless it is extracted from a simulated scan: its returns are given by where they hit.
+An observation here is an ideal one unless it is extracted from a simulated scan: its returns are given by where they
+hit.
 """
 
 import dataclasses
@@ -10,7 +11,7 @@ import pytest
 
 from sixthsense.config import Config, LaserConfig, LaserNoise
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import discarded_share, judge_matches
@@ -48,18 +49,18 @@ def between(a, b, count):
 
 
 def wall(pose, places, cov=COV):
-    """A sighting of a wall by returns at places (B, 2); what it states of the wall is of no account."""
-    return Sighting(Kind.WALL, np.array([0.1, -1.0]), cov, (-0.5, 0.5), bearings_of(pose, places))
+    """An observation of a wall by returns at places (B, 2); what it states of the wall is of no account."""
+    return Observation(Kind.WALL, np.array([0.1, -1.0]), cov, (-0.5, 0.5), bearings_of(pose, places))
 
 
 def end(pose, position, inwards, cov=COV):
-    """A sighting of a free end at `position` by five returns beside it, up to `inwards`."""
+    """An observation of a free end at `position` by five returns beside it, up to `inwards`."""
     z = predict_points(pose, np.array([position], dtype=float))[0][0]
-    return Sighting(Kind.END, z, cov, bearings=bearings_of(pose, between(position, inwards, 5)))
+    return Observation(Kind.END, z, cov, bearings=bearings_of(pose, between(position, inwards, 5)))
 
 
-def verdict(sighting, pose, scene=SCENE):
-    return identify([sighting], pose, scene, LASER)[0]
+def verdict(observation, pose, scene=SCENE):
+    return identify([observation], pose, scene, LASER)[0]
 
 
 def judged(scans, poses, scene=SCENE):
@@ -109,7 +110,7 @@ def test_a_match_of_a_parallel_face_five_centimetres_away_is_wrong_whatever_cova
         assert found.left_out == ()
 
 
-def test_a_sighting_over_two_faces_spans_and_is_not_right_whatever_covariance_it_states():
+def test_an_observation_over_two_faces_spans_and_is_not_right_whatever_covariance_it_states():
     step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
     scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
     both = np.concatenate([between([0.5, 0.0], [2.0, 0.0], 20), between([2.0, 0.05], [3.5, 0.05], 20)])
@@ -120,7 +121,7 @@ def test_a_sighting_over_two_faces_spans_and_is_not_right_whatever_covariance_it
     assert found.spanning_per_1000 == pytest.approx(2000.0 / 3.0)
 
 
-def test_a_sighting_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it():
+def test_an_observation_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it():
     turn = np.deg2rad(1.4)
     tip = np.array([3.0, 0.0]) + 3.0 * np.array([np.cos(turn), np.sin(turn)])
     scene, pose = true_identities(np.array([[[0.0, 0.0], [3.0, 0.0]], [[3.0, 0.0], tip]])), Pose(3.0, 2.0, 0.3)
@@ -136,7 +137,7 @@ def test_a_sighting_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it():
     assert found.left_out == ((1, 0),)
 
 
-def test_a_sighting_around_a_corner_spans_but_one_mixed_return_does_not_count():
+def test_an_observation_around_a_corner_spans_but_one_mixed_return_does_not_count():
     scene, pose = true_identities(np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [4.0, 3.0]]])), Pose(2.0, 1.5, 0.0)
     along, up = between([1.0, 0.0], [4.0, 0.0], 25), between([4.0, 0.0], [4.0, 1.0], 10)
     assert verdict(wall(pose, np.concatenate([along, up])), pose, scene).verdict == "spanning"
@@ -146,7 +147,7 @@ def test_a_sighting_around_a_corner_spans_but_one_mixed_return_does_not_count():
     assert verdict(wall(pose, np.concatenate([many, up[:5]])), pose, scene).verdict == "spanning"
 
 
-def test_a_fused_sighting_has_the_returns_of_both_pieces():
+def test_a_fused_observation_has_the_returns_of_both_pieces():
     pose = Pose(3.0, 1.0, 0.0)
     first, second = wall(pose, between([1.0, 0.0], [2.0, 0.0], 9)), wall(pose, between([4.0, 1.0], [4.0, 2.0], 8))
     both = fused(first, second)
@@ -185,29 +186,29 @@ def test_wrong_matches_do_not_change_the_identity_of_a_landmark():
     assert judged([{1: left}, {1: right}, {1: left}], [BELOW] * 3).wrong == ((1, 1),)
 
 
-def test_the_first_single_sighting_gives_a_landmark_its_identity():
+def test_the_first_single_observation_gives_a_landmark_its_identity():
     nowhere, left, right = (end(BELOW, p, (1.5, 1.5)) for p in ((1.3, 1.5), (1.0, 1.5), (2.0, 1.5)))
     found = judged([{1: nowhere}, {1: left}, {1: right}], [BELOW] * 3)
     assert found.unexplained == ((0, 1),)
     assert found.wrong == ((2, 1),)
 
 
-def test_a_sighting_of_another_wall_is_a_wrong_match():
+def test_an_observation_of_another_wall_is_a_wrong_match():
     thin, floor = (wall(BELOW, between(*ends, 20)) for ends in (([1, 1.5], [2, 1.5]), ([1, 0], [2, 0])))
     found = judged([{7: thin, 8: floor}, {7: thin}, {7: floor, 8: thin}], [BELOW] * 3)
-    assert found.sightings == 5
+    assert found.observations == 5
     assert found.wrong == ((2, 7), (2, 8))
     assert found.unexplained == found.spanning == found.left_out == ()
     assert found.wrong_per_1000 == pytest.approx(400.0)
 
 
-def test_without_sightings_there_are_no_wrong_matches():
+def test_without_observations_there_are_no_wrong_matches():
     found = judged([{}], [BELOW])
     assert found.wrong_per_1000 == found.spanning_per_1000 == 0.0
     assert found.unexplained_per_1000 == found.left_out_per_1000 == 0.0
 
 
-def test_the_share_of_discarded_sightings_counts_fused_ones_as_used():
+def test_the_share_of_discarded_observations_counts_fused_ones_as_used():
     one = wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20))
     found = [Association({0: one, 1: one}, 1, 0.0, 0), Association({0: one}, 2, 0.0, 2, fused=4)]
     assert discarded_share(found) == pytest.approx(0.3)
@@ -223,30 +224,30 @@ def random_room(rng):
 
 
 @pytest.mark.parametrize("landmarks", ["both", "corners"])
-def test_every_sighting_in_a_convex_room_with_right_angles_is_of_one_wall_or_corner(landmarks):
+def test_every_observation_in_a_convex_room_with_right_angles_is_of_one_wall_or_corner(landmarks):
     config = Config()
     features = dataclasses.replace(config.features, landmarks=landmarks)
     bearings, rng = beam_bearings(config.laser), np.random.default_rng(3)
-    sightings = 0
+    observations = 0
     for _ in range(150):
         walls, pose = random_room(rng)
         ranges = cast_rays(pose, bearings, walls, config.laser.max_range)
         scan = Scan.from_config(ranges + rng.normal(0.0, config.world.laser.range_m, len(ranges)), config.laser)
         scene = true_identities(walls)
-        for one in identify(extract(scan, config.assumed, features, rng).sightings, pose, scene, LASER):
-            sightings += 1
+        for one in identify(extract(scan, config.assumed, features, rng).observations, pose, scene, LASER):
+            observations += 1
             assert one.verdict == "single"
-    assert sightings > 400
+    assert observations > 400
 
 
-def test_extracted_sightings_share_no_return_and_their_bearings_are_those_of_the_scan():
+def test_extracted_observations_share_no_return_and_their_bearings_are_those_of_the_scan():
     config, rng = Config(), np.random.default_rng(5)
     pose = Pose(1.5, 0.8, 0.4)
     ranges = cast_rays(pose, beam_bearings(config.laser), WALLS, config.laser.max_range)
     scan = Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser)
     for landmarks in ("both", "walls", "corners"):
         features = dataclasses.replace(config.features, landmarks=landmarks)
-        found = extract(scan, config.assumed, features, rng).sightings
+        found = extract(scan, config.assumed, features, rng).observations
         assert found
         used = np.concatenate([one.bearings for one in found])
         beams = (used - float(scan.angle_min)) / float(scan.angle_increment)

@@ -70,7 +70,7 @@ def test_a_row_has_the_figures_of_a_run_and_is_reused(tours, pipeline, tmp_path,
         assert row["outcome"] == "tour ended"
         assert row["wrong"] == row["spanning"] == row["left_out"] == 0
         assert 0.0 <= row["discarded_share"] < 0.05
-        assert row["sightings"] > 100
+        assert row["observations"] > 100
         assert len(row["nees3"]) == row["keyframes"]
         assert json.loads(json.dumps(row)) == row
     monkeypatch.setattr(tours, "make_row", lambda config: pytest.fail("made again"))

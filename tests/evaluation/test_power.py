@@ -26,7 +26,7 @@ SPREAD = {"nees": 1.1, "nis": 0.045, "increment": 0.40}
 FALSE_ALARM = 1e-3
 """of all six means together"""
 
-SHOWN_BY = {"sightings x 0.7": "nis", "sightings x 1.5": "nis", "odometry x 0.5": "increment"}
+SHOWN_BY = {"observations x 0.7": "nis", "observations x 1.5": "nis", "odometry x 0.5": "increment"}
 """statistic whose power the choice of runs and of their length rests on"""
 
 

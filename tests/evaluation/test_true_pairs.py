@@ -5,7 +5,7 @@ import pytest
 
 from sixthsense.config import AssociationConfig, LaserConfig, LaserNoise, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
 from sixthsense.evaluation.true_pairs import InnovationObserver, true_pair_nis
 from sixthsense.loop import run
@@ -32,19 +32,19 @@ def room(rng, cov=COV, scale=1.0):
         off = places - POSE.position
         reach = np.sort(off @ np.array([-np.sin(exact[0]), np.cos(exact[0])]))
         bearings = np.arctan2(off[:, 1], off[:, 0])
-        found.append(Sighting(Kind.WALL, z, cov, (float(reach[0]), float(reach[-1])), bearings))
+        found.append(Observation(Kind.WALL, z, cov, (float(reach[0]), float(reach[-1])), bearings))
     return found
 
 
 def pairs_of(rooms, config=None):
-    """The true pairs of one associator, and an EKF that stands still, given the sightings of each keyframe."""
+    """The true pairs of one associator, and an EKF that stands still, given the observations of each keyframe."""
     estimator, associator = make_estimator("ekf", POSE, np.zeros((3, 3))), Associator(config or AssociationConfig())
     observer = InnovationObserver()
     associator.observer = observer
     associations = []
-    for sightings in rooms:
-        associations.append(associator.associate(sightings, estimator))
-        estimator.update(associations[-1].sightings)
+    for observations in rooms:
+        associations.append(associator.associate(observations, estimator))
+        estimator.update(associations[-1].observations)
     truths = np.tile(POSE.array(), (len(associations), 1))
     return true_pair_nis(observer.scans, associations, truths, SCENE, LASER), associations
 
@@ -78,7 +78,7 @@ def test_errors_beyond_the_stated_covariance_show_although_the_matches_look_cons
     assert survivors < 0.5 * nis.mean() / 2.0
 
 
-def test_a_sighting_without_a_known_landmark_has_no_pair():
+def test_an_observation_without_a_known_landmark_has_no_pair():
     pairs, _ = pairs_of([room(np.random.default_rng(4))])
     assert len(pairs.nis) == len(pairs.matched) == 0
     assert len(pairs_of([[], []])[0].nis) == 0
@@ -97,5 +97,5 @@ def test_an_observed_run_is_the_same_run_and_its_true_pairs_are_consistent():
     assert len(pairs.nis) > 100
     assert pairs.matched.mean() > 0.95
     assert 1.0 < pairs.nis.mean() < 3.0
-    seen = identify(observer.scans[-1].sightings, Pose.from_array(truths[-1]), scene, laser)
+    seen = identify(observer.scans[-1].observations, Pose.from_array(truths[-1]), scene, laser)
     assert any(one.verdict == "single" for one in seen)

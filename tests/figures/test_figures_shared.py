@@ -5,7 +5,7 @@ import pytest
 
 from sixthsense import figures, preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.figures.plot import CHI2_95, new_figure
 from sixthsense.slam.estimators import make_estimator
@@ -24,8 +24,8 @@ def ax():
 
 
 def features(points, walls):
-    sightings = tuple(Sighting(Kind.CORNER, np.array(p, dtype=float), 1e-4 * np.eye(2)) for p in points)
-    return Features(np.array(walls, dtype=float).reshape(-1, 2, 2), sightings, (), ())
+    observations = tuple(Observation(Kind.CORNER, np.array(p, dtype=float), 1e-4 * np.eye(2)) for p in points)
+    return Features(np.array(walls, dtype=float).reshape(-1, 2, 2), observations, (), ())
 
 
 def test_a_recording_keeps_a_scan_for_each_keyframe(run):
@@ -41,7 +41,7 @@ def test_a_scan_compared_with_itself_has_no_lost_or_gained_features(run):
     seen = run.features(0)
     change = figures.compare_features(seen, seen)
     assert (len(change.lost), len(change.gained), len(change.walls_lost), len(change.walls_gained)) == (0, 0, 0, 0)
-    assert len(change.kept) == len(seen.sightings)
+    assert len(change.kept) == len(seen.observations)
     assert len(change.walls_kept) == len(seen.walls)
 
 
@@ -79,7 +79,7 @@ def test_a_run_without_removed_landmarks_is_refused(run):
 
 
 def test_the_band_of_a_wall_has_the_width_of_its_variance(ax):
-    wall = Sighting(Kind.WALL, np.array([0.0, 2.0]), np.diag([1e-4, 1e-6]), (-1.0, 3.0))
+    wall = Observation(Kind.WALL, np.array([0.0, 2.0]), np.diag([1e-4, 1e-6]), (-1.0, 3.0))
     figures.draw_wall_bands(ax, Pose(), [wall])
     outline = ax.patches[0].get_xy()
     half = np.abs(outline[:, 0] - 2.0)

@@ -13,7 +13,7 @@ from sixthsense.record.factors import FactorGraph, factor_graph, write_graph
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs import open_log
 
-KEEP = {"culling": False}  # a culled landmark's sightings are in the solver's past, and not in the graph
+KEEP = {"culling": False}  # a culled landmark's observations are in the solver's past, and not in the graph
 
 
 @pytest.fixture(scope="module", params=["isam2", "ekf"])
@@ -27,17 +27,17 @@ def graph(trace: Trace) -> FactorGraph:
     return factor_graph(trace)
 
 
-def test_every_kept_sighting_and_every_step_is_in_it(trace: Trace, graph: FactorGraph) -> None:
+def test_every_kept_observation_and_every_step_is_in_it(trace: Trace, graph: FactorGraph) -> None:
     kept = set(trace.final.ids.tolist())
-    sightings = sum(i in kept for a in trace.associations for i in a.sightings)
-    assert len(graph.sightings) == sightings > 100
+    observations = sum(i in kept for a in trace.associations for i in a.observations)
+    assert len(graph.observations) == observations > 100
     assert len(graph.motions) == len(graph.poses) - 1 == len(trace.key_stamps_ns) - 1
 
 
 def test_our_own_reader_replays_the_graph_that_a_run_has_left(graph: FactorGraph, tmp_path: Path) -> None:
     write_graph(tmp_path, graph)
     log = open_log(tmp_path / "graph.g2o", LaserConfig())
-    assert sum(len(tick.sightings or {}) for tick in log.ticks) == len(graph.sightings)
+    assert sum(len(tick.observations or {}) for tick in log.ticks) == len(graph.observations)
     trace = replay(log, preset("victoria", estimator="isam2", start=None))
     moved = (
         trace.trajectory[-1] - (Pose.from_array(graph.poses[0]).inverse() @ Pose.from_array(graph.poses[-1])).array()
@@ -57,7 +57,7 @@ def solve(graph: FactorGraph) -> np.ndarray:
     gaussian = gtsam.noiseModel.Gaussian.Covariance
     for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
         factors.add(gtsam.BetweenFactorPose2(k, k + 1, gtsam.Pose2(*motion), gaussian(cov)))
-    rows = zip(graph.sighting_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
+    rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), (bearing, distance), cov in rows:
         key = gtsam.symbol("l", j)
         factors.add(gtsam.BearingRangeFactor2D(k, key, gtsam.Rot2(bearing), distance, gaussian(cov)))
@@ -84,4 +84,4 @@ def test_a_run_without_a_landmark_has_a_graph_of_odometry_alone(tmp_path: Path) 
     graph = factor_graph(run(preset(scene="rectangle", estimator="isam2", max_time=5.0, features=blind)))
     write_graph(tmp_path, graph)
     factors, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))
-    assert factors.size() == len(graph.motions) > 2 and len(graph.sightings) == 0
+    assert factors.size() == len(graph.motions) > 2 and len(graph.observations) == 0

@@ -133,7 +133,7 @@ def test_the_landmarks_table_tells_the_same_as_the_arrays(out: Path) -> None:
             assert (float(row["cov_xx"]), float(row["cov_xy"])) == tuple(block[0])
             assert float(row["cov_yy"]) == block[1, 1]
             assert row["kind"] in ("corner", "end")
-            assert int(row["sightings"]) >= 1
+            assert int(row["observations"]) >= 1
 
 
 def test_the_map_is_read_back_with_walls_near_the_true_ones(out: Path, trace: Trace) -> None:

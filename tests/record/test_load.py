@@ -50,7 +50,7 @@ def check_equal(run: Run) -> None:
     stated = json.loads((run.folder / "metrics.json").read_text())
     assert loaded.missing == ()
     assert loaded.metrics == stated
-    # The record has no bearings of sightings, which tell a landmark's identity.
+    # The record has no bearings of observations, which tell a landmark's identity.
     measured = {key: value for key, value in stated.items() if key != "landmark_nees_mean"}
     assert json.loads(json.dumps(measure(loaded.trace))) == measured
     same_name = Run(run.name, loaded.trace, loaded.metrics)
@@ -80,11 +80,11 @@ def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
     assert all(np.array_equal(a, b) for a, b in zip(before.walls_found, after.walls_found, strict=True))
     for one, two in zip(before.associations, after.associations, strict=True):
         assert (one.nis, one.dof, one.discarded) == (two.nis, two.dof, two.discarded)
-        assert list(one.sightings) == list(two.sightings)
-        for a, b in zip(one.sightings.values(), two.sightings.values(), strict=True):
+        assert list(one.observations) == list(two.observations)
+        for a, b in zip(one.observations.values(), two.observations.values(), strict=True):
             assert (a.kind, a.z.tolist(), a.cov.tolist(), a.extent) == (b.kind, b.z.tolist(), b.cov.tolist(), b.extent)
-    assert {i: (r.kind, r.sightings, r.sigma_m, r.shape) for i, r in before.records.items()} == {
-        i: (r.kind, r.sightings, r.sigma_m, r.shape) for i, r in after.records.items()
+    assert {i: (r.kind, r.observations, r.sigma_m, r.shape) for i, r in before.records.items()} == {
+        i: (r.kind, r.observations, r.sigma_m, r.shape) for i, r in after.records.items()
     }
 
 

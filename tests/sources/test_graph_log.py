@@ -63,9 +63,9 @@ def test_poses_are_ticks_one_second_apart(tmp_path):
     log = read_graph(graph(SMALL, tmp_path))
     assert [tick.stamp_ns for tick in log.ticks] == [0, 10**9, 2 * 10**9]
     assert log.start == Pose() and log.ticks[2].odometry == Pose(1.0, 0.1, 0.2) @ Pose(1.0, 0.1, 0.2)
-    assert [list(tick.sightings) for tick in log.ticks] == [[], [5], [5]]
-    assert log.ticks[1].sightings[5].z.tolist() == [2.0, 1.0]
-    assert np.array_equal(log.ticks[1].sightings[5].cov, 0.01 * np.eye(2))
+    assert [list(tick.observations) for tick in log.ticks] == [[], [5], [5]]
+    assert log.ticks[1].observations[5].z.tolist() == [2.0, 1.0]
+    assert np.array_equal(log.ticks[1].observations[5].cov, 0.01 * np.eye(2))
     assert log.ticks[0].increment_cov is None
 
 
@@ -90,7 +90,7 @@ def test_landmark_tags_differ_in_the_meaning_of_their_numbers(tmp_path):
         f"EDGE_SE2_XY 1 11 3.0 4.0 {xx!r} {xy!r} {yy!r}\n",
         f"BR 1 12 {math.atan2(4.0, 3.0)!r} 5.0 0.02 0.1\n",
     ]
-    seen = read_graph(graph(MOTION.format(0, 1) + "".join(lines), tmp_path)).ticks[1].sightings
+    seen = read_graph(graph(MOTION.format(0, 1) + "".join(lines), tmp_path)).ticks[1].observations
     assert list(seen) == [10, 11, 12]
     assert all(s.z == pytest.approx(np.array([3.0, 4.0]), abs=2e-3) for s in seen.values())
     assert seen[10].cov == pytest.approx(cov) and seen[11].cov == pytest.approx(cov)
@@ -102,7 +102,7 @@ def test_landmark_tags_differ_in_the_meaning_of_their_numbers(tmp_path):
 def test_initial_values_comments_and_late_landmarks_are_accepted(tmp_path):
     text = "# a head\n\nVERTEX_SE2 0 0 0 0\nVERTEX2 1 9 9 9\nVERTEX_XY 7 1 1\n" + SEEN.format(0, 7, 1.0, 0.0)
     log = read_graph(graph(text + MOTION.format(0, 1) + MOTION.format(1, 2) + SEEN.format(1, 7, 2.0, 0.0), tmp_path))
-    assert [list(tick.sightings) for tick in log.ticks] == [[7], [7], []]
+    assert [list(tick.observations) for tick in log.ticks] == [[7], [7], []]
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_a_graph_is_recognised_by_its_name(tmp_path, name):
 
 
 @pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
-def test_a_replay_is_reproducible_for_any_order_of_sightings(tmp_path, estimator):
+def test_a_replay_is_reproducible_for_any_order_of_observations(tmp_path, estimator):
     config = preset("victoria", estimator=estimator)
     log, turned = read_graph(graph(drive(), tmp_path, "a.txt")), read_graph(graph(drive(order=-1), tmp_path, "b.txt"))
     first, again, other = (replay(source, config) for source in (log, log, turned))
@@ -193,7 +193,7 @@ def test_the_command_replays_a_graph_and_then_its_own_record_to_the_same_estimat
     for name in ("estimate.tum", "smoothed.tum", "landmarks.csv"):
         assert (tmp_path / "two" / name).read_text() == (tmp_path / "one" / name).read_text()
     for a, b in zip(read_graph(file).ticks, read_run(tmp_path / "one", LaserConfig()).ticks, strict=True):
-        assert (a.stamp_ns, a.odometry, list(a.sightings)) == (b.stamp_ns, b.odometry, list(b.sightings))
+        assert (a.stamp_ns, a.odometry, list(a.observations)) == (b.stamp_ns, b.odometry, list(b.observations))
         assert (a.increment_cov is None) == (b.increment_cov is None)
         assert a.increment_cov is None or np.array_equal(a.increment_cov, b.increment_cov)
     report = command("report", tmp_path / "one", "--out", tmp_path / "report")
@@ -228,7 +228,7 @@ def victoria_park() -> Log:
 
 def test_victoria_park_has_its_published_size():
     log = victoria_park()
-    ids = [i for tick in log.ticks for i in tick.sightings]
+    ids = [i for tick in log.ticks for i in tick.observations]
     assert (len(log.ticks), len(ids), len(set(ids))) == (6969, 3640, 151)
 
 

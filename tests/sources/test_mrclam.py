@@ -18,7 +18,7 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.mrclam import MrclamLog, polar_sighting, read_mrclam
+from sixthsense.sources.logs.mrclam import MrclamLog, polar_observation, read_mrclam
 from sixthsense.sources.logs.runfolder import read_run
 
 ASSUMED = merge(AssumedConfig(), {"laser": {"range_m": 0.02, "bearing_rad": 0.01}})
@@ -78,8 +78,8 @@ def test_odometry_and_measurements_give_ticks_in_the_order_of_time(tmp_path):
     log = read_mrclam(folder(tmp_path), ASSUMED)
     stamps = [tick.stamp_ns for tick in log.ticks]
     assert len(stamps) == 40 + 7 and np.all(np.diff(stamps) > 0)
-    assert [len(tick.sightings) for tick in log.ticks if tick.sightings] == [3] * 7
-    assert all(tick.sightings is not None and tick.truth is not None and tick.scan is None for tick in log.ticks)
+    assert [len(tick.observations) for tick in log.ticks if tick.observations] == [3] * 7
+    assert all(tick.observations is not None and tick.truth is not None and tick.scan is None for tick in log.ticks)
 
 
 def test_odometry_begins_at_the_first_true_pose_and_follows_the_rates(tmp_path):
@@ -97,35 +97,35 @@ def test_without_truth_odometry_begins_at_zero(tmp_path):
 
 def test_ids_are_subjects_robots_are_skipped_and_depths_become_distances(tmp_path):
     for tick in read_mrclam(folder(tmp_path), ASSUMED).ticks:
-        for i, sighting in (tick.sightings or {}).items():
-            assert (tick.odometry @ sighting.z) == pytest.approx(np.array(PLACES[i]), abs=1e-3)
+        for i, observation in (tick.observations or {}).items():
+            assert (tick.odometry @ observation.z) == pytest.approx(np.array(PLACES[i]), abs=1e-3)
 
 
 def test_depths_are_used_as_ranges_on_request(tmp_path):
     depth = read_mrclam(folder(tmp_path), ASSUMED)
     plain = read_mrclam(tmp_path, ASSUMED, as_depth=False)
     for a, b in zip(depth.ticks, plain.ticks, strict=True):
-        for i in a.sightings:
-            bearing = math.atan2(*a.sightings[i].z[::-1])
-            assert np.hypot(*b.sightings[i].z) == pytest.approx(np.hypot(*a.sightings[i].z) * math.cos(bearing))
+        for i in a.observations:
+            bearing = math.atan2(*a.observations[i].z[::-1])
+            assert np.hypot(*b.observations[i].z) == pytest.approx(np.hypot(*a.observations[i].z) * math.cos(bearing))
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_noisy_range_and_bearing_give_an_unbiased_sighting_with_the_correct_covariance(seed):
+def test_a_noisy_range_and_bearing_give_an_unbiased_observation_with_the_correct_covariance(seed):
     rng, many = np.random.default_rng(seed), 20_000
     r, b, sigma_r = 5.0, 0.7, 0.1
     for sigma_b in (0.02, 0.1):
         noisy = zip(r + sigma_r * rng.standard_normal(many), b + sigma_b * rng.standard_normal(many), strict=True)
-        sightings = [polar_sighting(d, a, (sigma_r**2, sigma_b**2)) for d, a in noisy]
-        errors = np.array([s.z for s in sightings]) - r * np.array([math.cos(b), math.sin(b)])
+        observations = [polar_observation(d, a, (sigma_r**2, sigma_b**2)) for d, a in noisy]
+        errors = np.array([s.z for s in observations]) - r * np.array([math.cos(b), math.sin(b)])
         assert np.abs(errors.mean(axis=0)).max() < 4.0 * max(r * sigma_b, sigma_r) / math.sqrt(many)
         if sigma_b < 0.05:  # beyond that the ellipse is a banana
-            nees = [e @ np.linalg.solve(s.cov, e) for e, s in zip(errors, sightings, strict=True)]
+            nees = [e @ np.linalg.solve(s.cov, e) for e, s in zip(errors, observations, strict=True)]
             assert np.mean(nees) == pytest.approx(2.0, rel=0.05)
 
 
-def test_bearing_and_range_of_a_sighting_are_recovered():
-    bearing, distance, cov = polar_sighting(3.0, -0.4, (0.01, 0.0004)).bearing_range()
+def test_bearing_and_range_of_an_observation_are_recovered():
+    bearing, distance, cov = polar_observation(3.0, -0.4, (0.01, 0.0004)).bearing_range()
     assert (bearing, distance) == pytest.approx((-0.4, 3.0), abs=1e-6)
     assert cov == pytest.approx(np.diag([0.0004, 0.01]), rel=1e-3)
 
@@ -271,9 +271,11 @@ def test_the_command_replays_a_folder_and_then_its_own_record_to_the_same_estima
     ours, back = read_mrclam(tmp_path / "set", preset("mrclam").assumed), read_run(tmp_path / "one", LaserConfig())
     for a, b in zip(ours.ticks, back.ticks, strict=True):
         assert (a.stamp_ns, a.odometry, a.truth, a.increment_cov) == (b.stamp_ns, b.odometry, b.truth, b.increment_cov)
-        assert list(a.sightings) == list(b.sightings)
-        for i, sighting in a.sightings.items():
-            assert np.array_equal(sighting.z, b.sightings[i].z) and np.array_equal(sighting.cov, b.sightings[i].cov)
+        assert list(a.observations) == list(b.observations)
+        for i, observation in a.observations.items():
+            assert np.array_equal(observation.z, b.observations[i].z) and np.array_equal(
+                observation.cov, b.observations[i].cov
+            )
     report = command("report", tmp_path / "one", "--out", tmp_path / "report")
     assert report.returncode == 0, report.stderr
 
@@ -315,7 +317,7 @@ def test_the_benchmark_measures_each_estimator_and_odometry(tmp_path, monkeypatc
 def test_the_real_log_is_read_and_the_invariant_filter_stays_near_vicon():
     log = read_mrclam(Path(os.environ["SIXTHSENSE_DATA"]) / "mrclam6", preset("mrclam").assumed, 3)
     assert (len(log.ticks), log.misread, len(log.landmarks)) == (63235, 2, 15)
-    assert sum(bool(tick.sightings) for tick in log.ticks) == 2279
+    assert sum(bool(tick.observations) for tick in log.ticks) == 2279
     # The wheels of this robot, a fit to intervals of 10 s against Vicon: no preset knows them.
     wheels_of_robot_3 = {"wheel_scale_error": -0.056, "drift_rad_per_m": -0.058}
     trace = replay(log, preset("mrclam", estimator="ekf-invariant", assumed=wheels_of_robot_3))

@@ -1,14 +1,14 @@
-"""Batch least squares as the reference of the laws: its sighting models, and its solution."""
+"""Batch least squares as the reference of the laws: its observation models, and its solution."""
 
 import numpy as np
 
 from sixthsense.core import landmarks
 from sixthsense.core.geometry import Pose
-from sixthsense.testing.batch import batch_posterior, sighting_jacobian, to_robot, to_world
+from sixthsense.testing.batch import batch_posterior, observation_jacobian, to_robot, to_world
 from sixthsense.testing.posterior import BOTH, START, START_COV, drive
 
 
-def test_the_reference_has_the_sighting_model_of_the_package():
+def test_the_reference_has_the_observation_model_of_the_package():
     """Written twice, once by formulae and once by geometry; Jacobians by formulae and by differences."""
     rng = np.random.default_rng(0)
     for _ in range(30):
@@ -20,12 +20,12 @@ def test_the_reference_has_the_sighting_model_of_the_package():
             found = to_robot(pose, landmark, is_wall)
             assert np.abs(landmarks.innovations(found[None], z, walls)).max() < 1e-12
             expected = np.hstack([by_pose[0], by_landmark[0]])
-            assert np.allclose(sighting_jacobian(pose, landmark, is_wall), expected, atol=1e-8)
+            assert np.allclose(observation_jacobian(pose, landmark, is_wall), expected, atol=1e-8)
             back = to_world(pose, found, is_wall)
             assert np.abs(landmarks.innovations(back[None], landmark[None], walls)).max() < 1e-12
 
 
-def test_the_batch_solution_does_not_depend_on_the_order_of_a_scans_sightings():
+def test_the_batch_solution_does_not_depend_on_the_order_of_a_scans_observations():
     log = drive(BOTH, 6)[0]
     other = [(odometry, dict(reversed(scan.items()))) for odometry, scan in log]
     one, two = (batch_posterior(each, START, START_COV) for each in (log, other))

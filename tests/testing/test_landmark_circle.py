@@ -60,7 +60,9 @@ def test_the_true_path_is_the_circle_without_noise(circle):
 def test_seed_and_run_determine_the_measurements(circle):
     one, again, other_run, other_seed = (simulate(*key, 40) for key in ((3, 1), (3, 1), (3, 2), (4, 1)))
     assert [o.motion for o in one.odometry] == [o.motion for o in again.odometry]
-    assert all(np.array_equal(a[i].z, b[i].z) for a, b in zip(one.sightings, again.sightings, strict=True) for i in a)
+    assert all(
+        np.array_equal(a[i].z, b[i].z) for a, b in zip(one.observations, again.observations, strict=True) for i in a
+    )
     for other in (other_run, other_seed):
         assert one.odometry[0].motion != other.odometry[0].motion
     longer = simulate(3, 1, 50)
@@ -74,7 +76,7 @@ def test_the_noise_is_that_of_the_benchmark(circle):
     assert driven.mean(axis=0) == pytest.approx((0.25, math.radians(1.5)), abs=4 * 0.0354 / 50)
     assert driven.std(axis=0) == pytest.approx((0.05 * 0.25 / math.sqrt(2), 0.05 * 0.25 * math.sqrt(8)), rel=0.06)
     errors = []
-    for row, seen in zip(evidence.truth, evidence.sightings, strict=True):
+    for row, seen in zip(evidence.truth, evidence.observations, strict=True):
         z = Pose.from_array(row).inverse() @ points
         in_sight = (np.hypot(z[:, 0], z[:, 1]) > 1.0) & (np.hypot(z[:, 0], z[:, 1]) < 5.0)
         assert sorted(seen) == np.flatnonzero(in_sight).tolist() != []

@@ -1,4 +1,5 @@
-"""The laws of estimators find errors: wrong covariances of sightings, wrong Jacobians, lost correlations, no walls."""
+"""The laws of estimators find errors: wrong covariances of observations, wrong Jacobians, lost correlations, no
+walls."""
 
 import dataclasses
 
@@ -17,8 +18,8 @@ CHECKS = {law.name: law.check for law in LAWS}
 INITIALIZED = "new_landmarks_have_the_joint_covariance_of_batch_least_squares [{}]"
 UPDATED = "the_first_update_gives_the_posterior_of_batch_least_squares [{}]"
 DRIVEN = "a_drive_gives_the_posterior_of_batch_least_squares [{}]"
-ADDED = "an_update_adds_the_information_of_its_sightings [{}]"
-TWICE = "two_updates_with_one_sighting_equal_one_with_half_its_covariance [{}]"
+ADDED = "an_update_adds_the_information_of_its_observations [{}]"
+TWICE = "two_updates_with_one_observation_equal_one_with_half_its_covariance [{}]"
 ORDER = "the_order_of_two_updates_makes_no_difference [{}]"
 KINDS = ("points", "walls")
 
@@ -33,21 +34,21 @@ def breaks(cls, law):
     return False
 
 
-def is_of(kind, sighting):
-    return sighting.is_wall == (kind == "walls")
+def is_of(kind, observation):
+    return observation.is_wall == (kind == "walls")
 
 
 def with_scaled_covariance(kind, factor, only_known, base=EKF):
-    """Uses the sightings of one kind with `factor` times their covariance, in updates or at initialization too."""
+    """Uses the observations of one kind with `factor` times their covariance, in updates or at initialization too."""
 
     class Sabotaged(base):
-        def update(self, sightings):
+        def update(self, observations):
             wrong = {
                 i: dataclasses.replace(s, cov=factor * s.cov)
-                for i, s in sightings.items()
+                for i, s in observations.items()
                 if is_of(kind, s) and (i in self._slots or not only_known)
             }
-            super().update({**sightings, **wrong})
+            super().update({**observations, **wrong})
 
     return Sabotaged
 
@@ -67,7 +68,7 @@ def test_an_initialization_with_another_covariance_is_found(kind, factor):
 
 
 def with_wrong_jacobian(name, kind, change):
-    """Takes a Jacobian of the sighting model `predict` or of `initialize_landmark`, changed by `change`."""
+    """Takes a Jacobian of the observation model `predict` or of `initialize_landmark`, changed by `change`."""
     honest = getattr(landmarks, name)
 
     def wrong_prediction(pose, means, walls):
@@ -76,23 +77,23 @@ def with_wrong_jacobian(name, kind, change):
             change(by_pose[k], by_landmark[k])
         return z, by_pose, by_landmark
 
-    def wrong_initialization(pose, sighting):
-        mean, by_pose, by_z = honest(pose, sighting)
-        if is_of(kind, sighting):
+    def wrong_initialization(pose, observation):
+        mean, by_pose, by_z = honest(pose, observation)
+        if is_of(kind, observation):
             change(by_pose, by_z)
         return mean, by_pose, by_z
 
     class Sabotaged(EKF):
-        def update(self, sightings):
+        def update(self, observations):
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(ekf, name, wrong_prediction if name == "predict" else wrong_initialization)
-                super().update(sightings)
+                super().update(observations)
 
     return Sabotaged
 
 
 def times(factor, matrix, *entry):
-    """Multiplies one entry of the Jacobian by the pose (0) or by the landmark or sighting (1)."""
+    """Multiplies one entry of the Jacobian by the pose (0) or by the landmark or observation (1)."""
 
     def change(*jacobians):
         jacobians[matrix][entry] *= factor
@@ -155,8 +156,8 @@ def without_correlations(part, factor, when):
             if when == "update":
                 self._scale()
 
-        def _on_added(self, sightings):
-            super()._on_added(sightings)
+        def _on_added(self, observations):
+            super()._on_added(observations)
             if when == "initialization":
                 self._scale()
 
@@ -172,14 +173,14 @@ def test_lost_correlations_are_found(part, factor, when, law, kind):
 
 
 class CountsTwice(EKF):
-    """Uses the evidence of an update's sightings a second time, if they are of a landmark of the update before."""
+    """Uses the evidence of an update's observations a second time, if they are of a landmark of the update before."""
 
     last = ()
 
-    def update(self, sightings):
-        super().update(sightings)
-        repeated = {i: s for i, s in sightings.items() if i in self.last}
-        self.last = tuple(sightings)
+    def update(self, observations):
+        super().update(observations)
+        repeated = {i: s for i, s in observations.items() if i in self.last}
+        self.last = tuple(observations)
         if repeated:
             rows = len(self._trajectory.rows())
             super().update(repeated)
@@ -193,11 +194,11 @@ def test_evidence_that_counts_twice_is_found(kind, law):
 
 
 class NoiseFloor(EKF):
-    """Adds a variance to that of each sighting."""
+    """Adds a variance to that of each observation."""
 
-    def update(self, sightings):
+    def update(self, observations):
         floor = 2.5e-8 * np.eye(2)
-        super().update({i: dataclasses.replace(s, cov=s.cov + floor) for i, s in sightings.items()})
+        super().update({i: dataclasses.replace(s, cov=s.cov + floor) for i, s in observations.items()})
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -216,10 +217,10 @@ class WorldOffsets(EKF):
 
 
 class UnwrappedInnovation(EKF):
-    def _correct(self, slots, sightings):
+    def _correct(self, slots, observations):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(ekf, "sighting_innovations", lambda z, cov, predicted, walls: (z - predicted, cov))
-            return super()._correct(slots, sightings)
+            patch.setattr(ekf, "observation_innovations", lambda z, cov, predicted, walls: (z - predicted, cov))
+            return super()._correct(slots, observations)
 
 
 class UnflaggedWalls(EKF):
@@ -233,7 +234,7 @@ class UnflaggedWalls(EKF):
     [
         (WorldOffsets, INITIALIZED.format("walls")),
         (WorldOffsets, "moving_the_world_moves_walls_with_it [1]"),
-        (WorldOffsets, "a_new_wall_is_initialized_from_its_sighting"),
+        (WorldOffsets, "a_new_wall_is_initialized_from_its_observation"),
         (UnwrappedInnovation, "the_innovation_of_a_wall_is_wrapped"),
         (UnflaggedWalls, "a_wall_is_returned_as_a_wall"),
     ],
@@ -245,25 +246,25 @@ def test_an_error_with_walls_is_found(cls, law):
 class PointsOnly(EKF):
     """Refuses walls as the contract says."""
 
-    def update(self, sightings):
-        if any(sighting.is_wall for sighting in sightings.values()):
+    def update(self, observations):
+        if any(observation.is_wall for observation in observations.values()):
             raise NotImplementedError("walls are not supported")
-        super().update(sightings)
+        super().update(observations)
 
 
 class LateRefusal(PointsOnly):
     """Refuses walls after the points of the same scan were used."""
 
-    def update(self, sightings):
-        EKF.update(self, {i: sighting for i, sighting in sightings.items() if not sighting.is_wall})
-        super().update({i: sighting for i, sighting in sightings.items() if sighting.is_wall})
+    def update(self, observations):
+        EKF.update(self, {i: observation for i, observation in observations.items() if not observation.is_wall})
+        super().update({i: observation for i, observation in observations.items() if observation.is_wall})
 
 
 class TypeErrorForWalls(EKF):
-    def update(self, sightings):
-        if any(sighting.is_wall for sighting in sightings.values()):
+    def update(self, observations):
+        if any(observation.is_wall for observation in observations.values()):
             raise TypeError("found a wall")
-        super().update(sightings)
+        super().update(observations)
 
 
 def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():

@@ -1,1 +1,1 @@
-"""Data association: which sighting is of which landmark."""
+"""Data association: which observation is of which landmark."""

@@ -1,7 +1,7 @@
-"""Whether the matches of a scan agree with each other, and what the others say of one sighting.
+"""Whether the matches of a scan agree with each other, and what the others say of one observation.
 
 All is read off the covariance of all innovations together: the squared innovation of a match given all others follows
-from the inverse of that matrix, and so does the innovation of an unmatched sighting given the matches.
+from the inverse of that matrix, and so does the innovation of an unmatched observation given the matches.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def agreed(
 ) -> tuple[Indices, Indices, Array]:
     """The matches that agree with each other, those that follow from them, and the squared innovations given them.
 
-    Arguments as of `agreeing`. A sighting that was not matched, or lost its match, is matched with the landmark without
-    a match that it fits best inside the gate, given all matches.
+    Arguments as of `agreeing`. An observation that was not matched, or lost its match, is matched with the landmark
+    without a match that it fits best inside the gate, given all matches.
     """
     rows, cols = agreeing(innovation, predicted, rows, cols, gate)
     squared = squared_given(innovation, predicted, rows, cols)
@@ -33,7 +33,7 @@ def agreed(
 
 
 def predicted_cov(innovation: Innovations, joint: Array) -> Array:
-    """(2k, 2k) covariance of the predicted sightings of k landmarks, from the joint one of pose and landmarks."""
+    """(2k, 2k) covariance of the predicted observations of k landmarks, from the joint one of pose and landmarks."""
     by_pose = innovation.by_pose.reshape(-1, 3)
     turned = block_diagonal(innovation.by_landmark)
     cross = by_pose @ joint[:3, 3:] @ turned.T
@@ -63,7 +63,7 @@ def agreeing(
 
 
 def squared_given(innovation: Innovations, predicted: Array, rows: Indices, cols: Indices) -> Array:
-    """(m, k) squared innovations of all sightings against all landmarks, given the matches.
+    """(m, k) squared innovations of all observations against all landmarks, given the matches.
 
     Infinite where the pair is not plausible. Arguments as of `agreeing`. Those of the matches themselves mean nothing.
     """
@@ -82,5 +82,5 @@ def squared_given(innovation: Innovations, predicted: Array, rows: Indices, cols
 
 
 def blocks(cols: Indices) -> Indices:
-    """(2n,) places of the landmarks `cols` (n,) in the vector of predicted sightings."""
+    """(2n,) places of the landmarks `cols` (n,) in the vector of predicted observations."""
     return np.asarray((2 * cols[:, None] + np.arange(2)).ravel())

@@ -1,4 +1,4 @@
-"""Data association: which sighting is of which landmark, which is new, and which landmarks to forget.
+"""Data association: which observation is of which landmark, which is new, and which landmarks to forget.
 
 It serves all estimators and calls only their `estimate` and `joint_covariance`.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.slam.association.agreement import predicted_cov
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
@@ -39,26 +39,26 @@ _CONFIRMED = 3
 
 @dataclass(frozen=True, slots=True)
 class Association:
-    """The sightings of one keyframe with the landmarks they are of."""
+    """The observations of one keyframe with the landmarks they are of."""
 
-    sightings: Mapping[LandmarkId, Sighting]
+    observations: Mapping[LandmarkId, Observation]
     """those to update with; an id that the estimator does not know is a new landmark"""
     discarded: int
-    """sightings that are too far for a match and too near for a new landmark"""
+    """observations that are too far for a match and too near for a new landmark"""
     nis: float
     """normalised innovation squared of all matches together, before the update"""
     dof: int
     """its degrees of freedom, 2 per match"""
     fused: int = 0
-    """sightings that were fused with another one of the same wall"""
+    """observations that were fused with another one of the same wall"""
     predicted_pose: Pose = Pose()
     """before the update"""
     predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) of the predicted pose, world frame"""
 
 
-Observer = Callable[[Sequence[Sighting], Belief], None]
-"""Called with all sightings of a keyframe and the estimator before its update; must not change either."""
+Observer = Callable[[Sequence[Observation], Belief], None]
+"""Called with all observations of a keyframe and the estimator before its update; must not change either."""
 
 
 @dataclass(slots=True)
@@ -66,13 +66,13 @@ class Record:
     """What the associator keeps of a landmark, beside the estimator's two numbers."""
 
     kind: Kind
-    """of its first sighting"""
-    sightings: int
-    """sightings so far, the first included"""
+    """of its first observation"""
+    observations: int
+    """observations so far, the first included"""
     first_scan: int
-    """keyframe of its first sighting"""
+    """keyframe of its first observation"""
     last_scan: int
-    """keyframe of its last sighting"""
+    """keyframe of its last observation"""
     sigma_m: float = math.inf
     """upper bound of a point's sigma along any direction, when it was last compared"""
     extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
@@ -82,7 +82,7 @@ class Record:
 
 
 class Associator:
-    """Gates and assigns sightings, starts landmarks, culls those seen too rarely and merges duplicate walls."""
+    """Gates and assigns observations, starts landmarks, culls those seen too rarely and merges duplicate walls."""
 
     def __init__(self, config: AssociationConfig, records: Mapping[LandmarkId, Record] | None = None) -> None:
         self._config = config
@@ -96,7 +96,7 @@ class Associator:
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
         self.observer: Observer | None = None
-        """called before the sightings of a keyframe are matched; for evaluation"""
+        """called before the observations of a keyframe are matched; for evaluation"""
         if config.method == "chi2":
             self._match_gate = float(chi_square_quantile(config.match_probability, 2))
             self._new_gate = float(chi_square_quantile(config.new_probability, 2))
@@ -105,98 +105,98 @@ class Associator:
         self._gate_sigmas = math.sqrt(max(self._match_gate, self._new_gate))
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
 
-    def associate(self, sightings: Sequence[Sighting], estimator: Belief) -> Association:
-        """Match sightings one-to-one with the landmarks by innovation; what is far from all is a new landmark."""
+    def associate(self, observations: Sequence[Observation], estimator: Belief) -> Association:
+        """Match observations one-to-one with the landmarks by innovation; what is far from all is a new landmark."""
         self._scan += 1
         if self.observer is not None:
-            self.observer(sightings, estimator)
+            self.observer(observations, estimator)
         estimate = estimator.estimate()
-        if not sightings:
+        if not observations:
             return Association({}, 0, 0.0, 0, 0, estimate.pose, estimate.pose_cov)
-        for sighting in sightings:
-            self._crookedness.add(sighting.shape)
+        for observation in observations:
+            self._crookedness.add(observation.shape)
         records = [self.records[i] for i in estimate.ids.tolist()]
         sigmas = np.array([record.sigma_m for record in records])
         extents = np.array([record.extent for record in records]).reshape(-1, 2, 2)
         aligned = Alignment(estimate.pose, 0.0)
         if self._config.align.enabled:
-            aligned = align(sightings, estimate, extents, self._config.wall_gap_m, self._config.align)
-        fits = pre_gate(sightings, estimate, aligned, sigmas, extents, self._gate_sigmas, self._config)
+            aligned = align(observations, estimate, extents, self._config.wall_gap_m, self._config.align)
+        fits = pre_gate(observations, estimate, aligned, sigmas, extents, self._gate_sigmas, self._config)
         near = np.flatnonzero(fits.plausible.any(axis=0))
-        known: dict[LandmarkId, Sighting] = {}
-        nis, free, pieces, confirmed = 0.0, np.ones(len(sightings), dtype=bool), 0, False
+        known: dict[LandmarkId, Observation] = {}
+        nis, free, pieces, confirmed = 0.0, np.ones(len(observations), dtype=bool), 0, False
         if len(near):
             joint = estimator.joint_covariance(estimate.ids[near].tolist())
             for j, k in enumerate(near):
                 records[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
             squares = np.array([records[k].shape.square_m2(self._crookedness.excess) for k in near])
-            noise = noise_of_pairs(sightings, squares)
-            innovation = compare(sightings, estimate, near, joint, fits.plausible[:, near], noise)
+            noise = noise_of_pairs(observations, squares)
+            innovation = compare(observations, estimate, near, joint, fits.plausible[:, near], noise)
             innovation = without_barely_covered(innovation, fits, near, self._match_gate)
             rows, cols, squared = self._assigned(innovation, joint)
             free = squared.min(axis=1) > self._new_gate
             free[rows] = False
             confirmed = len(rows) >= _CONFIRMED and self._config.assignment == "agreeing"
-            matched = [sightings[i] for i in rows.tolist()]
+            matched = [observations[i] for i in rows.tolist()]
             for i in np.flatnonzero(~free).tolist():
-                if i not in rows and sightings[i].is_wall:
-                    pieces += self._fuse(sightings[i], squared[i, cols], matched)
-            matched = [less_certain(sighting, squares[j]) for j, sighting in zip(cols, matched, strict=True)]
-            known = {int(estimate.ids[near[j]]): sighting for j, sighting in zip(cols, matched, strict=True)}
+                if i not in rows and observations[i].is_wall:
+                    pieces += self._fuse(observations[i], squared[i, cols], matched)
+            matched = [less_certain(observation, squares[j]) for j, observation in zip(cols, matched, strict=True)]
+            known = {int(estimate.ids[near[j]]): observation for j, observation in zip(cols, matched, strict=True)}
             nis = matches_nis(innovation, matched, cols, joint)
         dof = 2 * len(known)
         for j, i in enumerate(estimate.ids.tolist()):
             if i in known:
-                records[j].sightings += 1
+                records[j].observations += 1
                 records[j].last_scan = self._scan
                 if known[i].is_wall:
                     records[j].shape.add(known[i].shape)
                     records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
-        is_wall = np.array([s.is_wall for s in sightings])
+        is_wall = np.array([s.is_wall for s in observations])
         unmatched = np.flatnonzero(free & (fits.apart.all(axis=1) | (is_wall & confirmed))).tolist()
-        new, more = self._start_landmarks(sightings, unmatched, fits.sigmas, estimate)
+        new, more = self._start_landmarks(observations, unmatched, fits.sigmas, estimate)
         accepted, pieces = known | new, pieces + more
-        discarded = len(sightings) - len(accepted) - pieces
+        discarded = len(observations) - len(accepted) - pieces
         return Association(accepted, discarded, nis, dof, pieces, estimate.pose, estimate.pose_cov)
 
-    def known(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> Association:
-        """Take sightings that name their landmark, except where the name was misread; the NIS leaves out new ones."""
+    def known(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
+        """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
         self._scan += 1
         estimate = estimator.estimate()
         known = set(estimate.ids.tolist())
-        old = [i for i in sightings if i in known]
+        old = [i for i in observations if i in known]
         misread: set[LandmarkId] = set()
         nis = 0.0
         if old:
-            innovation, joint = compare_known(sightings, old, estimate, estimator)
+            innovation, joint = compare_known(observations, old, estimate, estimator)
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = matches_nis(innovation, [sightings[old[k]] for k in kept], kept, joint)
-        accepted = {i: sighting for i, sighting in sightings.items() if i not in misread}
-        for i, sighting in accepted.items():
-            self.records.setdefault(i, Record(sighting.kind, 0, self._scan, self._scan)).sightings += 1
+            nis = matches_nis(innovation, [observations[old[k]] for k in kept], kept, joint)
+        accepted = {i: observation for i, observation in observations.items() if i not in misread}
+        for i, observation in accepted.items():
+            self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan)).observations += 1
         dof = 2 * (len(old) - len(misread))
         return Association(accepted, len(misread), nis, dof, 0, estimate.pose, estimate.pose_cov)
 
-    def nis(self, sightings: Mapping[LandmarkId, Sighting], estimator: Estimator) -> tuple[float, int]:
-        """Normalised innovation squared of sightings together, and its degrees of freedom; new landmarks left out."""
+    def nis(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> tuple[float, int]:
+        """Normalised innovation squared of all observations, and its degrees of freedom; new landmarks left out."""
         estimate = estimator.estimate()
         known = set(estimate.ids.tolist())
-        old = [i for i in sightings if i in known]
+        old = [i for i in observations if i in known]
         if not old:
             return 0.0, 0
-        innovation, joint = compare_known(sightings, old, estimate, estimator)
-        return matches_nis(innovation, [sightings[i] for i in old], np.arange(len(old)), joint), 2 * len(old)
+        innovation, joint = compare_known(observations, old, estimate, estimator)
+        return matches_nis(innovation, [observations[i] for i in old], np.arange(len(old)), joint), 2 * len(old)
 
     def cull(self) -> list[LandmarkId]:
-        """Landmarks to forget now: seen too rarely a period after their first sighting (report: bad landmarks)."""
+        """Landmarks to forget now: seen too rarely a period after their first observation (report: bad landmarks)."""
         config = self._config
         if not config.culling or self._scan % config.cull_period:
             return []
         bad = [
             i
             for i, record in self.records.items()
-            if record.sightings < config.cull_below and self._scan - record.first_scan >= config.cull_period
+            if record.observations < config.cull_below and self._scan - record.first_scan >= config.cull_period
         ]
         for i in bad:
             del self.records[i]
@@ -225,16 +225,16 @@ class Associator:
             cov = joint[:2, :2] + joint[2:, 2:] - joint[:2, 2:] - joint[2:, :2]
             if disagreement(walls[j], walls[k], cov) > self._match_gate:
                 continue
-            young, old = sorted((j, k), key=lambda n: (records[n].sightings, -ids[n]))
+            young, old = sorted((j, k), key=lambda n: (records[n].observations, -ids[n]))
             records[old].extent = joined(walls[old], records[old].extent, records[young].extent)
-            records[old].sightings += records[young].sightings
+            records[old].observations += records[young].observations
             del self.records[ids[young]]
             gone.append(ids[young])
         self.walls_merged += len(gone)
         return gone
 
     def _assigned(self, innovation: Innovations, joint: Array) -> tuple[Indices, Indices, Array]:
-        """Rows (sightings) and columns (landmarks) of the matches, and the squared innovations (m, k) of the others."""
+        """Rows (observations) and columns (landmarks) of the matches, and squared innovations (m, k) of the others."""
         if self._config.assignment == "joint":
             probability = self._config.joint_probability
             return *jointly_compatible(innovation, joint, self._match_gate, probability), innovation.squared
@@ -242,8 +242,8 @@ class Associator:
             return *assign(innovation, self._match_gate), innovation.squared
         return best_agreed(innovation, predicted_cov(innovation, joint), self._match_gate)
 
-    def _fuse(self, piece: Sighting, squared: Array, matched: list[Sighting]) -> bool:
-        """Fuse another piece of a wall with the matched sighting of it; whether the two agree, so that it was done.
+    def _fuse(self, piece: Observation, squared: Array, matched: list[Observation]) -> bool:
+        """Fuse another piece of a wall with the matched observation of it; whether the two agree, so that it was done.
 
         `squared` (n,) is the piece's squared innovation against the landmarks of `matched`.
         """
@@ -256,37 +256,41 @@ class Associator:
         return True
 
     def _start_landmarks(
-        self, sightings: Sequence[Sighting], unmatched: list[int], sigmas: Array, estimate: Estimate
-    ) -> tuple[dict[LandmarkId, Sighting], int]:
-        """New landmarks of the sightings at `unmatched`, and how many further sightings were fused with these.
+        self, observations: Sequence[Observation], unmatched: list[int], sigmas: Array, estimate: Estimate
+    ) -> tuple[dict[LandmarkId, Observation], int]:
+        """New landmarks of the observations at `unmatched`, and how many further observations were fused with these.
 
-        `sigmas` (m,) metres, of all sightings in the world.
+        `sigmas` (m,) metres, of all observations in the world.
         """
-        new: dict[LandmarkId, Sighting] = {}
+        new: dict[LandmarkId, Observation] = {}
         pieces = 0
         for k in unmatched:
-            sighting = sightings[k]
+            observation = observations[k]
             # One scan may show a wall's end from both sides, or a wall in two pieces: that is one landmark.
-            twin = next((i for i, other in new.items() if self._are_one(sighting, other)), None)
+            twin = next((i for i, other in new.items() if self._are_one(observation, other)), None)
             if twin is not None:
-                apart = disagreement(sighting.z, new[twin].z, sighting.cov + new[twin].cov) if sighting.is_wall else 0.0
-                if sighting.is_wall and apart <= self._match_gate:
-                    new[twin] = fused(new[twin], sighting)
+                apart = (
+                    disagreement(observation.z, new[twin].z, observation.cov + new[twin].cov)
+                    if observation.is_wall
+                    else 0.0
+                )
+                if observation.is_wall and apart <= self._match_gate:
+                    new[twin] = fused(new[twin], observation)
                     pieces += 1
                     self.records[twin].extent = ends(estimate.pose, new[twin])
                 # Of two walls of a scan that contradict each other both are taken: the returns of each are straight.
-                if not sighting.is_wall or apart <= self._match_gate or self._config.assignment != "agreeing":
+                if not observation.is_wall or apart <= self._match_gate or self._config.assignment != "agreeing":
                     continue
-            extent = ends(estimate.pose, sighting) if sighting.is_wall else np.zeros((2, 2))
-            new[self._next_id] = sighting
-            self.records[self._next_id] = Record(sighting.kind, 1, self._scan, self._scan, float(sigmas[k]), extent)
-            self.records[self._next_id].shape.add(sighting.shape)
+            extent = ends(estimate.pose, observation) if observation.is_wall else np.zeros((2, 2))
+            new[self._next_id] = observation
+            self.records[self._next_id] = Record(observation.kind, 1, self._scan, self._scan, float(sigmas[k]), extent)
+            self.records[self._next_id].shape.add(observation.shape)
             self._next_id += 1
         squares = {i: self.records[i].shape.square_m2(self._crookedness.excess) for i in new}
-        return {i: less_certain(sighting, squares[i]) for i, sighting in new.items()}, pieces
+        return {i: less_certain(observation, squares[i]) for i, observation in new.items()}, pieces
 
-    def _are_one(self, one: Sighting, other: Sighting) -> bool:
-        """Whether two sightings of one scan are too close to be of two landmarks."""
+    def _are_one(self, one: Observation, other: Observation) -> bool:
+        """Whether two observations of one scan are too close to be of two landmarks."""
         if one.is_wall != other.is_wall:
             return False
         if not one.is_wall:

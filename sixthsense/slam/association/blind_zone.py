@@ -1,8 +1,8 @@
-"""Noticing that the robot is not where it is believed to be, from sightings that neither match nor are new.
+"""Noticing that the robot is not where it is believed to be, from observations that neither match nor are new.
 
-A sighting between the gate of a match and that of a new landmark is discarded. One or two of them are noise or clutter,
-which a robot that turns on the spot sees in every scan. If most are, scan after scan, the prediction is off by more
-than its covariance says, and odometry alone would go on.
+An observation between the gate of a match and that of a new landmark is discarded. One or two of them are noise or
+clutter, which a robot that turns on the spot sees in every scan. If most are, scan after scan, the prediction is off by
+more than its covariance says, and odometry alone would go on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sixthsense.slam.association.associator import Association
 _PATIENCE = 3
 """keyframes in a row before anything is done"""
 _LEAST = 3
-"""discarded sightings of a keyframe that say anything: with fewer, wide gates would match the next thing at hand"""
+"""discarded observations of a keyframe that say anything: with fewer, wide gates would match the next thing at hand"""
 _SIGMAS = (0.05, 0.03)
 """of position, m, and heading, rad, that are added first; doubled at each further keyframe"""
 _LARGEST = (1.0, 0.5)
@@ -24,16 +24,16 @@ _LARGEST = (1.0, 0.5)
 
 
 class BlindZone:
-    """Counts keyframes most of whose sightings are discarded, and says how uncertain the pose is then.
+    """Counts keyframes most of whose observations are discarded, and says how uncertain the pose is then.
 
-    Keyframes with too few sightings say nothing, neither that the pose is right nor that it is wrong.
+    Keyframes with too few observations say nothing, neither that the pose is right nor that it is wrong.
     """
 
     def __init__(self) -> None:
         self._scans = 0
 
     def uncertainty(self, association: Association) -> Odometry | None:
-        """Uncertainty of the pose beyond its covariance, as a motion of zero; None while sightings match.
+        """Uncertainty of the pose beyond its covariance, as a motion of zero; None while observations match.
 
         With it the gates are wide enough for the matches that the alignment of walls proposes, so that the robot is
         localised again by all landmarks around it.
@@ -52,4 +52,4 @@ class BlindZone:
 
 
 def _new_landmarks(association: Association) -> int:
-    return len(association.sightings) - association.dof // 2
+    return len(association.observations) - association.dof // 2

@@ -1,7 +1,7 @@
-"""Walls that are not straight: what their own returns say of it, and how much less a sighting of them determines.
+"""Walls that are not straight: what their own returns say of it, and how much less an observation of them determines.
 
 A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
-not depend on where the robot is, so that it is averaged over all sightings of a landmark. A line that is fitted to
+not depend on where the robot is, so that it is averaged over all observations of a landmark. A line that is fitted to
 another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import Sighting, WallShape
+from sixthsense.core.landmarks import Observation, WallShape
 
 _SIGNIFICANT = 3.0
 """sigmas below which a mean shape, or the mean over all walls, says that walls are straight"""
@@ -23,18 +23,18 @@ _TILT = 3.0
 _LARGEST = 25.0
 """of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
 _MEMORY = 500.0
-"""sightings of walls over which their mean crookedness is taken"""
+"""observations of walls over which their mean crookedness is taken"""
 
 
 class Crookedness:
-    """How crooked walls are here, in the mean: the shapes of single sightings against the laser's noise."""
+    """How crooked walls are here, in the mean: the shapes of single observations against the laser's noise."""
 
     def __init__(self) -> None:
         self._counts = [0.0, 0.0]
         self._squares = [0.0, 0.0]
 
     def add(self, shape: WallShape) -> None:
-        """Take the shape of a sighting; older ones are forgotten gradually."""
+        """Take the shape of an observation; older ones are forgotten gradually."""
         for k, (c, var) in enumerate(zip(shape.amplitudes_m, shape.variances_m2, strict=True)):
             if math.isfinite(var):
                 keep = 1.0 - 1.0 / _MEMORY
@@ -62,59 +62,60 @@ def _mean_square_limit(count: float) -> float:
 
 @dataclass(slots=True)
 class MeanShape:
-    """The mean shape of a wall over its sightings."""
+    """The mean shape of a wall over its observations."""
 
-    sightings: int = 0
+    observations: int = 0
     information: tuple[float, float] = (0.0, 0.0)
     """of the two amplitudes, 1 / m^2"""
     weighted: tuple[float, float] = (0.0, 0.0)
     """sums of the amplitudes over their variances, 1 / m"""
 
     def add(self, shape: WallShape) -> None:
-        """Take the shape of another sighting."""
+        """Take the shape of another observation."""
         weights = [1.0 / var for var in shape.variances_m2]
         first, second = (w * c for w, c in zip(weights, shape.amplitudes_m, strict=True))
-        self.sightings += 1
+        self.observations += 1
         self.weighted = (self.weighted[0] + first, self.weighted[1] + second)
         self.information = (self.information[0] + weights[0], self.information[1] + weights[1])
 
     def square_m2(self, excess: tuple[float, float]) -> float:
         """Mean square of the deviation from a straight wall.
 
-        Before the wall is seen an amplitude is normal with a variance of `excess` times that of a single sighting; its
-        mean over the sightings tells the rest. A mean that is significant counts wherever walls are straight otherwise.
+        Before the wall is seen an amplitude is normal with a variance of `excess` times that of a single observation;
+        its mean over the observations tells the rest. A mean that is significant counts wherever walls are straight
+        otherwise.
         """
         total = 0.0
         for information, weighted, prior_ratio in zip(self.information, self.weighted, excess, strict=True):
             if information > 0.0:
                 mean_sq, var = (weighted / information) ** 2, 1.0 / information
-                prior = prior_ratio * self.sightings * var
+                prior = prior_ratio * self.observations * var
                 share = prior / (prior + var)
                 expected = share * share * mean_sq + share * var
                 total += max(expected, mean_sq - _SIGNIFICANT**2 * var)
         return total
 
 
-def noise_of_pairs(sightings: Sequence[Sighting], squares_m2: Array) -> Array:
-    """(m, k, 2, 2) covariances of the sightings if they are of landmarks whose walls deviate by `squares_m2` (k,)."""
-    noise = np.array([s.cov for s in sightings])[:, None]
+def noise_of_pairs(observations: Sequence[Observation], squares_m2: Array) -> Array:
+    """(m, k, 2, 2) covariances of observations if they are of landmarks whose walls deviate by `squares_m2` (k,)."""
+    noise = np.array([s.cov for s in observations])[:, None]
     if not squares_m2.any():
         return np.repeat(noise, len(squares_m2), axis=1)
-    units = np.array([_unit(s) for s in sightings])
+    units = np.array([_unit(s) for s in observations])
     return np.asarray(noise + squares_m2[None, :, None, None] * units[:, None])
 
 
-def less_certain(sighting: Sighting, square_m2: float) -> Sighting:
-    """The sighting of a wall that deviates from a straight one by a mean square of `square_m2`."""
+def less_certain(observation: Observation, square_m2: float) -> Observation:
+    """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
     if square_m2 == 0.0:
-        return sighting
-    return replace(sighting, cov=sighting.cov + square_m2 * _unit(sighting))
+        return observation
+    return replace(observation, cov=observation.cov + square_m2 * _unit(observation))
 
 
-def _unit(sighting: Sighting) -> Array:
-    """(2, 2) covariance that a mean square of 1 m^2 adds to a sighting: an offset, and a tilt about its middle."""
-    if not sighting.is_wall:
+def _unit(observation: Observation) -> Array:
+    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle."""
+    if not observation.is_wall:
         return np.zeros((2, 2))
-    first, last = sighting.extent
+    first, last = observation.extent
     about_middle = np.array([[1.0, 0.0], [0.5 * (first + last), 1.0]])
     return np.asarray(about_middle @ np.diag([4.0 * _TILT / (last - first) ** 2, 1.0]) @ about_middle.T)

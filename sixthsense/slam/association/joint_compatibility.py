@@ -27,7 +27,7 @@ def jointly_compatible(
     """The largest set of matches inside a joint chi-square gate; among the largest, the one with the least NIS.
 
     `joint` (3 + 2k, 3 + 2k) of the pose and the k landmarks; each match must pass the single `gate`,
-    too. Returns rows (sightings) and columns (landmarks).
+    too. Returns rows (observations) and columns (landmarks).
     """
     H = stacked_jacobian(innovation.by_pose, innovation.by_landmark)
     predicted = H @ joint @ H.T
@@ -64,7 +64,7 @@ class _Search:
     nodes: int = 0
 
     def descend(self, level: int, hypothesis: _Hypothesis) -> None:
-        """Try every landmark for the sighting at `level`, then none; branches that cannot beat the best are cut."""
+        """Try every landmark for the observation at `level`, then none; branches that cannot beat the best are cut."""
         self.nodes += 1
         count, most = len(hypothesis.pairs), len(self.best.pairs)
         if count > most or (count == most and hypothesis.nis < self.best.nis):

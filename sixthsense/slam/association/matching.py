@@ -1,4 +1,4 @@
-"""Innovations of sightings against landmarks, and the one-to-one assignment that is likeliest (report section 4.3)."""
+"""Innovations of observations against landmarks, and the likeliest one-to-one assignment (report section 4.3)."""
 
 from __future__ import annotations
 
@@ -9,56 +9,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.landmarks import LandmarkId, Sighting, predict, sighting_innovations, stacked_jacobian
+from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, predict, stacked_jacobian
 from sixthsense.slam.association.pre_gate import Mask, PreGate
 from sixthsense.slam.estimators.base import Estimate, Estimator
 
 Indices = NDArray[np.int64]
 
 _LEAST_COVERED = 0.5
-"""of what the wall covers that covers most of a sighting"""
+"""of what the wall covers that covers most of an observation"""
 
 
 @dataclass(frozen=True, slots=True)
 class Innovations:
-    """Innovations of m sightings against k landmarks, for all pairs."""
+    """Innovations of m observations against k landmarks, for all pairs."""
 
     values: Array
     """(m, k, 2)"""
     noise: Array
-    """(m, k, 2, 2) covariances of the sightings about the predictions"""
+    """(m, k, 2, 2) covariances of the observations about the predictions"""
     squared: Array
     """(m, k) squared Mahalanobis distance, infinite where the pair is not plausible"""
     log_det: Array
     """(m, k) logarithm of the determinant of the innovation's covariance"""
     by_pose: Array
-    """(k, 2, 3) Jacobian of the predicted sighting by the pose"""
+    """(k, 2, 3) Jacobian of the predicted observation by the pose"""
     by_landmark: Array
-    """(k, 2, 2) Jacobian of the predicted sighting by the landmark"""
+    """(k, 2, 2) Jacobian of the predicted observation by the landmark"""
     predicted: Array
-    """(k, 2) predicted sightings"""
+    """(k, 2) predicted observations"""
     walls: Mask
     """(k,) which of the landmarks are walls"""
 
 
 def compare(
-    sightings: Sequence[Sighting],
+    observations: Sequence[Observation],
     estimate: Estimate,
     near: Indices,
     joint: Array,
     plausible: Mask,
     noise: Array | None = None,
 ) -> Innovations:
-    """Innovations of all sightings against the landmarks at `near` (k,), whose covariance with the pose is `joint`.
+    """Innovations of all observations against the landmarks at `near` (k,), whose covariance with the pose is `joint`.
 
-    `noise` (m, k, 2, 2) of the sightings where it is not the same for all landmarks.
+    `noise` (m, k, 2, 2) of the observations where it is not the same for all landmarks.
     """
     walls = estimate.walls[near]
     predicted, by_pose, by_landmark = predict(estimate.pose, estimate.landmarks[near], walls)
-    z = np.array([s.z for s in sightings])
+    z = np.array([s.z for s in observations])
     if noise is None:
-        noise = np.array([s.cov for s in sightings])[:, None]
-    values, noise = sighting_innovations(z[:, None, :], noise, predicted[None, :, :], walls[None, :])
+        noise = np.array([s.cov for s in observations])[:, None]
+    values, noise = observation_innovations(z[:, None, :], noise, predicted[None, :, :], walls[None, :])
     S = predicted_covs(joint, by_pose, by_landmark)[None] + noise  # (m, k, 2, 2)
     det = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
     a, b = values[..., 0], values[..., 1]
@@ -68,17 +68,17 @@ def compare(
 
 
 def compare_known(
-    sightings: Mapping[LandmarkId, Sighting], known: list[LandmarkId], estimate: Estimate, estimator: Estimator
+    observations: Mapping[LandmarkId, Observation], known: list[LandmarkId], estimate: Estimate, estimator: Estimator
 ) -> tuple[Innovations, Array]:
-    """Innovations of the sightings of landmarks that are known, each of its own one, and the joint covariance."""
+    """Innovations of the observations of landmarks that are known, each of its own one, and the joint covariance."""
     order = {i: k for k, i in enumerate(estimate.ids.tolist())}
-    near, seen = np.array([order[i] for i in known]), [sightings[i] for i in known]
+    near, seen = np.array([order[i] for i in known]), [observations[i] for i in known]
     joint = estimator.joint_covariance(known)
     return compare(seen, estimate, near, joint, np.eye(len(known), dtype=np.bool_)), joint
 
 
 def without_barely_covered(innovation: Innovations, fits: PreGate, near: Indices, gate: float) -> Innovations:
-    """The innovations, infinite for walls that cover much less of a sighting than another one inside the gate.
+    """The innovations, infinite for walls that cover much less of an observation than another one inside the gate.
 
     Two walls that meet at a small angle are one beside the other where they meet. A short piece of the one passes the
     gate of both, though it lies beyond what is known of the other.
@@ -89,7 +89,7 @@ def without_barely_covered(innovation: Innovations, fits: PreGate, near: Indices
 
 
 def assign(innovation: Innovations, gate: float) -> tuple[Indices, Indices]:
-    """The likeliest one-to-one matches inside the gate: rows (sightings) and columns (landmarks)."""
+    """The likeliest one-to-one matches inside the gate: rows (observations) and columns (landmarks)."""
     return assigned(innovation.squared, innovation.log_det, gate)
 
 
@@ -106,7 +106,7 @@ def assigned(squared: Array, log_det: Array, gate: float) -> tuple[Indices, Indi
 
 
 def predicted_covs(joint: Array, by_pose: Array, by_landmark: Array) -> Array:
-    """(k, 2, 2): H Sigma H^T of each landmark's sighting, from the joint covariance of pose and landmarks."""
+    """(k, 2, 2): H Sigma H^T of each landmark's observation, from the joint covariance of pose and landmarks."""
     k = len(by_pose)
     own = joint[3:, 3:].reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k), :]
     cross = joint[:3, 3:].reshape(3, k, 2).transpose(1, 0, 2)  # (k, 3, 2)
@@ -129,13 +129,13 @@ def joint_nis(joint: Array, by_pose: Array, by_landmark: Array, innovation: Arra
     return float(stacked @ np.linalg.solve(S, stacked))
 
 
-def matches_nis(innovation: Innovations, matched: Sequence[Sighting], cols: Indices, joint: Array) -> float:
+def matches_nis(innovation: Innovations, matched: Sequence[Observation], cols: Indices, joint: Array) -> float:
     """Normalised innovation squared of all matches together, with the correlations between them."""
     index = np.concatenate([np.arange(3), (3 + 2 * cols[:, None] + np.arange(2)).ravel()])
     if not len(matched):
         return 0.0
     z, cov = np.array([s.z for s in matched]), np.array([s.cov for s in matched])
-    values, noise = sighting_innovations(z, cov, innovation.predicted[cols], innovation.walls[cols])
+    values, noise = observation_innovations(z, cov, innovation.predicted[cols], innovation.walls[cols])
     by_pose, by_landmark = innovation.by_pose[cols], innovation.by_landmark[cols]
     return joint_nis(joint[np.ix_(index, index)], by_pose, by_landmark, values, noise)
 

@@ -1,7 +1,7 @@
 """Landmarks as seen from a proposed pose, to choose matches by and for nothing else.
 
 Aligned scans say where the robot is relative to its earlier keyframes. Each landmark is fixed to the keyframe of its
-last sighting, so what is proposed places the landmarks around the robot, whatever the estimator believes of the way
+last observation, so what is proposed places the landmarks around the robot, whatever the estimator believes of the way
 between. The robot is the origin here, since walls far from the origin have offsets that change with the heading.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.associator import Record
 from sixthsense.slam.estimators.base import Estimate
 
@@ -35,7 +35,7 @@ class Proposal(NamedTuple):
 
 
 class _Last(NamedTuple):
-    """A landmark as it was known at its last sighting, in the robot's frame then."""
+    """A landmark as it was known at its last observation, in the robot's frame then."""
 
     key: int
     """keyframe"""
@@ -44,7 +44,7 @@ class _Last(NamedTuple):
     extent: Array
     """(2, 2) ends of a wall"""
     cov: Array
-    """(2, 2) of the sighting"""
+    """(2, 2) of the observation"""
 
 
 class ProposedLandmarks:
@@ -91,17 +91,17 @@ class ProposedLandmarks:
         self,
         key: int,
         estimate: Estimate,
-        sightings: Mapping[LandmarkId, Sighting],
+        observations: Mapping[LandmarkId, Observation],
         records: Mapping[LandmarkId, Record],
     ) -> None:
-        """Fix the landmarks that keyframe `key` has sighted to it, and give `records` their extents in the world."""
+        """Fix the landmarks that keyframe `key` has observed to it, and give `records` their extents in the world."""
         rows = {i: row for row, i in enumerate(estimate.ids.tolist())}
         T_world_robot, T_robot_world = estimate.pose.array()[None], estimate.pose.inverse().array()[None]
-        for i, sighting in sightings.items():
+        for i, observation in observations.items():
             row = slice(rows[i], rows[i] + 1)
             local = moved(T_robot_world, estimate.landmarks[row], estimate.walls[row])[0]
-            self._last[i] = _Last(key, local, records[i].extent, sighting.cov)
-        for i in {*self._here.ids.tolist(), *sightings}:
+            self._last[i] = _Last(key, local, records[i].extent, observation.cov)
+        for i in {*self._here.ids.tolist(), *observations}:
             records[i].extent = moved_points(T_world_robot, records[i].extent[None])[0]
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
@@ -126,10 +126,10 @@ def moved_points(poses: Array, points: Array) -> Array:
 
 
 def _placed_covs(poses: Array, covs: Array, walls: NDArray[np.bool_], landmarks: Array, sigmas: Array) -> Array:
-    """(n, 2, 2) of landmarks in the robot's frame: of their last sighting, `covs`, and of the proposal.
+    """(n, 2, 2) of landmarks in the robot's frame: of their last observation, `covs`, and of the proposal.
 
-    `poses` (n, 3) of the keyframes of their last sightings, `landmarks` (n, 2) in the robot's frame, `sigmas` (n, 2) of
-    those poses, m and rad.
+    `poses` (n, 3) of the keyframes of their last observations, `landmarks` (n, 2) in the robot's frame, `sigmas` (n, 2)
+    of those poses, m and rad.
     """
     by_pose, by_z = np.zeros((len(walls), 2, 3)), np.zeros((len(walls), 2, 2))
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])

@@ -23,9 +23,9 @@ _MOST = 8
 def best_agreed(innovation: Innovations, predicted: Array, gate: float) -> tuple[Indices, Indices, Array]:
     """The set of matches that explains the scan best, and the squared innovations (m, k) of the others given them.
 
-    `predicted` as of `predicted_cov`. A set explains what its joint squared innovation leaves of `gate` per match: a
-    sighting without a match counts as one that just passes the gate. As in the assignment, a match with a landmark that
-    is less certain than another one in the gate explains less by as much.
+    `predicted` as of `predicted_cov`. A set explains what its joint squared innovation leaves of `gate` per match: an
+    observation without a match counts as one that just passes the gate. As in the assignment, a match with a landmark
+    that is less certain than another one in the gate explains less by as much.
     """
     best = agreed(innovation, predicted, *assign(innovation, gate), gate)
     inside = innovation.squared < gate
@@ -55,7 +55,7 @@ def best_agreed(innovation: Innovations, predicted: Array, gate: float) -> tuple
 def _lacking(log_det: Array, inside: NDArray[np.bool_]) -> Array:
     """(m, k) logarithm of the density of the densest match in the gate over each match's; 0 where none is denser."""
     densest = np.where(inside, log_det, np.inf).min(axis=1, initial=np.inf)
-    # Matches that follow from others may lie outside the gate, also of a sighting that has none inside.
+    # Matches that follow from others may lie outside the gate, also of an observation that has none inside.
     return np.asarray(np.maximum(log_det - densest[:, None], 0.0))
 
 

@@ -8,15 +8,15 @@ from collections.abc import Collection, Mapping
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.slam.association.associator import Record
 from sixthsense.slam.estimators import Estimate
 
 _GONE = 6
 """keyframes that see through a landmark, from which on it is gone"""
-_PER_SIGHTING = 4
-"""keyframes that see through it, which one sighting outweighs"""
+_PER_OBSERVATION = 4
+"""keyframes that see through it, which one observation outweighs"""
 _BESIDE_M = 0.1
 """of a point to either side, and of a wall's ends: beams there must not tell"""
 _BEYOND_M = 0.2
@@ -48,15 +48,15 @@ class Vanished:
         self,
         scan: Scan,
         estimate: Estimate,
-        sightings: Mapping[LandmarkId, Sighting],
+        observations: Mapping[LandmarkId, Observation],
         records: Mapping[LandmarkId, Record],
     ) -> list[LandmarkId]:
         """Take a keyframe with the estimate and the matches of its update; the landmarks that are gone by now."""
         for i in set(self._through).difference(records):
             del self._through[i]  # culled or merged
-        for i in set(self._through).intersection(sightings):
-            self._through[i] = max(0, self._through[i] - _PER_SIGHTING)
-        watched = [k for k, i in enumerate(estimate.ids.tolist()) if i in self._through and i not in sightings]
+        for i in set(self._through).intersection(observations):
+            self._through[i] = max(0, self._through[i] - _PER_OBSERVATION)
+        watched = [k for k, i in enumerate(estimate.ids.tolist()) if i in self._through and i not in observations]
         if not watched:
             return []
         beams = _Beams(scan, estimate, self._no_return_passes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from sixthsense.config import AlignConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Sighting
+from sixthsense.core.landmarks import Observation
 from sixthsense.slam.association.wall_extents import ends
 from sixthsense.slam.estimators.base import Estimate
 
@@ -26,24 +26,24 @@ class Alignment:
     pose: Pose
     """world frame"""
     explained: float
-    """share, 0 to 1, of the sighted walls' length that lies on known walls at that pose"""
+    """share, 0 to 1, of the observed walls' length that lies on known walls at that pose"""
 
 
 def align(
-    sightings: Sequence[Sighting], estimate: Estimate, extents: Array, gap_m: float, cfg: AlignConfig
+    observations: Sequence[Observation], estimate: Estimate, extents: Array, gap_m: float, cfg: AlignConfig
 ) -> Alignment:
-    """Align the walls among `sightings` with those of the estimate, whose extents are (n, 2, 2).
+    """Align the walls among `observations` with those of the estimate, whose extents are (n, 2, 2).
 
     Robust Gauss-Newton minimises the offsets of both ends of each wall from the nearest known wall, with the predicted
     pose and its covariance as prior. Where the predicted heading leaves much unexplained, other initial headings are
-    tried; one of them is taken only if it explains clearly more. Without a sighted or a known wall the predicted pose
+    tried; one of them is taken only if it explains clearly more. Without an observed or a known wall the predicted pose
     is returned.
     """
-    sighted = [s for s in sightings if s.is_wall]
+    observed = [s for s in observations if s.is_wall]
     known = np.flatnonzero(estimate.walls)
-    if not sighted or not len(known):
+    if not observed or not len(known):
         return Alignment(estimate.pose, 0.0)
-    pieces = np.array([ends(Pose(), s) for s in sighted])
+    pieces = np.array([ends(Pose(), s) for s in observed])
     walls = _lines(estimate.landmarks[known], extents[known])
     slack = np.diag([_SLACK_M**2, _SLACK_M**2, _SLACK_RAD**2])
     information = np.asarray(np.linalg.inv(estimate.pose_cov + slack), dtype=np.float64)

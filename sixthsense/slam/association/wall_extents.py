@@ -9,36 +9,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Sighting, line_errors, sighted_centre, sighting_innovations
+from sixthsense.core.landmarks import Observation, line_errors, observation_innovations, observed_centre
 
 _PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
 
 
 @dataclass(frozen=True, slots=True)
 class Nearness:
-    """Angles, offsets and gaps of m sighted walls against n landmarks; rows are sightings."""
+    """Angles, offsets and gaps of m observed walls against n landmarks; rows are observations."""
 
     angle: Array
     """(m, n) rad, between the normals"""
     offset: Array
-    """(m, n) m, of the middle of the sighted piece from the landmark's line"""
+    """(m, n) m, of the middle of the observed piece from the landmark's line"""
     gap: Array
-    """(m, n) m along the landmark between the sighted piece and the known extent; negative where they overlap"""
+    """(m, n) m along the landmark between the observed piece and the known extent; negative where they overlap"""
 
 
-def ends(pose: Pose, sighting: Sighting) -> Array:
-    """(2, 2) both ends, in the world, of a wall that is sighted from `pose`."""
-    c, s = np.cos(sighting.z[0]), np.sin(sighting.z[0])
-    foot, along = sighting.z[1] * np.array([c, s]), np.array([-s, c])
-    return np.asarray(pose @ (foot + np.outer(sighting.extent, along)))
+def ends(pose: Pose, observation: Observation) -> Array:
+    """(2, 2) both ends, in the world, of a wall that is observed from `pose`."""
+    c, s = np.cos(observation.z[0]), np.sin(observation.z[0])
+    foot, along = observation.z[1] * np.array([c, s]), np.array([-s, c])
+    return np.asarray(pose @ (foot + np.outer(observation.extent, along)))
 
 
-def nearness(sighted: Array, alphas: Array, landmarks: Array, extents: Array) -> Nearness:
-    """Compare sighted walls, (m, 2, 2) ends and (m,) alphas, with landmarks (n, 2), whose extents are (n, 2, 2)."""
+def nearness(observed: Array, alphas: Array, landmarks: Array, extents: Array) -> Nearness:
+    """Compare observed walls, (m, 2, 2) ends and (m,) alphas, with landmarks (n, 2), whose extents are (n, 2, 2)."""
     c, s = np.cos(landmarks[:, 0]), np.sin(landmarks[:, 0])
     normal, along = np.column_stack([c, s]), np.column_stack([-s, c])
-    middle = sighted.mean(axis=1)
-    mine = np.einsum("mek,nk->mne", sighted, along)
+    middle = observed.mean(axis=1)
+    mine = np.einsum("mek,nk->mne", observed, along)
     theirs = np.einsum("nek,nk->ne", extents, along)
     low = np.maximum(mine.min(axis=2), theirs.min(axis=1))
     high = np.minimum(mine.max(axis=2), theirs.max(axis=1))
@@ -65,7 +65,7 @@ def collinear_pairs(
 
 def disagreement(first: Array, second: Array, cov: Array) -> float:
     """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
-    gap, cov = sighting_innovations(first, cov, second, np.array(True))
+    gap, cov = observation_innovations(first, cov, second, np.array(True))
     return float(gap @ np.linalg.solve(cov, gap))
 
 
@@ -77,16 +77,16 @@ def joined(landmark: Array, *extents: Array) -> Array:
     return np.asarray(landmark[1] * normal + np.outer([reach.min(), reach.max()], along))
 
 
-def fused(first: Sighting, second: Sighting) -> Sighting:
-    """One sighting of a wall from two pieces of it in the same scan, whose errors are independent."""
-    gap, second_cov = sighting_innovations(second.z, second.cov, first.z, np.array(True))
+def fused(first: Observation, second: Observation) -> Observation:
+    """One observation of a wall from two pieces of it in the same scan, whose errors are independent."""
+    gap, second_cov = observation_innovations(second.z, second.cov, first.z, np.array(True))
     gain = first.cov @ np.linalg.inv(first.cov + second_cov)
     turn, shift = gain @ gap
     lever, _, _ = line_errors(first.cov)
     alpha = wrap_angle(float(first.z[0]) + turn)
-    centre = sighted_centre(first)  # it turns about its centre, and is shifted there
+    centre = observed_centre(first)  # it turns about its centre, and is shifted there
     z = np.array([alpha, math.cos(alpha) * centre[0] + math.sin(alpha) * centre[1] + shift - lever * turn])
     cov = first.cov - gain @ first.cov
     extent = min(first.extent[0], second.extent[0]), max(first.extent[1], second.extent[1])
     bearings = np.concatenate([first.bearings, second.bearings])
-    return Sighting(first.kind, z, 0.5 * (cov + cov.T), extent, bearings, first.shape)
+    return Observation(first.kind, z, 0.5 * (cov + cov.T), extent, bearings, first.shape)

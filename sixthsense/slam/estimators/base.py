@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import WheelEstimate
 
@@ -46,18 +46,19 @@ class Belief(Protocol):
 
 
 class Estimator(Belief, Protocol):
-    """Simultaneous localisation and mapping from odometry and sightings with known association.
+    """Simultaneous localisation and mapping from odometry and observations with known association.
 
     1. `predict` never shrinks the joint covariance; many may precede an update.
-    2. `update` takes each sighting as independent; an unknown id, a forgotten one too, is a new landmark, augmented
+    2. `update` takes each observation as independent; an unknown id, a forgotten one too, is a new landmark, augmented
        after all updates.
     3. An empty update leaves the covariance alone.
     4. `joint_covariance` is symmetric and positive semi-definite, begins with `pose_cov` and follows the order asked.
     5. Returned arrays are copies.
     6. The same calls give the same bits.
-    7. An invalid covariance (not finite, not symmetric, indefinite; of a sighting, not positive definite) raises a
+    7. An invalid covariance (not finite, not symmetric, indefinite; of an observation, not positive definite) raises a
        ValueError that names it and leaves the state unchanged. An odometry's and the start's may be zero.
-    8. Walls may be refused: `update` then raises a NotImplementedError at a wall's first sighting and leaves the state
+    8. Walls may be refused: `update` then raises a NotImplementedError at a wall's first observation and leaves the
+    state
        unchanged. All built-in estimators use walls.
     """
 
@@ -65,8 +66,8 @@ class Estimator(Belief, Protocol):
         """Move by an increment in the robot's frame."""
         ...
 
-    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
-        """Update with the sightings of one keyframe."""
+    def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
+        """Update with the observations of one keyframe."""
         ...
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
@@ -148,7 +149,7 @@ class WheelEstimator(Estimator, Protocol):
 
     13. Odometry's dependence on the parameters is used, with the prior and the parameters' correlation with pose and
         landmarks. Odometry that does not depend on them is used as without this option.
-    14. What sightings do not determine keeps its prior.
+    14. What observations do not determine keeps its prior.
     """
 
     def estimate_wheels(self, prior: WheelEstimate) -> None:
@@ -228,24 +229,24 @@ class Trajectory:
         return self._rows[: self._count].copy()
 
 
-def check_sightings(sightings: Mapping[LandmarkId, Sighting]) -> None:
-    """Raise ValueError, naming the landmark, for a sighting that is not finite or whose covariance is invalid."""
-    if not sightings:
+def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
+    """Raise ValueError, naming the landmark, for an observation that is not finite or whose covariance is invalid."""
+    if not observations:
         return
-    for i, s in sightings.items():
+    for i, s in observations.items():
         if np.shape(s.z) != (2,) or np.shape(s.cov) != (2, 2):
             got = f"{np.shape(s.z)} and {np.shape(s.cov)}"
-            raise ValueError(f"sighting of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
-    z = np.array([s.z for s in sightings.values()], dtype=np.float64)
-    cov = np.array([s.cov for s in sightings.values()], dtype=np.float64)
+            raise ValueError(f"observation of landmark {i}: expected z (2,) and cov (2, 2), got {got}")
+    z = np.array([s.z for s in observations.values()], dtype=np.float64)
+    cov = np.array([s.cov for s in observations.values()], dtype=np.float64)
     if not np.isfinite(z).all():
         k = int(np.flatnonzero(~np.isfinite(z).all(axis=1))[0])
-        raise ValueError(f"sighting of landmark {list(sightings)[k]}: found z {z[k]}, allowed: finite numbers")
+        raise ValueError(f"observation of landmark {list(observations)[k]}: found z {z[k]}, allowed: finite numbers")
     det = cov[:, 0, 0] * cov[:, 1, 1] - cov[:, 0, 1] * cov[:, 1, 0]
     slack = COVARIANCE_SLACK * np.abs(cov).max(axis=(1, 2))
     good = (np.abs(cov[:, 0, 1] - cov[:, 1, 0]) <= slack) & (cov[:, 0, 0] > 0.0) & (det > 0.0) & np.isfinite(det)
     if not good.all():
         k = int(np.flatnonzero(~good)[0])
         fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
-        found = f"sighting of landmark {list(sightings)[k]}: found {fault}"
+        found = f"observation of landmark {list(observations)[k]}: found {fault}"
         raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")

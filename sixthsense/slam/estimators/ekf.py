@@ -14,17 +14,17 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import (
     LandmarkId,
-    Sighting,
+    Observation,
     initialize_landmark,
+    observation_innovations,
+    observed_centre,
     predict,
     rotation_generator,
-    sighted_centre,
-    sighting_innovations,
     translated,
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.wheels import Wheels
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_sightings
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_observations
 from sixthsense.slam.estimators.checks import check_prior
 from sixthsense.slam.estimators.triangle import selected
 
@@ -83,18 +83,18 @@ class EKF:
             return
         self._pending = self._pending.then(odometry)
 
-    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+    def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
-        check_sightings(sightings)
+        check_observations(observations)
         self._propagate()
-        known = [i for i in sightings if i in self._slots]
+        known = [i for i in observations if i in self._slots]
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
-            shift = self._correct(slots, [sightings[i] for i in known])
+            shift = self._correct(slots, [observations[i] for i in known])
             if self._head > 3:
                 self._wheels = Wheels.from_array(self._wheels.array() + shift[3 : self._head])
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
-        self._augment({i: sighting for i, sighting in sightings.items() if i not in self._slots})
+        self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
         self._trajectory.append(self._in_world(self._pose))
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
@@ -139,7 +139,7 @@ class EKF:
         return moved
 
     def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
-        """The robot's position (2,) and the landmarks (m, 2) at which sightings are linearized."""
+        """The robot's position (2,) and the landmarks (m, 2) at which observations are linearized."""
         return self._pose.position, self._means[slots]
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
@@ -155,8 +155,8 @@ class EKF:
     def _on_started(self) -> None:
         """Called after the filter has begun with landmarks of an earlier run."""
 
-    def _on_added(self, sightings: Collection[Sighting]) -> None:
-        """Called after landmarks were added, one per sighting."""
+    def _on_added(self, observations: Collection[Observation]) -> None:
+        """Called after landmarks were added, one per observation."""
 
     def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
@@ -164,11 +164,11 @@ class EKF:
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         """Called after landmarks were removed: those in `slots` are left, in that order."""
 
-    def _centre(self, sighting: Sighting) -> Array:
+    def _centre(self, observation: Observation) -> Array:
         """(2,) the centre of a new landmark: of a wall, that of its returns."""
-        if not (sighting.is_wall and self._has_centres):
+        if not (observation.is_wall and self._has_centres):
             return np.zeros(2)
-        return np.asarray(self._pose.position + rotation(self._pose.theta) @ sighted_centre(sighting))
+        return np.asarray(self._pose.position + rotation(self._pose.theta) @ observed_centre(observation))
 
     @property
     def _size(self) -> int:
@@ -208,7 +208,7 @@ class EKF:
         self._pose = pose
         self._pending = STANDSTILL
 
-    def _correct(self, slots: NDArray[np.int64], sightings: list[Sighting]) -> Array:
+    def _correct(self, slots: NDArray[np.int64], observations: list[Observation]) -> Array:
         """One batch update (report eq. 10): Sigma -= W W^T with W = Sigma H^T S^-1/2, on the stored triangle.
 
         Returns the correction (3 + 2n,) of the state, which the caller applies.
@@ -221,8 +221,8 @@ class EKF:
         about_start, by_mean = translated(landmarks, walls, centres)
         _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), about_start, walls)
         by_landmark = by_landmark @ by_mean
-        z, cov = np.array([s.z for s in sightings]), np.array([s.cov for s in sightings])
-        innovation, noise = sighting_innovations(z, cov, predicted, walls)
+        z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
+        innovation, noise = observation_innovations(z, cov, predicted, walls)
         index = self._pose_and_landmarks(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
         for k in range(m):
@@ -241,24 +241,24 @@ class EKF:
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
         return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True, check_finite=False))
 
-    def _augment(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
+    def _augment(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Append new landmarks, initialized at the pose of this update."""
-        if not sightings:
+        if not observations:
             return
-        n, k = self._size, len(sightings)
+        n, k = self._size, len(observations)
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
         means, rows, noise, centres = [], [], [], []
         position, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
         at = Pose(position[0], position[1], self._pose.theta)
-        for sighting in sightings.values():
-            centre = self._centre(sighting)
-            mean, _, by_z = first_estimate(self._pose, sighting, centre)
-            _, by_pose, _ = first_estimate(at, sighting, centre)
+        for observation in observations.values():
+            centre = self._centre(observation)
+            mean, _, by_z = first_estimate(self._pose, observation, centre)
+            _, by_pose, _ = first_estimate(at, observation, centre)
             means.append(mean)
             centres.append(centre)
             rows.append(by_pose)
-            noise.append(by_z @ sighting.cov @ by_z.T)
+            noise.append(by_z @ observation.cov @ by_z.T)
         G = np.vstack(rows)  # (2k, 3)
         pose_cov = self._symmetric(np.arange(3))
         larger[n:, :n] = G @ np.vstack([pose_cov, self._cov[3:, :3]]).T
@@ -266,13 +266,13 @@ class EKF:
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
         self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])
-        self._walls = np.concatenate([self._walls, [sighting.is_wall for sighting in sightings.values()]])
-        self._on_added(sightings.values())
-        self._slots |= {i: len(self._slots) + j for j, i in enumerate(sightings)}
+        self._walls = np.concatenate([self._walls, [observation.is_wall for observation in observations.values()]])
+        self._on_added(observations.values())
+        self._slots |= {i: len(self._slots) + j for j, i in enumerate(observations)}
 
 
-def first_estimate(pose: Pose, sighting: Sighting, centre: Array) -> tuple[Array, Array, Array]:
+def first_estimate(pose: Pose, observation: Observation, centre: Array) -> tuple[Array, Array, Array]:
     """A landmark (2,) in the pose's world, a wall about `centre` (2,); its Jacobians by pose (2, 3) and by z (2, 2)."""
-    mean, by_pose, by_z = initialize_landmark(pose, sighting)
-    about, by_mean = translated(mean[None], np.array([sighting.is_wall]), -centre)
+    mean, by_pose, by_z = initialize_landmark(pose, observation)
+    about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre)
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z

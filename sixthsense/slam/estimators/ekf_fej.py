@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Sighting, rotation_generator
+from sixthsense.core.landmarks import Observation, rotation_generator
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF, first_estimate
 
@@ -61,9 +61,9 @@ class AnchoredEKF(EKF):
     def _on_started(self) -> None:
         self._anchors = self._means.copy()
 
-    def _on_added(self, sightings: Collection[Sighting]) -> None:
-        at, centres = Pose(self._point[0], self._point[1], self._pose.theta), self._centres[-len(sightings) :]
-        anchors = [first_estimate(at, s, centre)[0] for s, centre in zip(sightings, centres, strict=True)]
+    def _on_added(self, observations: Collection[Observation]) -> None:
+        at, centres = Pose(self._point[0], self._point[1], self._pose.theta), self._centres[-len(observations) :]
+        anchors = [first_estimate(at, s, centre)[0] for s, centre in zip(observations, centres, strict=True)]
         self._anchors = np.vstack([self._anchors, *anchors])
 
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:

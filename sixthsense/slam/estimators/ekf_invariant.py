@@ -19,13 +19,12 @@ class InvariantEKF(EKF):
     """The standard filter in coordinates in which a motion of the whole world is the same error at every estimate.
 
     With xi the right-invariant error, a position p has the error e_p = xi_p + xi_theta J p_hat in the world frame, the
-    heading e_theta = xi_theta, and the offset of a wall with the normal n from its centre c the error
-    e_d = xi_d + n_hat^T (xi_p + xi_theta J c), with the xi_p of the robot: e = A(x_hat) xi. In xi the odometry's
-    Jacobian is the identity, and a sighting's depends neither on xi_theta nor, of a wall, on xi_p, so that no update
-    gains information about the pose of the whole map. The covariance is kept in world coordinates: A P_xi A^T at the
-    present estimate. The standard Jacobians at the present estimate are those of xi in these coordinates. Only the
-    correction differs: it follows the group's exponential, and the covariance is transported to A at the corrected
-    estimate.
+    heading e_theta = xi_theta, and the offset of a wall with the normal n from its centre c the error e_d = xi_d +
+    n_hat^T (xi_p + xi_theta J c), with the xi_p of the robot: e = A(x_hat) xi. In xi the odometry's Jacobian is the
+    identity, and an observation's depends neither on xi_theta nor, of a wall, on xi_p, so that no update gains
+    information about the pose of the whole map. The covariance is kept in world coordinates: A P_xi A^T at the present
+    estimate. The standard Jacobians at the present estimate are those of xi in these coordinates. Only the correction
+    differs: it follows the group's exponential, and the covariance is transported to A at the corrected estimate.
     """
 
     _has_centres = True

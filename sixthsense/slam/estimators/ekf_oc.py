@@ -13,7 +13,7 @@ class ObservabilityConstrainedEKF(AnchoredEKF):
     """The linearization point follows the newest estimates as closely as the observability constraint allows.
 
     Of all points that keep the null vector the filter takes those nearest to the estimates, in least squares over the
-    robot's displacement and the levers of its sightings (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010,
+    robot's displacement and the levers of its observations (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010,
     section 5.2: for one landmark, half of the gap between anchor and estimate goes to each). The landmarks of the last
     update are used in place of those of the next, so that the point is known when the robot moves.
     """

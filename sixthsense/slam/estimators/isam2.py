@@ -12,18 +12,18 @@ from sixthsense.config import ISAM2Config
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_sightings
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_observations
 from sixthsense.slam.estimators.checks import check_links, check_prior, check_wheels
 from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_joint import JointCovariances
 from sixthsense.slam.estimators.isam2_links import LinkFactors
+from sixthsense.slam.estimators.isam2_observations import ObservationFactors, point_factor
 from sixthsense.slam.estimators.isam2_prior import PriorFactor
-from sixthsense.slam.estimators.isam2_sightings import SightingFactors, point_factor
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
@@ -40,14 +40,14 @@ class ISAM2:
     """A factor graph with one pose per update: a prior, odometry between poses, bearing and range to landmarks.
 
     A wall is a variable with a frame of its own (`isam2_walls.py`). GTSAM's tangent of a pose is in the robot's frame:
-    covariances are rotated into it and out of it. Poses of updates without a sighting are kept back until there is a
-    sighting or a link, since until then there is nothing to solve.
+    covariances are rotated into it and out of it. Poses of updates without an observation are kept back until there is
+    an observation or a link, since until then there is nothing to solve.
     """
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
         self._config, self._loss = config, loss_of(config)
-        self._factors, self._links = SightingFactors(), LinkFactors()
+        self._factors, self._links = ObservationFactors(), LinkFactors()
         self._prior = PriorFactor()
         self._solver = Solver(config, self._renumber)
         self._unsolved = Unsolved()
@@ -89,23 +89,23 @@ class ISAM2:
             self._step = self._step.then(odometry)
             self._pending = self._pending.then(odometry)
 
-    def update(self, sightings: Mapping[LandmarkId, Sighting]) -> None:
-        """Add the present pose and the sightings from it; solve if there are any."""
-        check_sightings(sightings)
+    def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
+        """Add the present pose and the observations from it; solve if there are any."""
+        check_observations(observations)
         guess = self._head.pose @ self._head.motion(self._pending).motion
-        is_spare = bool(sightings) and self._adds_nothing(guess, sightings)
+        is_spare = bool(observations) and self._adds_nothing(guess, observations)
         self._add_pose(guess)
-        if not sightings:
+        if not observations:
             return
         first = self._unsolved.graph.size()
-        is_first = [i not in self._landmarks.keys for i in sightings]
-        for (i, sighting), is_new in zip(sightings.items(), is_first, strict=True):
+        is_first = [i not in self._landmarks.keys for i in observations]
+        for (i, observation), is_new in zip(observations.items(), is_first, strict=True):
             if is_new:
-                self._landmarks.add(i, guess, sighting, self._unsolved.values)
-            self._unsolved.graph.add(self._factor(self._landmarks.keys[i], guess, sighting, is_new))
+                self._landmarks.add(i, guess, observation, self._unsolved.values)
+            self._unsolved.graph.add(self._factor(self._landmarks.keys[i], guess, observation, is_new))
         places = self._solve_waiting(self._chain.due())[first:]
-        for (i, sighting), place, is_new in zip(sightings.items(), places, is_first, strict=True):
-            self._factors.add(self._poses - 1, i, place, sighting, is_new)
+        for (i, observation), place, is_new in zip(observations.items(), places, is_first, strict=True):
+            self._factors.add(self._poses - 1, i, place, observation, is_new)
         if is_spare:
             self._chain.spare(self._poses - 1)
         self._solver.relinearize(self._last_solved, guess)
@@ -178,7 +178,7 @@ class ISAM2:
         return self._joint.read(ids, self._pending)
 
     def trajectory(self) -> Array:
-        """(K, 3), the pose at each update, smoothed with all sightings so far."""
+        """(K, 3), the pose at each update, smoothed with all observations so far."""
         return np.vstack([self._solution.poses(), *(pose.array() for pose in self._unsolved.poses)])
 
     def poses_at(self, updates: Sequence[int]) -> Array:
@@ -244,21 +244,21 @@ class ISAM2:
         for numbered in (self._prior, self._factors, self._chain, self._links):
             numbered.renumber(before, after)
 
-    def _adds_nothing(self, guess: Pose, sightings: Mapping[LandmarkId, Sighting]) -> bool:
-        """Whether the sightings from a pose, of which there are some, say next to nothing of the landmarks."""
+    def _adds_nothing(self, guess: Pose, observations: Mapping[LandmarkId, Observation]) -> bool:
+        """Whether the observations from a pose, of which there are some, say next to nothing of the landmarks."""
         least = self._config.least_gain
-        if not least or self._head.wheels is not None or not sightings.keys() <= self._landmarks.keys.keys():
+        if not least or self._head.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
             return False
-        return self._joint.map_gain(guess, sightings, self._pending) < least
+        return self._joint.map_gain(guess, observations, self._pending) < least
 
-    def _factor(self, key: int, guess: Pose, sighting: Sighting, is_new: bool) -> gtsam.NonlinearFactor:
+    def _factor(self, key: int, guess: Pose, observation: Observation, is_new: bool) -> gtsam.NonlinearFactor:
         pose = X(self._poses - 1)
-        if not sighting.is_wall:
-            return point_factor(key, pose, sighting, self._loss)
+        if not observation.is_wall:
+            return point_factor(key, pose, observation, self._loss)
         if self._head.wheels is not None and not is_new:
-            return exact_factor(key, pose, sighting, self._loss)
-        frame = wall_frame(guess, sighting) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
-        return wall_factor((key, frame), (pose, guess), sighting, is_new, self._loss)
+            return exact_factor(key, pose, observation, self._loss)
+        frame = wall_frame(guess, observation) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
+        return wall_factor((key, frame), (pose, guess), observation, is_new, self._loss)
 
     def _converge(self) -> None:
         """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
@@ -282,7 +282,7 @@ class ISAM2:
         """Remove the factors of matches that contradict all other factors, the largest residual first.
 
         At the solution the residual of a correct match is smaller than its noise, so the gate is conservative.
-        First sightings are kept: without it a wall's frame could slide along the wall.
+        First observations are kept: without it a wall's frame could slide along the wall.
         """
         for _ in range(_MAX_REJECTED):
             ids, means = self._landmarks.ids(), self._solution.landmarks().means

@@ -1,9 +1,9 @@
 """The chain of key poses in a factor graph, out of which poses are taken that add nothing to the map.
 
 A graph with every key pose grows for ever, also where the robot has been often. What a pose adds is measured as in Ila,
-Porta and Andrade-Cetto, IEEE Transactions on Robotics 26(1), 2010: by the information that its sightings have on the
-landmarks. A pose that is taken out leaves its motion to the next one. Its sightings and links are lost: the estimate is
-less certain, and stays consistent, because poses are chosen by covariances and not by what was measured.
+Porta and Andrade-Cetto, IEEE Transactions on Robotics 26(1), 2010: by the information that its observations have on the
+landmarks. A pose that is taken out leaves its motion to the next one. Its observations and links are lost: the estimate
+is less certain, and stays consistent, because poses are chosen by covariances and not by what was measured.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Sighting, predict, stacked_jacobian
+from sixthsense.core.landmarks import Observation, predict, stacked_jacobian
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_wheels import motion_factor
 
 _UNPLACED = -1  # the place of a factor that the graph does not have yet
-_WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their sightings, too
+_WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their observations, too
 
 
 class _Step(NamedTuple):
@@ -162,17 +162,17 @@ class Chain:
 
 
 def map_gain(
-    pose: Pose, joint: Array, landmarks: Array, walls: NDArray[np.bool_], sightings: Sequence[Sighting]
+    pose: Pose, joint: Array, landmarks: Array, walls: NDArray[np.bool_], observations: Sequence[Observation]
 ) -> float:
-    """What sightings of m known landmarks say of these in the mean, as mutual information in nats.
+    """What observations of m known landmarks say of these in the mean, as mutual information in nats.
 
-    `joint` (3 + 2m, 3 + 2m) is of the pose and the landmarks (m, 2) before the sightings. What they say of pose and
+    `joint` (3 + 2m, 3 + 2m) is of the pose and the landmarks (m, 2) before the observations. What they say of pose and
     landmarks together is what they say of the landmarks, and of the pose once these are known.
     """
     _, by_pose, by_landmark = predict(pose, landmarks, walls)
     H = stacked_jacobian(by_pose, by_landmark)
-    noise = block_diag(*(sighting.cov for sighting in sightings))
+    noise = block_diag(*(observation.cov for observation in observations))
     if_known = joint[:3, :3] - joint[:3, 3:] @ np.linalg.solve(joint[3:, 3:], joint[3:, :3])
     of_all = np.linalg.slogdet(H @ joint @ H.T + noise)
     of_pose = np.linalg.slogdet(H[:, :3] @ if_known @ H[:, :3].T + noise)
-    return 0.5 * float(of_all.logabsdet - of_pose.logabsdet) / len(sightings)
+    return 0.5 * float(of_all.logabsdet - of_pose.logabsdet) / len(observations)

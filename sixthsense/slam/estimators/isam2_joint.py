@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.isam2_chain import map_gain
 from sixthsense.slam.estimators.isam2_head import Head
@@ -48,17 +48,17 @@ class JointCovariances:
         self._of, self._pending = self._solution.count, pending
         return joint
 
-    def map_gain(self, pose: Pose, sightings: Mapping[LandmarkId, Sighting], pending: Odometry) -> float:
-        """What sightings of known landmarks from the pose after a motion say of these in the mean, nats.
+    def map_gain(self, pose: Pose, observations: Mapping[LandmarkId, Observation], pending: Odometry) -> float:
+        """What observations of known landmarks from the pose after a motion say of these in the mean, nats.
 
-        Infinite where nobody has asked for their joint covariance: who matches sightings has, and for the gain alone it
-        would cost too much.
+        Infinite where nobody has asked for their joint covariance: who matches observations has, and for the gain alone
+        it would cost too much.
         """
         is_present = self._of == self._solution.count and self._pending is pending
-        if not is_present or not self._rows.keys() >= sightings.keys():
+        if not is_present or not self._rows.keys() >= observations.keys():
             return math.inf
-        asked = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in sightings)])
+        asked = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in observations)])
         landmarks, joint = self._solution.landmarks(), self._last[np.ix_(asked, asked)]
         row = {i: k for k, i in enumerate(landmarks.keys)}
-        rows = [row[i] for i in sightings]
-        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(sightings.values()))
+        rows = [row[i] for i in observations]
+        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(observations.values()))

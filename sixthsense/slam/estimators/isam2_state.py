@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import L, W
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import LandmarkId, Sighting
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.isam2_factors import to_pose2
 from sixthsense.slam.estimators.isam2_walls import wall_frame
@@ -33,7 +33,7 @@ class Unsolved:
 
 @dataclass(slots=True)
 class Landmarks:
-    """Landmarks and their variables in the graph, in the order of the first sighting."""
+    """Landmarks and their variables in the graph, in the order of the first observation."""
 
     keys: dict[LandmarkId, int] = field(default_factory=dict)
     is_wall: dict[LandmarkId, bool] = field(default_factory=dict)
@@ -44,12 +44,12 @@ class Landmarks:
     made: int = 0
     """number of landmarks so far, forgotten ones included"""
 
-    def add(self, i: LandmarkId, guess: Pose, sighting: Sighting, values: gtsam.Values) -> None:
-        """Add a landmark that is sighted from `guess`, and its initial value to `values`."""
-        if sighting.is_wall:
-            values.insert(self.next_key(i, True), to_pose2(wall_frame(guess, sighting)))
+    def add(self, i: LandmarkId, guess: Pose, observation: Observation, values: gtsam.Values) -> None:
+        """Add a landmark that is observed from `guess`, and its initial value to `values`."""
+        if observation.is_wall:
+            values.insert(self.next_key(i, True), to_pose2(wall_frame(guess, observation)))
         else:
-            bearing, distance, _ = sighting.bearing_range()
+            bearing, distance, _ = observation.bearing_range()
             values.insert(self.next_key(i, False), guess @ (distance * rotation(bearing)[:, 0]))
 
     def next_key(self, i: LandmarkId, is_wall: bool) -> int:

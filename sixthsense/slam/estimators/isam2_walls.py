@@ -1,7 +1,8 @@
 """Walls in a factor graph: a frame whose origin lies on the wall, x along it and y its normal.
 
-The origin's place along the wall is arbitrary; the first sighting fixes it. A sighting measures the robot's distance
-from the wall and its heading against it: a factor between two poses of GTSAM with a large sigma along the wall.
+The origin's place along the wall is arbitrary; the first observation fixes it. An observation measures the robot's
+distance from the wall and its heading against it: a factor between two poses of GTSAM with a large sigma along the
+wall.
 """
 
 from __future__ import annotations
@@ -12,34 +13,34 @@ import gtsam
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Sighting, line_errors, sighted_centre
+from sixthsense.core.landmarks import Observation, line_errors, observed_centre
 from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, to_pose2, with_loss
 
-# Sigma along the wall. The first sighting fixes the origin: GTSAM's logarithm of a Pose2 couples tangential uncertainty
-# into the normal residual, by half of the angle's residual.
+# Sigma along the wall. The first observation fixes the origin: GTSAM's logarithm of a Pose2 couples tangential
+# uncertainty into the normal residual, by half of the angle's residual.
 _FIRST_M, _LATER_M = 1e-3, 1e3
 
 
-def wall_frame(pose: Pose, sighting: Sighting) -> Pose:
-    """The frame (`T_world_wall`) of a wall that is sighted from `pose`: its origin is the middle of what was seen."""
-    alpha = float(sighting.z[0])
-    middle = 0.5 * (sighting.extent[0] + sighting.extent[1])
-    x, y = rotation(alpha) @ np.array([float(sighting.z[1]), middle])
+def wall_frame(pose: Pose, observation: Observation) -> Pose:
+    """The frame (`T_world_wall`) of a wall that is observed from `pose`: its origin is the middle of what was seen."""
+    alpha = float(observation.z[0])
+    middle = 0.5 * (observation.extent[0] + observation.extent[1])
+    x, y = rotation(alpha) @ np.array([float(observation.z[1]), middle])
     return pose @ Pose(x, y, alpha - 0.5 * math.pi)
 
 
-def measurement(pose: Pose, frame: Pose, sighting: Sighting, is_first: bool) -> tuple[Pose, Array]:
-    """A sighting as the robot's pose in the wall's frame, and the square root of its information (3, 3), robot's axes.
+def measurement(pose: Pose, frame: Pose, observation: Observation, is_first: bool) -> tuple[Pose, Array]:
+    """The robot's pose in the wall's frame, measured, and the square root of its information (3, 3), robot's axes.
 
     In the wall's frame y is the distance to the wall and the heading is its angle, for any prediction: nothing is
     linearized. In the robot's frame a turn of the wall would shift it by d/2 times the square of the turn. The errors
-    of the sighting are a turn about the centre of its returns and a shift there, which are independent. Of the
+    of the observation are a turn about the centre of its returns and a shift there, which are independent. Of the
     predicted `pose` and `frame` only the centre's place along the wall is used.
     """
-    x, y = sighted_centre(sighting)
-    centre = Pose(x, y, float(sighting.z[0]) - 0.5 * math.pi)  # axes of the wall
+    x, y = observed_centre(observation)
+    centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)  # axes of the wall
     along = (frame.inverse() @ pose @ centre).x
-    _, of_turn, of_shift = line_errors(sighting.cov)
+    _, of_turn, of_shift = line_errors(observation.cov)
     sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
     # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
     to_centre = centre.inverse()
@@ -57,24 +58,24 @@ def lines(frames: Array) -> tuple[Array, Array]:
 
 
 def wall_factor(
-    wall: tuple[int, Pose], pose: tuple[int, Pose], sighting: Sighting, is_first: bool, loss: Loss | None
+    wall: tuple[int, Pose], pose: tuple[int, Pose], observation: Observation, is_first: bool, loss: Loss | None
 ) -> gtsam.NonlinearFactor:
-    """A sighting as a factor between two poses of GTSAM, each a key and its value."""
+    """An observation as a factor between two poses of GTSAM, each a key and its value."""
     (key, frame), (at, guess) = wall, pose
-    place, root = measurement(guess, frame, sighting, is_first)
+    place, root = measurement(guess, frame, observation, is_first)
     noise = with_loss(gtsam.noiseModel.Gaussian.SqrtInformation(root), loss)
     return gtsam.BetweenFactorPose2(key, at, to_pose2(place), noise)
 
 
-def exact_factor(wall: int, pose: int, sighting: Sighting, loss: Loss | None) -> gtsam.NonlinearFactor:
-    """A later sighting as a factor between the variables with these keys.
+def exact_factor(wall: int, pose: int, observation: Observation, loss: Loss | None) -> gtsam.NonlinearFactor:
+    """A later observation as a factor between the variables with these keys.
 
     GTSAM's factor between poses measures the place along the wall a little: its logarithm couples that with the angle's
     residual. Against the noise of odometry this is nothing, against wheels whose scale is unknown it is not.
     """
-    _, of_turn, of_shift = line_errors(sighting.cov)
+    _, of_turn, of_shift = line_errors(observation.cov)
     noise = with_loss(noise_of(np.diag([of_turn, of_shift])), loss)
-    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, sighting))
+    return gtsam.CustomFactor(noise, [wall, pose], Residual(wall, pose, observation))
 
 
 class Residual:
@@ -83,10 +84,10 @@ class Residual:
     The two have independent errors.
     """
 
-    def __init__(self, wall: int, pose: int, sighting: Sighting) -> None:
+    def __init__(self, wall: int, pose: int, observation: Observation) -> None:
         """Between the variables with these keys."""
-        self._wall, self._pose, self._alpha = wall, pose, float(sighting.z[0])
-        self._centre = sighted_centre(sighting)
+        self._wall, self._pose, self._alpha = wall, pose, float(observation.z[0])
+        self._centre = observed_centre(observation)
 
     def __call__(self, _: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
         """The residual (2,); fills `jacobians`, if there are any, in GTSAM's tangent of poses."""

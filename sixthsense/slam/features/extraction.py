@@ -11,7 +11,7 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import Kind, Sighting, WallShape, initialize_landmark
+from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
 from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
@@ -30,7 +30,7 @@ class Features:
 
     walls: Array
     """(W, 2, 2) fitted segments, clipped to their first and last return; robot's frame, metres"""
-    sightings: tuple[Sighting, ...]
+    observations: tuple[Observation, ...]
     """landmarks with their covariance"""
     pieces: tuple[Indices, ...]
     """beams of each first-level partition"""
@@ -51,7 +51,7 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
     lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas, seed)
     fitted = FittedLines(lines, np.ascontiguousarray(where[:, 1:]), piece_of_span[where[:, 0]], owner)
     mount = scan.T_robot_laser
-    sightings: list[Sighting] = []
+    observations: list[Observation] = []
     if config.landmarks == "corners":
         kinds, found, used, of_points = find_points(rolled, fitted, _endpoint_rules(scan, config), sigmas)
         bearings = rolled.bearings[used]
@@ -60,12 +60,12 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
         least = config.walls.min_length_m
         walls, found, used, of_walls, of_points = find_walls(rolled, fitted, rules, sigmas, least, reserved)
         kinds, bearings = np.full(len(found), Kind.END), rolled.bearings[used]
-        sightings = _wall_sightings(walls, _slices(bearings, of_walls), mount, assumed, config)
-    sightings += _point_sightings(kinds, found, _slices(bearings, of_points), mount, assumed, config)
+        observations = _wall_observations(walls, _slices(bearings, of_walls), mount, assumed, config)
+    observations += _point_observations(kinds, found, _slices(bearings, of_points), mount, assumed, config)
     n = len(scan.ranges)
     return Features(
         mount @ _clip(rolled.points, fitted),
-        add_sweep_noise(sightings, scan),
+        add_sweep_noise(observations, scan),
         tuple((offset + np.arange(a, b)) % n for a, b in rolled.pieces),
         tuple((offset + np.arange(a, b)) % n for a, b in spans),
     )
@@ -139,42 +139,42 @@ def _slices(bearings: Array, spans: Indices) -> list[Array]:
     return [bearings[a:b] for a, b in spans.tolist()]
 
 
-def _point_sightings(
+def _point_observations(
     kinds: Indices,
     found: Array,
     bearings: Sequence[Array],
     mount: Pose,
     assumed: AssumedConfig,
     config: FeaturesConfig,
-) -> list[Sighting]:
-    """Sightings in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit.
+) -> list[Observation]:
+    """Observations in the robot's frame of the points (K, 5) in the laser's frame whose sigma is below the limit.
 
     `bearings` holds those of the returns of each point.
     """
     turn = rotation(mount.theta)
-    sightings = []
+    observations = []
     for kind, (x, y, xx, xy, yy), own in zip(kinds, found, bearings, strict=True):
         # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
         largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
         if largest <= config.points.max_sigma_m**2:
             cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
-            sightings.append(Sighting(Kind(int(kind)), mount @ np.array([x, y]), cov, bearings=own))
-    return sightings
+            observations.append(Observation(Kind(int(kind)), mount @ np.array([x, y]), cov, bearings=own))
+    return observations
 
 
-def _wall_sightings(
+def _wall_observations(
     walls: Array, bearings: Sequence[Array], mount: Pose, assumed: AssumedConfig, config: FeaturesConfig
-) -> list[Sighting]:
-    """Sightings in the robot's frame of walls (W, 11) in the laser's frame; their normals point towards the laser.
+) -> list[Observation]:
+    """Observations in the robot's frame of walls (W, 11) in the laser's frame; their normals point towards the laser.
 
     `bearings` holds those of the returns of each wall.
     """
-    sightings = []
+    observations = []
     for (alpha, d, aa, ad, dd, low, high, *deviation), own in zip(walls.tolist(), bearings, strict=True):
         if not aa <= config.walls.max_sigma_rad**2:
             continue
         # With its normal towards the laser the wall lies at the distance -d.
-        in_laser = Sighting(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
+        in_laser = Observation(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
         z, _, by_z = initialize_landmark(mount, in_laser)
         middle = 0.5 * (low + high)
         # The floor is that of the wall's shape about its middle, whatever the robot's distance: not about its foot.
@@ -182,12 +182,12 @@ def _wall_sightings(
         floor = to_foot @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ to_foot.T
         cov = by_z @ (in_laser.cov + floor) @ by_z.T
         foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
-        sightings.append(Sighting(Kind.WALL, z, cov, (foot - high, foot - low), own, _as_shape(deviation)))
-    return sightings
+        observations.append(Observation(Kind.WALL, z, cov, (foot - high, foot - low), own, _as_shape(deviation)))
+    return observations
 
 
 def _as_shape(deviation: list[float]) -> WallShape:
-    """Amplitudes and variances of a wall's shape; the normal of the sighting points the other way."""
+    """Amplitudes and variances of a wall's shape; the normal of the observation points the other way."""
     c2, c3, v2, v3 = deviation
     return WallShape((-c2, c3), (v2, v3))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Sighting, polar_sighting
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
@@ -72,8 +72,8 @@ def read_graph(file: str | Path) -> Log:
 
     Initial values of poses and landmarks (VERTEX2, VERTEX_SE2, VERTEX_XY) are skipped. Poses and landmarks share one
     space of ids. Each pose is a tick, one second after the previous one, with the covariance of the motion and the
-    sightings; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge that does not
-    lead from the newest pose, or leads to a known pose; a landmark that is seen before its pose, or twice from one
+    observations; odometry begins at zero. Raises LogError, naming file and line, for any other tag; an edge that does
+    not lead from the newest pose, or leads to a known pose; a landmark that is seen before its pose, or twice from one
     pose, or has the id of a pose; an invalid number; an invalid covariance.
 
     In GTSAM's `victoria_park.txt` the six and three numbers are covariances, as GTSAM's load2D reads them (sigmas of
@@ -101,14 +101,14 @@ def read_graph(file: str | Path) -> Log:
 
 @dataclass(slots=True)
 class _Node:
-    """A pose of the graph with its sightings."""
+    """A pose of the graph with its observations."""
 
     odometry: Pose
     increment_cov: Array | None
-    sightings: dict[LandmarkId, Sighting] = field(default_factory=dict)
+    observations: dict[LandmarkId, Observation] = field(default_factory=dict)
 
     def tick(self, index: int) -> Tick:
-        return Tick(index * _STEP_NS, self.odometry, sightings=self.sightings, increment_cov=self.increment_cov)
+        return Tick(index * _STEP_NS, self.odometry, observations=self.observations, increment_cov=self.increment_cov)
 
 
 @dataclass(slots=True)
@@ -168,20 +168,20 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
         if not (np.all(sigmas > 1e-9) and second > 0.0):
             record.fail("found a range or a sigma that is not above 0, allowed: bearing range sigma sigma")
         _bounded(record, sigmas)
-        sighting = polar_sighting(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
+        observation = polar_observation(second, first, (float(sigmas[1]) ** 2, float(sigmas[0]) ** 2))
     else:
         cov = _covariance(record, form, record.fields[5:], definite=True)
-        sighting = Sighting(Kind.CORNER, np.array([first, second]), cov)
+        observation = Observation(Kind.CORNER, np.array([first, second]), cov)
     graph.check_landmark(record, landmark)
     if not graph.poses and (not graph.guessed or pose in graph.guessed):
         graph.begin(pose)
     if pose not in graph.poses:
         record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
-    seen = graph.poses[pose].sightings
+    seen = graph.poses[pose].observations
     if landmark in seen:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
     graph.landmarks.add(landmark)
-    seen[landmark] = sighting
+    seen[landmark] = observation
 
 
 def _read_vertex(graph: _Graph, record: Record) -> None:

@@ -1,4 +1,4 @@
-"""The UTIAS multi-robot data set (MRCLAM): odometry and barcode sightings of one robot (Leung et al., IJRR 2011)."""
+"""The UTIAS multi-robot data set (MRCLAM): odometry and barcode observations of one robot (Leung et al., IJRR 2011)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId, Sighting, polar_sighting
+from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.errors import LogError
@@ -87,7 +87,7 @@ def read_mrclam(
 
     The id of a landmark is the number of its subject; robots (subjects 1 to 5) are skipped. `assumed.laser` has the
     sigmas of range (m) and bearing (rad), both above 0; `assumed.landmark_floor_m` is added on both axes. All
-    measurements with one stamp form one time step, with at most one sighting of each landmark. Cameras sometimes
+    measurements with one stamp form one time step, with at most one observation of each landmark. Cameras sometimes
     misread a barcode: up to 1 % of the measurements may have a barcode that is not in `Barcodes.dat`; these are
     skipped.
 
@@ -104,7 +104,7 @@ def read_mrclam(
     drive = _table(_file(path, f"Robot{robot}_Odometry.dat"), ("stamp", "forward speed", "turn rate"))
     drive.check(1, "forward speed", -_FASTEST, _FASTEST)
     drive.check(2, "turn rate", -_FASTEST, _FASTEST)
-    seen, misread = _sightings(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed, as_depth)
+    seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed, as_depth)
     vicon = _existing(path, f"Robot{robot}_Groundtruth.dat")
     truth = None if vicon is None else _Truth(vicon)
     ticks = _ticks(drive, seen, truth)
@@ -136,7 +136,7 @@ class _Truth:
         return [Pose(x, y, theta) for x, y, theta in zip(*columns, strict=True)]
 
 
-def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Sighting]], truth: _Truth | None) -> list[Tick]:
+def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: _Truth | None) -> list[Tick]:
     rates = dict(zip(drive.stamps_ns(), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
     first, last = min(rates), max(rates)
     if truth is not None:
@@ -153,20 +153,20 @@ def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Sighting]], truth:
         pose = rk4(pose, speed, turn_rate, 1e-9 * (stamp - before))
         before = stamp
         speed, turn_rate = rates.get(stamp, (speed, turn_rate))
-        ticks.append(Tick(stamp, pose, sightings=seen.get(stamp, {}), truth=true))
+        ticks.append(Tick(stamp, pose, observations=seen.get(stamp, {}), truth=true))
     return ticks
 
 
-def _sightings(
+def _observations(
     file: Path, subjects: Mapping[int, int], assumed: AssumedConfig, as_depth: bool
-) -> tuple[dict[int, dict[LandmarkId, Sighting]], int]:
-    """Sightings of landmarks by stamp (ns), and the number of measurements with an unknown barcode."""
+) -> tuple[dict[int, dict[LandmarkId, Observation]], int]:
+    """Observations of landmarks by stamp (ns), and the number of measurements with an unknown barcode."""
     table = _table(file, ("stamp", "barcode", "range", "bearing"))
     table.check(2, "range", 1e-3, _FARTHEST_M)
     table.check(3, "bearing", -_WIDEST_RAD, _WIDEST_RAD)
     laser = assumed.laser
     variances = variance(laser.distribution, laser.range_m), variance(laser.distribution, laser.bearing_rad)
-    seen: dict[int, dict[LandmarkId, Sighting]] = {}
+    seen: dict[int, dict[LandmarkId, Observation]] = {}
     unknown: list[Record] = []
     for record, stamp, row in zip(table.records, table.stamps_ns(), table.numbers.tolist(), strict=True):
         barcode = _whole(record, 1, "barcode")
@@ -182,7 +182,7 @@ def _sightings(
                 f"found landmark {subject} (barcode {barcode}) again at the same stamp, allowed: once per time step"
             )
         distance = row[2] / math.cos(row[3]) if as_depth else row[2]
-        step[subject] = polar_sighting(distance, row[3], variances, assumed.landmark_floor_m)
+        step[subject] = polar_observation(distance, row[3], variances, assumed.landmark_floor_m)
     if len(unknown) > _MISREAD * len(table.records):
         barcodes = ", ".join(map(str, sorted(subjects)))
         unknown[0].fail(f"found barcode {shown(unknown[0].fields[1])}, allowed: those of Barcodes.dat, {barcodes}")

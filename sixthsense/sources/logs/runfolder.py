@@ -1,4 +1,4 @@
-"""A run folder as a log: odometry, scans, sightings, truth and plans of its bag, without loss."""
+"""A run folder as a log: odometry, scans, observations, truth and plans of its bag, without loss."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.decompress import check_regular, decompressed
 from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.observation_cloud import CLOUD, from_cloud
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
 from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, BagLog
-from sixthsense.sources.logs.sighting_cloud import CLOUD, from_cloud
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -28,7 +28,7 @@ _TYPES = {
     "/scan": LASER_SCAN,
     "/estimate": ESTIMATE,
     "/plan": PLAN,
-    "/sightings": CLOUD,
+    "/observations": CLOUD,
 }
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
@@ -38,7 +38,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses and plans.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
-    its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or a sighting.
+    its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or an observation.
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
@@ -62,8 +62,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
                 estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
-            elif ticks and topic == "/sightings":
-                ticks[-1] = replace(ticks[-1], sightings=from_cloud(message))
+            elif ticks and topic == "/observations":
+                ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
             elif ticks:
                 # The message has the maximum range as a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
@@ -74,9 +74,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         raise
     except Exception as error:  # a message with valid checksums may still be invalid
         raise LogError(f"{file}: found a message that cannot be read ({error}), allowed: a bag of a run") from None
-    if not any(tick.scan is not None or tick.sightings is not None for tick in ticks):
+    if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
-        raise LogError(f"{file}: found no scan and no sighting{cut}, allowed: a bag of a run")
+        raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
     log = BagLog(ticks, laser)
     log.plan_stamps_ns, log.plans = tuple(stamp for stamp, _ in plans), tuple(plan for _, plan in plans)
     log.estimates, log.cut_short = tuple(estimates), reader.cut_short

@@ -10,7 +10,7 @@ GATE = 13.8
 
 
 def case(rng, m=4):
-    """Innovations of m points, a joint covariance, and the covariances of the sightings, all pairs plausible."""
+    """Innovations of m points, a joint covariance, and the covariances of the observations, all pairs plausible."""
     by_pose, by_landmark = rng.normal(size=(m, 2, 3)), np.tile(np.eye(2), (m, 1, 1))
     root = 0.1 * rng.normal(size=(3 + 2 * m, 3 + 2 * m))
     joint = root @ root.T
@@ -94,7 +94,7 @@ def test_one_wall_cannot_turn_the_robot_against_all_others():
     assert squared[0, 0] > 100.0
 
 
-def test_a_sighting_that_follows_from_the_others_is_matched():
+def test_an_observation_that_follows_from_the_others_is_matched():
     innovation, joint = walls_at_one_pose(0.0)
     four = np.arange(1, 5)
     rows, cols, _ = agreed(innovation, predicted_cov(innovation, joint), four, four, GATE)

@@ -5,7 +5,7 @@ import pytest
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting, predict_points
+from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
@@ -16,13 +16,13 @@ POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0
 def sight(pose, ids, rng=None, sigma=0.02, points=POINTS):
     z, _, _ = predict_points(pose, points[list(ids)])
     z = z if rng is None else z + rng.normal(0, sigma, z.shape)
-    return [Sighting(Kind.CORNER, row, np.eye(2) * sigma**2) for row in z]
+    return [Observation(Kind.CORNER, row, np.eye(2) * sigma**2) for row in z]
 
 
 def known(config=None, sigma=0.02):
     """An estimator that has seen the five points once, its associator, and its pose."""
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config or AssociationConfig())
-    estimator.update(associator.associate(sight(Pose(), range(5), sigma=sigma), estimator).sightings)
+    estimator.update(associator.associate(sight(Pose(), range(5), sigma=sigma), estimator).observations)
     return estimator, associator
 
 
@@ -31,19 +31,19 @@ def test_known_landmarks_are_matched_in_any_order():
     estimator.predict(Odometry(Pose(0.2, 0, 0.1), np.diag([1e-3, 1e-3, 1e-3])))
     order, rng = [3, 0, 4, 2, 1], np.random.default_rng(0)
     found = associator.associate(sight(Pose(0.2, 0, 0.1), order, rng), estimator)
-    assert sorted(found.sightings) == [0, 1, 2, 3, 4] and found.discarded == 0 and found.dof == 10
+    assert sorted(found.observations) == [0, 1, 2, 3, 4] and found.discarded == 0 and found.dof == 10
     estimate = estimator.estimate()
-    for i, sighting in found.sightings.items():
-        assert math.dist(estimate.pose @ sighting.z, POINTS[i]) < 0.2
+    for i, observation in found.observations.items():
+        assert math.dist(estimate.pose @ observation.z, POINTS[i]) < 0.2
 
 
-def test_a_far_sighting_is_new_and_an_ambiguous_one_is_discarded():
+def test_a_far_observation_is_new_and_an_ambiguous_one_is_discarded():
     estimator, associator = known(AssociationConfig(new_separation_m=0.0))
     sigma = 0.02 * math.sqrt(2)  # of the innovation
     new, doubtful, near = (POINTS[0] + [k * sigma, 0.0] for k in (12.0, 4.5, 1.0))
     for point, matched, born in ((new, 0, 1), (doubtful, 0, 0), (near, 1, 0)):
-        found = associator.associate([Sighting(Kind.END, point, np.eye(2) * 4e-4)], estimator)
-        assert (found.dof // 2, len(found.sightings) - found.dof // 2) == (matched, born)
+        found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
+        assert (found.dof // 2, len(found.observations) - found.dof // 2) == (matched, born)
         assert found.discarded == 1 - matched - born
 
 
@@ -52,38 +52,38 @@ def test_the_reports_thresholds_are_on_the_squared_mahalanobis_distance():
     sigma = 0.02 * math.sqrt(2)
     for squared, matched, born in ((19.0, 1, 0), (21.0, 0, 0), (199.0, 0, 0), (201.0, 0, 1)):
         point = POINTS[0] + [math.sqrt(squared) * sigma, 0.0]
-        found = associator.associate([Sighting(Kind.END, point, np.eye(2) * 4e-4)], estimator)
-        assert (found.dof // 2, len(found.sightings) - found.dof // 2) == (matched, born)
+        found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
+        assert (found.dof // 2, len(found.observations) - found.dof // 2) == (matched, born)
 
 
-def test_two_sightings_are_never_of_one_landmark():
+def test_two_observations_are_never_of_one_landmark():
     estimator, associator = known()
-    close = [Sighting(Kind.CORNER, POINTS[0] + [d, 0.0], np.eye(2) * 4e-4) for d in (-0.01, 0.01)]
+    close = [Observation(Kind.CORNER, POINTS[0] + [d, 0.0], np.eye(2) * 4e-4) for d in (-0.01, 0.01)]
     found = associator.associate(close, estimator)
-    assert len(found.sightings) == 1 and found.discarded == 1
+    assert len(found.observations) == 1 and found.discarded == 1
 
 
 def test_the_assignment_is_the_best_for_all_not_for_the_first():
-    """Two landmarks in a row, two sightings shifted along it: greedy nearest-first matching would be wrong."""
+    """Two landmarks in a row, two observations shifted along it: greedy nearest-first matching would be wrong."""
     points = np.array([[2.0, 0.0], [2.5, 0.0]])
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    estimator.update(associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=points), estimator).sightings)
+    estimator.update(associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=points), estimator).observations)
     shifted = points + np.array([0.3, 0.0])
     found = associator.associate(sight(Pose(), [0, 1], sigma=0.15, points=shifted), estimator)
-    assert {i: round(float(s.z[0]), 3) for i, s in found.sightings.items()} == {0: 2.3, 1: 2.8}
+    assert {i: round(float(s.z[0]), 3) for i, s in found.observations.items()} == {0: 2.3, 1: 2.8}
 
 
 def test_an_empty_scan_and_an_empty_map_cause_no_error():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     empty = associator.associate([], estimator)
-    assert empty.sightings == {} and empty.nis == 0.0 and empty.dof == 0
-    assert len(associator.associate(sight(Pose(), range(5)), estimator).sightings) == 5
+    assert empty.observations == {} and empty.nis == 0.0 and empty.dof == 0
+    assert len(associator.associate(sight(Pose(), range(5)), estimator).observations) == 5
 
 
 def test_one_scan_that_shows_an_end_twice_makes_one_landmark():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    twice = [Sighting(Kind.END, np.array([2.0, d]), np.eye(2) * 1e-4) for d in (0.0, 0.03)]
-    assert len(associator.associate(twice, estimator).sightings) == 1
+    twice = [Observation(Kind.END, np.array([2.0, d]), np.eye(2) * 1e-4) for d in (0.0, 0.03)]
+    assert len(associator.associate(twice, estimator).observations) == 1
 
 
 def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
@@ -92,7 +92,7 @@ def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
     culled = []
     for scan in range(1, 11):
         ids = [0] if scan not in (1, 8) else [0, 1] if scan == 1 else [0, 2]
-        estimator.update(associator.associate(sight(Pose(), ids), estimator).sightings)
+        estimator.update(associator.associate(sight(Pose(), ids), estimator).observations)
         gone = associator.cull()
         estimator.forget(gone)
         culled += [(scan, i) for i in gone]
@@ -110,7 +110,7 @@ def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
     for seed in range(300):
         rng = np.random.default_rng(seed)
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-        estimator.update(associator.associate(sight(Pose(), range(5), rng, sigma), estimator).sightings)
+        estimator.update(associator.associate(sight(Pose(), range(5), rng, sigma), estimator).observations)
         cov = np.diag([2e-3, 2e-3, 1e-3])
         true = Pose.from_array(np.array([0.2, 0.0, 0.1]) + rng.multivariate_normal(np.zeros(3), cov))
         estimator.predict(Odometry(Pose(0.2, 0.0, 0.1), cov))
@@ -120,7 +120,7 @@ def test_the_nis_of_all_matches_together_is_their_degrees_of_freedom(sigma):
     assert nis / dof == pytest.approx(1.0, abs=4 * math.sqrt(2 / dof))
 
 
-def test_among_close_landmarks_a_sighting_is_matched_correctly_or_not_at_all():
+def test_among_close_landmarks_an_observation_is_matched_correctly_or_not_at_all():
     """Landmarks 0.4 m apart, pose error within its covariance: every match is correct."""
     points = np.stack(np.meshgrid(np.arange(5), np.arange(5)), axis=-1).reshape(-1, 2) * 0.4 + 1.0
     wrong = total = 0
@@ -128,14 +128,14 @@ def test_among_close_landmarks_a_sighting_is_matched_correctly_or_not_at_all():
         rng = np.random.default_rng(seed)
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
         born = associator.associate(sight(Pose(), range(25), rng, 0.02, points), estimator)
-        estimator.update(born.sightings)
+        estimator.update(born.observations)
         cov = np.diag([1e-3, 1e-3, 4e-4])
         true = Pose.from_array(rng.multivariate_normal(np.zeros(3), cov))
         estimator.predict(Odometry(Pose(), cov))
         seen = sight(true, range(25), rng, 0.02, points)
-        for i, sighting in associator.associate(seen, estimator).sightings.items():
+        for i, observation in associator.associate(seen, estimator).observations.items():
             total += 1
-            wrong += i != next(k for k, s in enumerate(seen) if s is sighting)
+            wrong += i != next(k for k, s in enumerate(seen) if s is observation)
     assert total > 2300 and wrong / total < 0.01
 
 
@@ -152,7 +152,7 @@ def test_comparing_near_landmarks_only_changes_no_association(name, method):
     for _ in range(40):
         true = true @ Pose.from_array(step.motion.array() + 0.003 * rng.standard_normal(3))
         seen = np.flatnonzero((np.hypot(*(points - true.position).T) < 4.0) & (rng.random(60) < 0.3))
-        sightings = sight(true, seen, rng, 0.01, points)
+        observations = sight(true, seen, rng, 0.01, points)
         answers = []
         for k, (estimator, associator) in enumerate(pairs):
             estimator.predict(step)
@@ -166,22 +166,22 @@ def test_comparing_near_landmarks_only_changes_no_association(name, method):
                 return inner(ids)
 
             estimator.joint_covariance = counted
-            answers.append(associator.associate(sightings, estimator))
+            answers.append(associator.associate(observations, estimator))
             estimator.joint_covariance = inner
-            estimator.update(answers[-1].sightings)
-        assert list(answers[0].sightings) == list(answers[1].sightings)
+            estimator.update(answers[-1].observations)
+        assert list(answers[0].observations) == list(answers[1].observations)
         assert answers[0].discarded == answers[1].discarded
         assert np.isclose(answers[0].nis, answers[1].nis, rtol=1e-6)
     assert queried[0] < 0.9 * queried[1]
 
 
-def test_named_sightings_are_accepted_and_gated_by_their_innovation():
+def test_named_observations_are_accepted_and_gated_by_their_innovation():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     first = dict(zip([7, 3], sight(Pose(), [0, 1]), strict=True))
     found = associator.known(first, estimator)
-    assert found.sightings == first and found.dof == 0 and found.nis == 0.0
-    estimator.update(found.sightings)
-    off = Sighting(Kind.CORNER, POINTS[0] + [0.02 * math.sqrt(2), 0.0], np.eye(2) * 4e-4)
+    assert found.observations == first and found.dof == 0 and found.nis == 0.0
+    estimator.update(found.observations)
+    off = Observation(Kind.CORNER, POINTS[0] + [0.02 * math.sqrt(2), 0.0], np.eye(2) * 4e-4)
     found = associator.known({7: off, 9: sight(Pose(), [2])[0]}, estimator)
     assert found.dof == 2 and math.isclose(found.nis, 1.0, rel_tol=1e-9)
-    assert {i: r.sightings for i, r in associator.records.items()} == {7: 2, 3: 1, 9: 1}
+    assert {i: r.observations for i, r in associator.records.items()} == {7: 2, 3: 1, 9: 1}

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting, WallShape, initialize_landmark, innovations, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark, innovations, predict_walls
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
@@ -74,13 +74,13 @@ def test_an_unknown_shape_says_nothing():
 
 
 def test_a_crooked_wall_is_less_certain_about_its_middle():
-    wall = Sighting(Kind.WALL, np.array([0.3, -2.0]), np.diag([1e-6, 1e-6]), (1.0, 3.0))
+    wall = Observation(Kind.WALL, np.array([0.3, -2.0]), np.diag([1e-6, 1e-6]), (1.0, 3.0))
     less = less_certain(wall, 1e-4)
     lever = np.array([-2.0, 1.0])  # the offset at the middle of what was seen
     assert lever @ (less.cov - wall.cov) @ lever == pytest.approx(1e-4)
     assert less.cov[0, 0] - wall.cov[0, 0] == pytest.approx(3e-4)  # half of its length is 1 m
     assert less_certain(wall, 0.0) is wall
-    point = Sighting(Kind.END, np.array([1.0, 1.0]), 1e-4 * np.eye(2))
+    point = Observation(Kind.END, np.array([1.0, 1.0]), 1e-4 * np.eye(2))
     pairs = noise_of_pairs([wall, point], np.array([1e-4, 0.0]))
     assert pairs[0, 0] == pytest.approx(less.cov)
     assert np.array_equal(pairs[0, 1], wall.cov)
@@ -95,7 +95,7 @@ def arc(radius_m, segment_m=0.03):
 
 
 def nis_of_neighbours(walls, seeds):
-    """NIS (2) of walls sighted 0.1 m farther on, against those sighted before: as they are, and less certain."""
+    """NIS (2) of walls observed 0.1 m farther on, against those observed before: as they are, and less certain."""
     config = preset()
     raw, honest = [], []
     for seed in range(seeds):
@@ -106,10 +106,10 @@ def nis_of_neighbours(walls, seeds):
         for pose in poses:
             ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
             scan = Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser)
-            found = extract(scan, config.assumed, config.features, rng).sightings
+            found = extract(scan, config.assumed, config.features, rng).observations
             seen.append([s for s in found if s.is_wall])
-            for sighting in seen[-1]:
-                crookedness.add(sighting.shape)
+            for observation in seen[-1]:
+                crookedness.add(observation.shape)
         for before, after, one, two in zip(poses, poses[1:], seen, seen[1:], strict=False):
             for first in one:
                 for with_shape, out in ((False, raw), (True, honest)):
@@ -118,7 +118,7 @@ def nis_of_neighbours(walls, seeds):
 
 
 def _nis(before, after, first, candidates, excess):
-    """NIS of the candidate that looks most alike, if any is near; the wall's shape is known from its first sighting."""
+    """NIS of the candidate that looks most alike, if any is near; the first observation gives the wall's shape."""
     square = 0.0
     if excess is not None:
         mean = MeanShape()

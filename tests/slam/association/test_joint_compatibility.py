@@ -10,18 +10,22 @@ from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import Innovations, joint_nis
 
 
-def problem(seed, sightings=4, landmarks=5):
+def problem(seed, observations=4, landmarks=5):
     """Innovations of points near each other, whose predictions share a large pose error."""
     rng = np.random.default_rng(seed)
     by_pose = np.concatenate([np.tile(-np.eye(2), (landmarks, 1, 1)), rng.normal(0, 2, (landmarks, 2, 1))], axis=2)
     by_landmark = np.tile(np.eye(2), (landmarks, 1, 1))
     root = rng.normal(0, 0.05, (3 + 2 * landmarks, 3 + 2 * landmarks))
     joint = root @ root.T + np.diag([0.1, 0.1, 0.01] + [0.01] * (2 * landmarks))
-    noise = np.tile(0.01 * np.eye(2), (sightings, 1, 1))
+    noise = np.tile(0.01 * np.eye(2), (observations, 1, 1))
     predicted = rng.uniform(-1.5, 1.5, (landmarks, 2))
-    z = predicted[rng.permutation(landmarks)[:sightings]] + rng.normal(0, 0.3, 2) + rng.normal(0, 0.1, (sightings, 2))
+    z = (
+        predicted[rng.permutation(landmarks)[:observations]]
+        + rng.normal(0, 0.3, 2)
+        + rng.normal(0, 0.1, (observations, 2))
+    )
     values = z[:, None] - predicted[None]
-    squared = np.empty((sightings, landmarks))
+    squared = np.empty((observations, landmarks))
     for i, j in np.ndindex(squared.shape):
         index = np.r_[0:3, 3 + 2 * j : 5 + 2 * j]
         sub = joint[np.ix_(index, index)]
@@ -65,7 +69,7 @@ def test_the_largest_jointly_compatible_set_is_found(seed):
 
 
 def test_each_alone_may_pass_where_both_together_cannot():
-    """Two landmarks sighted with opposite shifts: a shift of the robot explains either one, but not both."""
+    """Two landmarks observed with opposite shifts: a shift of the robot explains either one, but not both."""
     by_pose, by_landmark = np.tile(np.array([[-1.0, 0, 0], [0, -1.0, 0]]), (2, 1, 1)), np.tile(np.eye(2), (2, 1, 1))
     joint, noise = np.diag([1.0, 1.0, 1e-9] + [1e-4] * 4), np.tile(1e-4 * np.eye(2), (2, 2, 1, 1))
     values = np.full((2, 2, 2), 9.0)

@@ -4,26 +4,26 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark
+from sixthsense.core.landmarks import Kind, Observation, initialize_landmark
 from sixthsense.slam.association.associator import Record
 from sixthsense.slam.association.proposed import Proposal, ProposedLandmarks, moved
 from sixthsense.slam.estimators.base import Estimate
 
-SIGHTINGS = {
-    3: Sighting(Kind.CORNER, np.array([2.0, -1.0]), np.diag([1e-4, 4e-4])),
-    7: Sighting(Kind.WALL, np.array([0.4, 3.0]), np.array([[1e-5, 1e-6], [1e-6, 1e-4]]), (-1.0, 2.0)),
+OBSERVATIONS = {
+    3: Observation(Kind.CORNER, np.array([2.0, -1.0]), np.diag([1e-4, 4e-4])),
+    7: Observation(Kind.WALL, np.array([0.4, 3.0]), np.array([[1e-5, 1e-6], [1e-6, 1e-4]]), (-1.0, 2.0)),
 }
 HERE = Pose(5.0, -2.0, 0.7)
 
 
 def known(pose: Pose) -> Estimate:
-    landmarks = np.array([initialize_landmark(pose, sighting)[0] for sighting in SIGHTINGS.values()])
-    walls = np.array([sighting.is_wall for sighting in SIGHTINGS.values()])
-    return Estimate(pose, np.zeros((3, 3)), np.array(list(SIGHTINGS)), landmarks, walls)
+    landmarks = np.array([initialize_landmark(pose, observation)[0] for observation in OBSERVATIONS.values()])
+    walls = np.array([observation.is_wall for observation in OBSERVATIONS.values()])
+    return Estimate(pose, np.zeros((3, 3)), np.array(list(OBSERVATIONS)), landmarks, walls)
 
 
 def records() -> dict[int, Record]:
-    return {i: Record(s.kind, 1, 0, 0, extent=np.array([[1.0, 2.0], [3.0, 4.0]])) for i, s in SIGHTINGS.items()}
+    return {i: Record(s.kind, 1, 0, 0, extent=np.array([[1.0, 2.0], [3.0, 4.0]])) for i, s in OBSERVATIONS.items()}
 
 
 def proposal(*relative: Pose, sigma_m: float = 0.0) -> Proposal:
@@ -32,48 +32,48 @@ def proposal(*relative: Pose, sigma_m: float = 0.0) -> Proposal:
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.5, 3.0])
-def test_landmarks_are_where_they_would_be_sighted_again(turn: float) -> None:
+def test_landmarks_are_where_they_would_be_observed_again(turn: float) -> None:
     proposed, kept = ProposedLandmarks(), records()
-    proposed.remember(0, known(HERE), SIGHTINGS, kept)
+    proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     step = Pose(0.5, 0.2, turn)
     # The estimate has moved since, and is not asked.
     proposed.place(proposal(step.inverse()), known(Pose(-9.0, 4.0, 2.0)), kept)
     there = proposed.estimate()
     assert there.pose == Pose() and there.ids.tolist() == [3, 7] and there.walls.tolist() == [False, True]
-    expected = [initialize_landmark(step.inverse(), sighting)[0] for sighting in SIGHTINGS.values()]
+    expected = [initialize_landmark(step.inverse(), observation)[0] for observation in OBSERVATIONS.values()]
     assert np.allclose(there.landmarks, expected, atol=1e-12)
 
 
-def test_the_covariance_is_that_of_the_sighting_and_of_the_pose_it_was_made_from() -> None:
+def test_the_covariance_is_that_of_the_observation_and_of_the_pose_it_was_made_from() -> None:
     rng = np.random.default_rng(1)
     step, sigma = Pose(1.5, -0.7, 0.8), 1e-3
     proposed, kept = ProposedLandmarks(), records()
-    proposed.remember(0, known(HERE), SIGHTINGS, kept)
+    proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     relative = np.array([step.array()])
     proposed.place(Proposal(relative, np.array([sigma]), np.array([2 * sigma])), known(HERE), kept)
     joint = proposed.joint_covariance([7, 3])
     assert np.array_equal(joint, joint.T) and joint.shape == (7, 7)
     for i, block in ((7, joint[3:5, 3:5]), (3, joint[5:, 5:])):
         pose = step.array() + rng.standard_normal((20_000, 3)) * [sigma, sigma, 2 * sigma]
-        z = rng.multivariate_normal(SIGHTINGS[i].z, SIGHTINGS[i].cov, size=len(pose))
+        z = rng.multivariate_normal(OBSERVATIONS[i].z, OBSERVATIONS[i].cov, size=len(pose))
         drawn = moved(pose, z, np.full(len(pose), i == 7))
         assert np.allclose(np.cov(drawn.T), block, rtol=0.06, atol=2e-6)
 
 
 def test_a_landmark_of_an_uncertain_keyframe_is_not_placed() -> None:
     proposed, kept = ProposedLandmarks(), records()
-    proposed.remember(0, known(HERE), SIGHTINGS, kept)
+    proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     proposed.place(proposal(Pose(), sigma_m=2.0), known(HERE), kept)
     assert not len(proposed.estimate().ids)
 
 
 def test_extents_are_in_the_robots_frame_while_matches_are_chosen_and_in_the_world_after() -> None:
     proposed, kept = ProposedLandmarks(), records()
-    proposed.remember(0, known(HERE), SIGHTINGS, kept)
+    proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     assert np.allclose(kept[7].extent, HERE @ np.array([[1.0, 2.0], [3.0, 4.0]]))
     proposed.place(proposal(Pose()), known(HERE), kept)
     assert np.allclose(kept[7].extent, [[1.0, 2.0], [3.0, 4.0]])
-    proposed.remember(1, known(Pose()), {3: SIGHTINGS[3]}, kept)
+    proposed.remember(1, known(Pose()), {3: OBSERVATIONS[3]}, kept)
     assert np.allclose(kept[7].extent, [[1.0, 2.0], [3.0, 4.0]])
 
 

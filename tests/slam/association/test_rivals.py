@@ -14,15 +14,15 @@ FACES = 0.05 * np.arange(5)
 
 
 def stepped_wall(shift, pillar=True):
-    """Sightings of the last four of five faces, and of a pillar, from a pose that is believed `shift` too far ahead."""
+    """Observations of the last four of five faces, and of a pillar, from a pose believed `shift` too far ahead."""
     seen, known = (np.append(faces, 10.0)[: len(faces) + pillar] for faces in (FACES[1:], FACES))
     return across(seen + shift, known)
 
 
 def across(seen, known):
-    """Sightings (m,) of landmarks (k,) by their place across a wall.
+    """Observations (m,) of landmarks (k,) by their place across a wall.
 
-    The position across the wall is uncertain by 5 cm; landmarks are known to 1 mm, and sightings measure 5 mm.
+    The position across the wall is uncertain by 5 cm; landmarks are known to 1 mm, and observations measure 5 mm.
     """
     m, k = len(seen), len(known)
     by_pose, by_landmark = np.zeros((k, 2, 3)), np.tile(np.eye(2), (k, 1, 1))
@@ -51,13 +51,13 @@ def test_the_likeliest_assignment_alone_would_drop_the_pillar():
     assert dict(zip(rows.tolist(), cols.tolist(), strict=True)) == {0: 0, 1: 1, 2: 2, 3: 3}
 
 
-def test_of_sets_that_match_all_sightings_the_one_with_the_least_innovation_is_taken():
+def test_of_sets_that_match_all_observations_the_one_with_the_least_innovation_is_taken():
     innovation, predicted = stepped_wall(-0.02, pillar=False)
     rows, cols, _ = best_agreed(innovation, predicted, GATE)
     assert (cols - rows == 1).all()
 
 
-def test_a_set_gains_nothing_by_a_sighting_that_has_no_match_in_the_gate():
+def test_a_set_gains_nothing_by_an_observation_that_has_no_match_in_the_gate():
     """It may follow from the others. Nothing is denser than its match, and no density is left over for the set."""
     log_det = np.array([[-9.0, -8.0, -3.0], [-5.0, -4.0, -2.0]])
     inside = np.array([[False, True, True], [False, False, False]])

@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.association.associator import Record
@@ -18,7 +18,7 @@ LASER = LaserConfig()
 ROOM = np.array([[[-4, -3], [4, -3]], [[4, -3], [4, 3]], [[4, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=np.float64)
 DIVIDER = np.array([[[1.0, -1.0], [1.0, 1.0]]])
 WALL, END = 3, 7
-SEEN = Sighting(Kind.WALL, np.array([math.pi, -1.0]), np.eye(2) * 1e-4, (-1.0, 1.0))
+SEEN = Observation(Kind.WALL, np.array([math.pi, -1.0]), np.eye(2) * 1e-4, (-1.0, 1.0))
 AT = Pose(-1.0, 0.2, 0.1)
 
 
@@ -40,10 +40,10 @@ def estimate(pose, sigma=0.005):
     return Estimate(pose, cov, np.array([WALL, END]), landmarks, np.array([True, False]))
 
 
-def gone_after(scans, sightings=(), sigma=0.005, no_return_passes=True, pose=AT):
+def gone_after(scans, observations=(), sigma=0.005, no_return_passes=True, pose=AT):
     vanished, found = Vanished([WALL, END], no_return_passes), []
     for k, scan in enumerate(scans):
-        seen = {WALL: SEEN} if k in sightings else {}
+        seen = {WALL: SEEN} if k in observations else {}
         found += vanished.gone(scan, estimate(pose, sigma), seen, records())
     return sorted(found)
 
@@ -87,9 +87,9 @@ def test_a_wall_beside_an_open_door_is_not_gone():
     assert gone_after([look(AT, door)] * 40) == []
 
 
-def test_one_sighting_outweighs_four_scans():
-    assert gone_after([look(AT)] * 10, sightings=(4,)) == []  # 4 through it, 0 after the sighting, then 5
-    assert gone_after([look(AT)] * 11, sightings=(4,)) == [WALL]
+def test_one_observation_outweighs_four_scans():
+    assert gone_after([look(AT)] * 10, observations=(4,)) == []  # 4 through it, 0 after the observation, then 5
+    assert gone_after([look(AT)] * 11, observations=(4,)) == [WALL]
 
 
 def test_an_uncertain_pose_says_nothing():

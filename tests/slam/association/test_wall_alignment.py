@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import AlignConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.slam.association.wall_alignment import _residuals, align
 from sixthsense.slam.estimators import Estimate
 
@@ -32,15 +32,15 @@ def believed(pose, cov=LOOSELY):
 
 
 def seen(pose, corners=CORNERS):
-    """Sightings of the walls from a pose."""
+    """Observations of the walls from a pose."""
     walls, extents = room(corners)
     z, _, _ = predict_walls(pose, walls)
-    sightings = []
+    observations = []
     for (alpha, d), extent in zip(z, extents, strict=True):
         along = np.array([-math.sin(alpha), math.cos(alpha)])
         reach = sorted((pose.inverse() @ extent) @ along)
-        sightings.append(Sighting(Kind.WALL, np.array([alpha, d]), np.diag([1e-4, 1e-4]), (reach[0], reach[1])))
-    return sightings
+        observations.append(Observation(Kind.WALL, np.array([alpha, d]), np.diag([1e-4, 1e-4]), (reach[0], reach[1])))
+    return observations
 
 
 @pytest.mark.parametrize("off", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.08), (-0.2, 0.3, -0.15), (0.1, 0.1, 0.27)])
@@ -79,8 +79,8 @@ def test_along_a_corridor_the_predicted_position_is_kept():
     long = np.array([[-50.0, -1.0], [50.0, -1.0], [50.0, 1.0], [-50.0, 1.0]])
     walls, extents = room(long)
     estimate = Estimate(believed_at, np.diag([0.5, 0.1, 0.01]), np.arange(2), walls[[0, 2]], np.ones(2, dtype=bool))
-    sightings = [seen(true, long)[k] for k in (0, 2)]
-    found = align(sightings, estimate, extents[[0, 2]], 0.5, AlignConfig()).pose
+    observations = [seen(true, long)[k] for k in (0, 2)]
+    found = align(observations, estimate, extents[[0, 2]], 0.5, AlignConfig()).pose
     assert abs(found.y) < 0.01 and abs(found.theta) < 0.01 and abs(found.x - believed_at.x) < 0.05
 
 

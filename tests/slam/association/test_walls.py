@@ -1,4 +1,4 @@
-"""Walls as landmarks: geometry, sightings, and all estimators on them."""
+"""Walls as landmarks: geometry, observations, and all estimators on them."""
 
 import math
 
@@ -8,7 +8,7 @@ import pytest
 
 from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, initialize_landmark, predict_walls, translated
+from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, predict_walls, translated
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.motion import Odometry
 from sixthsense.core.ray_casting import cast_rays
@@ -35,11 +35,11 @@ def name(request):
 def sight(pose, ids, rng=None, walls=WALLS):
     z, _, _ = predict_walls(pose, walls[list(ids)])
     noise = np.zeros_like(z) if rng is None else rng.multivariate_normal(np.zeros(2), COV, len(z))
-    return {i: Sighting(Kind.WALL, z[k] + noise[k], COV, (-1.0, 1.5)) for k, i in enumerate(ids)}
+    return {i: Observation(Kind.WALL, z[k] + noise[k], COV, (-1.0, 1.5)) for k, i in enumerate(ids)}
 
 
 def driven(name, steps=10, transform=None, seed=0):
-    """An estimator after a short drive with sightings of walls, and the true pose; the world moved by `transform`."""
+    """An estimator after a short drive that observes walls, and the true pose; the world moved by `transform`."""
     T, start, rng = transform or Pose(), Pose(0.3, -0.2, 0.4), np.random.default_rng(seed)
     turn = np.eye(3)
     turn[:2, :2] = rotation(T.theta)
@@ -68,15 +68,15 @@ def differences(function, at, step=1e-6):
 
 
 @pytest.mark.parametrize("wall", WALLS)
-def test_jacobians_of_a_walls_sighting_are_those_of_finite_differences(wall):
+def test_jacobians_of_a_walls_observation_are_those_of_finite_differences(wall):
     pose = Pose(1.2, -0.7, 0.9)
     _, by_pose, by_wall = predict_walls(pose, wall[None])
     assert np.allclose(by_pose[0], differences(lambda x: predict_walls(Pose(*x), wall[None])[0][0], pose.array()))
     assert np.allclose(by_wall[0], differences(lambda w: predict_walls(pose, w[None])[0][0], wall))
     z = predict_walls(pose, wall[None])[0][0]
-    mean, by_pose, by_z = initialize_landmark(pose, Sighting(Kind.WALL, z, COV))
+    mean, by_pose, by_z = initialize_landmark(pose, Observation(Kind.WALL, z, COV))
     assert np.allclose([wrap_angle(mean[0] - wall[0]), mean[1] - wall[1]], 0.0, atol=1e-12)
-    there = lambda x, z: initialize_landmark(Pose(*x), Sighting(Kind.WALL, z, COV))[0]  # noqa: E731
+    there = lambda x, z: initialize_landmark(Pose(*x), Observation(Kind.WALL, z, COV))[0]  # noqa: E731
     assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
     assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
     moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))
@@ -84,13 +84,13 @@ def test_jacobians_of_a_walls_sighting_are_those_of_finite_differences(wall):
     assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
 
 
-def test_a_new_wall_is_initialized_where_it_was_sighted(name):
+def test_a_new_wall_is_initialized_where_it_was_observed(name):
     estimator, _ = driven(name)
     estimator.predict(STEP)
     before = estimator.estimate()
-    sighting = Sighting(Kind.WALL, np.array([2.0, -3.0]), COV, (0.5, 2.0))
-    estimator.update({77: sighting})
-    after, (mean, by_pose, by_z) = estimator.estimate(), initialize_landmark(before.pose, sighting)
+    observation = Observation(Kind.WALL, np.array([2.0, -3.0]), COV, (0.5, 2.0))
+    estimator.update({77: observation})
+    after, (mean, by_pose, by_z) = estimator.estimate(), initialize_landmark(before.pose, observation)
     assert after.ids[-1] == 77 and after.walls.all() and np.allclose(after.landmarks[-1], mean, atol=1e-9)
     joint = estimator.joint_covariance([77])
     expected = by_pose @ before.pose_cov @ by_pose.T + by_z @ COV @ by_z.T
@@ -105,7 +105,7 @@ def test_a_wall_with_zero_innovation_changes_no_mean_and_increases_no_variance(n
     before, cov = everything(estimator)
     z, _, _ = predict_walls(before.pose, before.landmarks[[0, 3]])
     ids = before.ids[[0, 3]].tolist()
-    estimator.update({i: Sighting(Kind.WALL, z[k], COV, (-1.0, 1.0)) for k, i in enumerate(ids)})
+    estimator.update({i: Observation(Kind.WALL, z[k], COV, (-1.0, 1.0)) for k, i in enumerate(ids)})
     after, cov_after = everything(estimator)
     assert np.allclose(before.pose.array(), after.pose.array(), atol=1e-7)
     # The smoother's factor depends on the estimated wall frame, which moves a little with each solution.
@@ -133,10 +133,10 @@ def test_the_smoother_has_the_pose_covariance_of_the_filter(start_cov):
     rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
     filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
     for k in range(12):
-        sightings = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
+        observations = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
         sigmas = []
         for estimator in (filtered, smoothed):
-            estimator.update(sightings)
+            estimator.update(observations)
             sigmas.append(np.sqrt(np.diag(estimator.estimate().pose_cov)))
             estimator.predict(STEP)
         assert np.allclose(*sigmas, rtol=0.05, atol=1e-5)
@@ -162,10 +162,10 @@ def test_all_estimators_agree_on_walls_and_points_as_the_noise_goes_to_zero(name
         true = true @ Pose.from_array(STEP.motion.array() + scale * rng.standard_normal(3))
         estimator.predict(Odometry(STEP.motion, scale**2 * np.eye(3)))
         z = predict_walls(true, WALLS)[0] + scale * rng.standard_normal(WALLS.shape)
-        seen = {k: Sighting(Kind.WALL, row, scale**2 * np.eye(2), (-1.0, 1.0)) for k, row in enumerate(z)}
+        seen = {k: Observation(Kind.WALL, row, scale**2 * np.eye(2), (-1.0, 1.0)) for k, row in enumerate(z)}
         for k, point in enumerate(points):
             at = true.inverse() @ point + scale * rng.standard_normal(2)
-            seen[10 + k] = Sighting(Kind.END, at, scale**2 * np.eye(2))
+            seen[10 + k] = Observation(Kind.END, at, scale**2 * np.eye(2))
         estimator.update(seen)
     estimate = estimator.estimate()
     assert np.allclose(estimate.pose.array(), true.array(), atol=1e-5)
@@ -205,13 +205,13 @@ def room(pose, sigma, rng, beams=360):
     return Scan.from_config(ranges + sigma * rng.standard_normal(beams), config)
 
 
-def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
+def test_the_walls_of_a_room_are_observed_with_their_true_errors():
     rng, values = np.random.default_rng(3), []
     config = preset(features={"landmarks": "walls"})
     truth = np.array([[math.pi / 2, -2.0], [math.pi, -3.0], [-math.pi / 2, -2.0], [0.0, -3.0]])
     for _ in range(60):
         pose = Pose(*rng.uniform([-1.5, -1.0, -math.pi], [1.5, 1.0, math.pi]))
-        found = extract(room(pose, 0.01, rng), config.assumed, config.features, rng).sightings
+        found = extract(room(pose, 0.01, rng), config.assumed, config.features, rng).observations
         assert len(found) >= 4 and all(s.is_wall and s.z[1] < 0.0 for s in found)
         z, _, _ = predict_walls(pose, truth)
         for s in found:
@@ -225,10 +225,12 @@ def test_the_walls_of_a_room_are_sighted_with_their_true_errors():
 
 def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
     pose, frame = Pose(0.3, -0.2, 0.4), Pose(2.0, 3.0, -0.3)
-    sighting = Sighting(Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV)
-    place, root = measurement(pose, frame, sighting, is_first=False)
-    assert lines(place.inverse().array()[None])[0][0] == pytest.approx(sighting.z, abs=1e-12)
-    # The residual ignores the place along the wall; offset and heading are weighted by the sighting's covariance.
+    observation = Observation(
+        Kind.WALL, lines((pose.inverse() @ frame).array()[None])[0][0] + np.array([0.2, -0.1]), COV
+    )
+    place, root = measurement(pose, frame, observation, is_first=False)
+    assert lines(place.inverse().array()[None])[0][0] == pytest.approx(observation.z, abs=1e-12)
+    # The residual ignores the place along the wall; offset and heading are weighted by the observation's covariance.
     turn, d = 0.01, 0.02
     for along in (0.0, 0.05):
         off = Pose(place.x + along, place.y - d, place.theta - turn)
@@ -254,7 +256,7 @@ def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, w
     z = predict_walls(pose, np.array([wall]))[0][0]
     for _ in range(60):
         scan = Scan.from_config(exact + rng.normal(0.0, 0.01, len(exact)), config.laser)
-        for s in extract(scan, config.assumed, config.features, rng).sightings:
+        for s in extract(scan, config.assumed, config.features, rng).observations:
             turn = wrap_angle(float(s.z[0] - z[0]))
             if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
                 turns.append(turn / math.sqrt(s.cov[0, 0]))
@@ -268,7 +270,7 @@ def test_a_mount_off_the_robots_centre_changes_no_wall():
     config = preset(features={"landmarks": "walls"}, laser={"mount": (0.3, -0.1, 0.5)})
     at = pose @ mount
     scan = Scan.from_config(room(at, 0.0, rng).ranges, config.laser)
-    for s in extract(scan, config.assumed, config.features, rng).sightings:
+    for s in extract(scan, config.assumed, config.features, rng).observations:
         alpha = wrap_angle(float(s.z[0]) + pose.theta)
         assert min(abs(wrap_angle(alpha - k * math.pi / 2)) for k in range(-2, 3)) < 1e-3
         assert np.abs(ends(pose, s)).max() < 3.05
@@ -285,8 +287,8 @@ def test_extents_tell_walls_in_line_from_one_wall():
 
 
 def test_two_pieces_of_a_wall_in_one_scan_are_fused_by_their_information():
-    one = Sighting(Kind.WALL, np.array([math.pi - 0.01, -2.0]), np.diag([1e-4, 1e-3]), (-1.0, 0.0))
-    two = Sighting(Kind.WALL, np.array([-math.pi + 0.01, -2.2]), np.diag([1e-4, 1e-3]), (1.0, 2.0))
+    one = Observation(Kind.WALL, np.array([math.pi - 0.01, -2.0]), np.diag([1e-4, 1e-3]), (-1.0, 0.0))
+    two = Observation(Kind.WALL, np.array([-math.pi + 0.01, -2.2]), np.diag([1e-4, 1e-3]), (1.0, 2.0))
     both = fused(one, two)
     assert abs(wrap_angle(both.z[0] - math.pi)) < 3e-4 and both.z[1] == pytest.approx(-2.1, abs=2e-4)
     assert np.allclose(both.cov, np.diag([5e-5, 5e-4]), rtol=1e-2, atol=2e-6) and both.extent == (-1.0, 2.0)
@@ -294,45 +296,45 @@ def test_two_pieces_of_a_wall_in_one_scan_are_fused_by_their_information():
 
 def test_a_wall_is_matched_again_and_its_other_side_is_a_new_one():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
-    other = Sighting(Kind.WALL, np.array([math.pi, 1.9]), COV, (-1.0, 1.0))
-    point = Sighting(Kind.END, np.array([-2.0, 1.0]), np.eye(2) * 1e-4)
+    wall = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 1.0))
+    other = Observation(Kind.WALL, np.array([math.pi, 1.9]), COV, (-1.0, 1.0))
+    point = Observation(Kind.END, np.array([-2.0, 1.0]), np.eye(2) * 1e-4)
     for expected_new in (3, 0):
         found = associator.associate([wall, other, point], estimator)
-        assert len(found.sightings) - found.dof // 2 == expected_new and found.discarded == 0
-        estimator.update(found.sightings)
-    beside = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (3.0, 4.0))  # in line, two metres on
+        assert len(found.observations) - found.dof // 2 == expected_new and found.discarded == 0
+        estimator.update(found.observations)
+    beside = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (3.0, 4.0))  # in line, two metres on
     assert associator.associate([beside], estimator).dof == 0
-    longer = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (0.5, 1.4))
+    longer = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (0.5, 1.4))
     assert associator.associate([longer], estimator).dof == 2
     assert sorted(np.round(associator.records[0].extent[:, 1], 6)) == [-1.0, 1.4]
 
 
-def test_of_two_walls_that_meet_the_one_is_matched_that_covers_the_sighting():
+def test_of_two_walls_that_meet_the_one_is_matched_that_covers_the_observation():
     """The piece lies on the first wall, but noise has put it onto the line of the second, which ends there."""
     bend, certain = 0.008, np.diag([1e-8, 1e-8])
-    first = Sighting(Kind.WALL, np.array([0.0, 2.0]), certain, (0.0, 4.0))
-    second = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), certain, (-4.0, 0.0))
+    first = Observation(Kind.WALL, np.array([0.0, 2.0]), certain, (0.0, 4.0))
+    second = Observation(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), certain, (-4.0, 0.0))
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-    estimator.update(associator.associate([first, second], estimator).sightings)
+    estimator.update(associator.associate([first, second], estimator).observations)
     assert len(associator.records) == 2
-    piece = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.05, 0.9))
-    assert list(associator.associate([piece], estimator).sightings) == [0]
-    beyond = Sighting(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.9, 0.05))
-    assert list(associator.associate([beyond], estimator).sightings) == [1]
+    piece = Observation(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.05, 0.9))
+    assert list(associator.associate([piece], estimator).observations) == [0]
+    beyond = Observation(Kind.WALL, np.array([bend, 2.0 * math.cos(bend)]), np.diag([4e-4, 2.5e-5]), (-0.9, 0.05))
+    assert list(associator.associate([beyond], estimator).observations) == [1]
 
 
 def test_another_piece_of_a_known_wall_is_fused_unless_it_is_offset():
     for step, fused_in in ((0.0, True), (0.2, False)):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
-        wall = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 3.0))
-        estimator.update(associator.associate([wall], estimator).sightings)
-        near = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 0.5))
-        far = Sighting(Kind.WALL, np.array([0.0, -2.0 + step]), COV, (1.0, 3.0))
+        wall = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 3.0))
+        estimator.update(associator.associate([wall], estimator).observations)
+        near = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (-1.0, 0.5))
+        far = Observation(Kind.WALL, np.array([0.0, -2.0 + step]), COV, (1.0, 3.0))
         found = associator.associate([near, far], estimator)
-        assert found.dof == 2 and len(found.sightings) == 1
-        assert np.allclose(found.sightings[0].cov, COV / 2 if fused_in else COV)
-        assert found.sightings[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
+        assert found.dof == 2 and len(found.observations) == 1
+        assert np.allclose(found.observations[0].cov, COV / 2 if fused_in else COV)
+        assert found.observations[0].extent == ((-1.0, 3.0) if fused_in else (-1.0, 0.5))
         assert found.nis == pytest.approx(0.0, abs=1e-9) and found.discarded == (0 if fused_in else 1)
 
 
@@ -340,18 +342,18 @@ def test_duplicate_walls_are_merged():
     config = AssociationConfig(cull_period=2, cull_below=1)
     for offset, gone in ((0.005, [1]), (0.15, [])):
         estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(config)
-        # Two pieces with a gap too large for one wall, until a sighting of the first reaches the second.
-        first = Sighting(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
-        second = Sighting(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
+        # Two pieces with a gap too large for one wall, until an observation of the first reaches the second.
+        first = Observation(Kind.WALL, np.array([0.0, -2.0]), COV, (-2.0, -0.5))
+        second = Observation(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
         for longer in (-0.5, 0.48):
-            seen = Sighting(Kind.WALL, first.z, COV, (-2.0, longer))
-            estimator.update(associator.associate([seen, second], estimator).sightings)
+            seen = Observation(Kind.WALL, first.z, COV, (-2.0, longer))
+            estimator.update(associator.associate([seen, second], estimator).observations)
         assert estimator.estimate().walls.sum() == 2
         merged = associator.merged(estimator)
         estimator.forget(merged)
         assert merged == gone and associator.walls_merged == len(gone)
         if gone:
-            assert associator.records[0].sightings == 4
+            assert associator.records[0].observations == 4
             assert sorted(np.round(associator.records[0].extent[:, 1], 3)) == [-2.0, 2.0]
 
 

@@ -1,4 +1,4 @@
-"""Polar coordinates of a sighting: an unbiased mean, and the covariance by the Jacobian."""
+"""Polar coordinates of an observation: an unbiased mean, and the covariance by the Jacobian."""
 
 import math
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.estimators import make_estimator
 
 COVS = {
@@ -22,7 +22,7 @@ def polar(z):
 
 
 def view(z, cov):
-    bearing, distance, _ = Sighting(Kind.CORNER, z, cov).bearing_range()
+    bearing, distance, _ = Observation(Kind.CORNER, z, cov).bearing_range()
     return np.array([bearing, distance])
 
 
@@ -71,26 +71,26 @@ def test_the_polar_covariance_agrees_with_finite_differences():
         cov = root @ root.T
         columns = [(polar(z + h) - polar(z - h)) for h in 1e-6 * np.eye(2)]
         jacobian = np.column_stack([[wrap_angle(c[0]), c[1]] for c in columns]) / 2e-6
-        found = Sighting(Kind.CORNER, z, cov).bearing_range()[2]
+        found = Observation(Kind.CORNER, z, cov).bearing_range()[2]
         assert np.allclose(found, jacobian @ cov @ jacobian.T, rtol=1e-6, atol=1e-10)
         assert np.array_equal(found, found.T)
 
 
 def test_turning_the_robot_turns_the_bearing_and_leaves_the_rest():
     z, cov = np.array([2.0, 0.5]), np.array([[0.01, 0.004], [0.004, 0.02]])
-    bearing, distance, found = Sighting(Kind.END, z, cov).bearing_range()
+    bearing, distance, found = Observation(Kind.END, z, cov).bearing_range()
     for angle in np.linspace(-3.0, 3.0, 7):
         R = rotation(angle)
-        other = Sighting(Kind.END, R @ z, R @ cov @ R.T).bearing_range()
+        other = Observation(Kind.END, R @ z, R @ cov @ R.T).bearing_range()
         assert abs(wrap_angle(other[0] - bearing - angle)) < 1e-12
         assert other[1] == pytest.approx(distance) and np.allclose(other[2], found, atol=1e-15)
 
 
 @pytest.mark.parametrize("r", [0.0, 1e-12, 1e-3, 0.05, 0.1])
 def test_a_point_nearer_than_its_own_error_has_a_range_and_a_covariance(r: float) -> None:
-    bearing, distance, cov = Sighting(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01).bearing_range()
+    bearing, distance, cov = Observation(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01).bearing_range()
     assert np.isfinite([bearing, distance]).all() and 0.0 < distance <= max(r, 0.05)
     assert np.linalg.eigvalsh(cov).min() > 0.0 and math.sqrt(cov[0, 0]) <= math.pi + 1e-9
     estimator = make_estimator("isam2", Pose(), np.zeros((3, 3)))
-    estimator.update({0: Sighting(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01)})
+    estimator.update({0: Observation(Kind.CORNER, np.array([r, 0.0]), np.eye(2) * 0.01)})
     assert np.isfinite(estimator.joint_covariance([0])).all()

@@ -1,4 +1,4 @@
-"""NEES and NIS of all estimators on odometry and sightings with exactly the assumed noise."""
+"""NEES and NIS of all estimators on odometry and observations with exactly the assumed noise."""
 
 import math
 

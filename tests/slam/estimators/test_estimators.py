@@ -43,10 +43,10 @@ def test_an_unknown_estimator_lists_the_known_ones():
 
 
 class Overconfident(EKF):
-    """Assumes a smaller covariance than each sighting states."""
+    """Assumes a smaller covariance than each observation states."""
 
-    def update(self, sightings):
-        super().update(sightings)
+    def update(self, observations):
+        super().update(observations)
         self._cov *= 0.9
 
 

@@ -24,14 +24,14 @@ def joseph(P, H, R):
 def standard(log):
     """EKF-SLAM, Jacobians at the newest estimate: state, covariance and ids."""
     x, P, ids = START.array(), START_COV.copy(), []
-    for odometry, sightings in log:
+    for odometry, observations in log:
         phi, g = compose_jacobians(x[2], odometry.motion)
         F = np.eye(len(x))
         F[:3, :3] = phi
         P = F @ P @ F.T
         P[:3, :3] += g @ odometry.cov @ g.T
         x[:3] = (Pose.from_array(x[:3]) @ odometry.motion).array()
-        known = [i for i in sightings if i in ids]
+        known = [i for i in observations if i in ids]
         if known:
             H, z = [], []
             for i in known:
@@ -40,13 +40,13 @@ def standard(log):
                 row = np.zeros((2, len(x)))
                 row[:, :3], row[:, at : at + 2] = by_pose[0], by_landmark
                 H.append(row)
-                z.append(sightings[i].z - predicted[0])
-            K, P = joseph(P, np.vstack(H), block_diag(*(sightings[i].cov for i in known)))
+                z.append(observations[i].z - predicted[0])
+            K, P = joseph(P, np.vstack(H), block_diag(*(observations[i].cov for i in known)))
             x = x + K @ np.concatenate(z)
-        for i in [i for i in sightings if i not in ids]:
-            mean, by_pose, by_z = initialize_point(Pose.from_array(x[:3]), sightings[i].z)
+        for i in [i for i in observations if i not in ids]:
+            mean, by_pose, by_z = initialize_point(Pose.from_array(x[:3]), observations[i].z)
             G = np.hstack([by_pose, np.zeros((2, len(x) - 3))])
-            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + by_z @ sightings[i].cov @ by_z.T]])
+            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + by_z @ observations[i].cov @ by_z.T]])
             x = np.concatenate([x, mean])
             ids.append(i)
     return x, P, ids
@@ -65,7 +65,7 @@ def anchored(log, constrained):
     """
     x, P, ids = START.array(), START_COV.copy(), []
     point, anchors, pull = START.position, [], np.zeros(2)
-    for odometry, sightings in log:
+    for odometry, observations in log:
         before = null_direction(point, anchors)
         after = (Pose.from_array(x[:3]) @ odometry.motion).array()
         target = point + (after[:2] - x[:2]) + pull if constrained else after[:2]
@@ -76,7 +76,7 @@ def anchored(log, constrained):
         P = F @ P @ F.T + G @ odometry.cov @ G.T
         x[:3], point, pull = after, target, np.zeros(2)
         assert np.allclose(F @ before, null_direction(point, anchors))
-        known = [i for i in sightings if i in ids]
+        known = [i for i in observations if i in ids]
         if known:
             H, z = [], []
             R = rotation(x[2])
@@ -85,20 +85,20 @@ def anchored(log, constrained):
                 row = np.zeros((2, len(x)))
                 row[:, :2], row[:, 2], row[:, 3 + 2 * k : 5 + 2 * k] = -R.T, -R.T @ J @ (anchors[k] - point), R.T
                 H.append(row)
-                z.append(sightings[i].z - R.T @ (x[3 + 2 * k : 5 + 2 * k] - x[:2]))
+                z.append(observations[i].z - R.T @ (x[3 + 2 * k : 5 + 2 * k] - x[:2]))
             H = np.vstack(H)
             assert np.allclose(H @ null_direction(point, anchors), 0.0, atol=1e-12)
-            K, P = joseph(P, H, block_diag(*(sightings[i].cov for i in known)))
+            K, P = joseph(P, H, block_diag(*(observations[i].cov for i in known)))
             x = x + K @ np.concatenate(z)
             if constrained:  # min |pull|^2 + sum |lever - pull - newest lever|^2
                 slots = [ids.index(i) for i in known]
                 gaps = [anchors[k] - point - (x[3 + 2 * k : 5 + 2 * k] - x[:2]) for k in slots]
                 rows = np.vstack([np.eye(2)] * (1 + len(known)))
                 pull = np.linalg.lstsq(rows, np.concatenate([np.zeros(2), *gaps]))[0]
-        for i in [i for i in sightings if i not in ids]:
-            offset = rotation(x[2]) @ sightings[i].z
+        for i in [i for i in observations if i not in ids]:
+            offset = rotation(x[2]) @ observations[i].z
             G = np.hstack([np.eye(2), (J @ offset)[:, None], np.zeros((2, len(x) - 3))])
-            noise = rotation(x[2]) @ sightings[i].cov @ rotation(x[2]).T
+            noise = rotation(x[2]) @ observations[i].cov @ rotation(x[2]).T
             P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + noise]])
             x = np.concatenate([x, x[:2] + offset])
             anchors.append(point + offset)
@@ -134,7 +134,7 @@ def right_invariant(log):
     theta, positions, ids = START.theta, START.position[None], []
     A = to_world(positions)
     P = np.linalg.inv(A) @ START_COV @ np.linalg.inv(A).T
-    for odometry, sightings in log:
+    for odometry, observations in log:
         before, motion = theta, odometry.motion
         positions[0] += rotation(theta) @ motion.position
         theta += motion.theta
@@ -143,21 +143,21 @@ def right_invariant(log):
         G = np.linalg.inv(to_world(positions)) @ noise  # the adjoint's columns; the error itself stays, F = I
         P = P + G @ odometry.cov @ G.T
         R = rotation(theta)
-        known = [i for i in sightings if i in ids]
+        known = [i for i in observations if i in ids]
         if known:
             H = np.zeros((2 * len(known), len(P)))  # of R z - (l - p): the same at every estimate
             for k, i in enumerate(known):
                 at = 3 + 2 * ids.index(i)
                 H[2 * k : 2 * k + 2, :2], H[2 * k : 2 * k + 2, at : at + 2] = -np.eye(2), np.eye(2)
-            z = [R @ sightings[i].z - (positions[1 + ids.index(i)] - positions[0]) for i in known]
-            K, P = joseph(P, H, block_diag(*(R @ sightings[i].cov @ R.T for i in known)))
+            z = [R @ observations[i].z - (positions[1 + ids.index(i)] - positions[0]) for i in known]
+            K, P = joseph(P, H, block_diag(*(R @ observations[i].cov @ R.T for i in known)))
             X = exponential(K @ np.concatenate(z)) @ group(theta, positions)
             theta, positions = np.arctan2(X[1, 0], X[0, 0]), X[:2, 2:].T.copy()
-        for i in [i for i in sightings if i not in ids]:
+        for i in [i for i in observations if i not in ids]:
             R = rotation(theta)
             G = np.hstack([np.eye(2), np.zeros((2, len(P) - 2))])
-            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + R @ sightings[i].cov @ R.T]])
-            positions = np.vstack([positions, positions[0] + R @ sightings[i].z])
+            P = np.block([[P, P @ G.T], [G @ P, G @ P @ G.T + R @ observations[i].cov @ R.T]])
+            positions = np.vstack([positions, positions[0] + R @ observations[i].z])
             ids.append(i)
     A = to_world(positions)
     return np.concatenate([positions[0], [theta], positions[1:].ravel()]), A @ P @ A.T, ids
@@ -200,10 +200,10 @@ def test_forgetting_keeps_the_linearization_points_of_the_others(name):
     two.forget(ids[::2])
     rng = np.random.default_rng(4)
     for _ in range(10):
-        sightings = sight(one.estimate().pose, rng.choice(ids[1::2], 3, replace=False), rng, points=DENSE)
+        observations = sight(one.estimate().pose, rng.choice(ids[1::2], 3, replace=False), rng, points=DENSE)
         for estimator in (one, two):
             estimator.predict(step())
-            estimator.update(sightings)
+            estimator.update(observations)
     assert np.allclose(one.estimate().pose.array(), two.estimate().pose.array(), atol=1e-12)
     assert np.allclose(one.joint_covariance(ids[1::2]), two.joint_covariance(ids[1::2]), atol=1e-12)
 

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.testing.estimation import (
     CONVERGED,
@@ -51,12 +51,12 @@ def residuals(x, log, ids):
     poses = [Pose.from_array(row) for row in x[: 3 * len(log)].reshape(-1, 3)]
     places = dict(zip(ids, x[3 * len(log) :].reshape(-1, 2), strict=True))
     found = [whitening(START_COV, START.theta) @ log_se2(START.inverse() @ poses[0])]
-    for k, (odometry, sightings) in enumerate(log):
+    for k, (odometry, observations) in enumerate(log):
         if k:
             error = odometry.motion.inverse() @ (poses[k - 1].inverse() @ poses[k])
             found.append(whitening(odometry.cov, odometry.motion.theta) @ log_se2(error))
-        for i, sighting in sightings.items():
-            bearing, distance, cov = sighting.bearing_range()
+        for i, observation in observations.items():
+            bearing, distance, cov = observation.bearing_range()
             seen = poses[k].inverse() @ places[i]
             error = [wrap_angle(math.atan2(seen[1], seen[0]) - bearing), math.hypot(*seen) - distance]
             found.append(np.linalg.solve(np.linalg.cholesky(cov), error))
@@ -93,10 +93,10 @@ def test_the_default_settings_stay_near_the_converged_solution(seed):
     """Measured over six drives: 0.1 % of a sigma on average, 2.7 % at most; covariances within 1.2 % and 8 %."""
     near, there = make("isam2", isam2=DEFAULT), make("isam2", isam2=CONVERGED)
     gaps, cov_gaps = [], []
-    for odometry, sightings in random_log(seed, POINTS, steps=150, most=6):
+    for odometry, observations in random_log(seed, POINTS, steps=150, most=6):
         for smoother in (near, there):
             smoother.predict(odometry)
-            smoother.update(sightings)
+            smoother.update(observations)
         one, two = near.estimate(), there.estimate()
         gap = one.pose.array() - two.pose.array()
         gap[2] = wrap_angle(gap[2])
@@ -114,11 +114,11 @@ HARD = {
     "an exact start and nothing but turns on the spot": (SPIN, [0.05], POINTS),
     "an exact start and a way known across and in heading": (ROLL, [0.05], POINTS),
     "exact odometry": (Odometry(Pose(0.2, 0.0, 0.1), np.zeros((3, 3))), [0.05], POINTS),
-    "sightings of 0.1 mm": (step(), [1e-4], POINTS),
-    "sightings of 30 m": (step(), [30.0], POINTS + 300.0),
-    "sightings of 0.1 mm, and of 30 m from nearby": (step(), [1e-4, 30.0], POINTS),
-    "sightings of 0.1 mm and 30 m": (step(), [1e-4, 30.0], POINTS + 300.0),
-    "turns on the spot, sightings of 0.1 mm and 30 m": (SPIN, [1e-4, 30.0], POINTS + 300.0),
+    "observations of 0.1 mm": (step(), [1e-4], POINTS),
+    "observations of 30 m": (step(), [30.0], POINTS + 300.0),
+    "observations of 0.1 mm, and of 30 m from nearby": (step(), [1e-4, 30.0], POINTS),
+    "observations of 0.1 mm and 30 m": (step(), [1e-4, 30.0], POINTS + 300.0),
+    "turns on the spot, observations of 0.1 mm and 30 m": (SPIN, [1e-4, 30.0], POINTS + 300.0),
     "landmarks 1 km away": (step(), [0.05], POINTS + 1000.0),
     "landmarks here and 1 km away": (step(), [0.05, 1e-4], np.vstack([POINTS[:6], POINTS[6:] - 1000.0])),
     "a long standstill": (STANDSTILL, [0.05], POINTS),
@@ -135,10 +135,10 @@ def test_the_default_smoother_solves_hard_cases(case, known):
     for k in range(120):
         smoother.predict(odometry)
         true = true @ noisy(odometry, rng)
-        sightings = {}
+        observations = {}
         for i in rng.choice(len(points), 3, replace=False):
-            sightings |= sight(true, [i], rng, sigmas[i % len(sigmas)], points)
-        smoother.update(sightings if k % 3 else {})
+            observations |= sight(true, [i], rng, sigmas[i % len(sigmas)], points)
+        smoother.update(observations if k % 3 else {})
         if k % 4 == 3:
             smoother.forget([smoother.estimate().ids[-1]])
         if k % 10 == 0:
@@ -156,7 +156,7 @@ def test_a_landmark_seen_once_and_forgotten_leaves_the_pose_of_odometry():
     for k in range(20):
         for estimator in (smoother, alone):
             estimator.predict(step())
-        smoother.update({k: Sighting(Kind.CORNER, np.array([2.0, 1.0]), 0.01 * np.eye(2))})
+        smoother.update({k: Observation(Kind.CORNER, np.array([2.0, 1.0]), 0.01 * np.eye(2))})
         smoother.forget([k])
         alone.update({})
     one, two = smoother.estimate(), alone.estimate()
@@ -169,7 +169,7 @@ def test_the_correlations_of_a_motion_known_to_a_tenth_of_a_millimetre_are_kept(
     motion = Pose(0.001, 0.0, 0.0)
     cov = 1e-9 * np.array([[4.0, 0.9, 0.0], [0.9, 1.0, 0.8], [0.0, 0.8, 1.0]])
     smoother = make("isam2", Pose(), np.zeros((3, 3)), DEFAULT)
-    vague = Sighting(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2))
+    vague = Observation(Kind.CORNER, np.array([2.0, 1.0]), np.eye(2))
     smoother.update({0: vague})
     smoother.predict(Odometry(motion, cov))
     smoother.update({1: vague})  # the pose is solved, and read back from the graph
@@ -177,17 +177,17 @@ def test_the_correlations_of_a_motion_known_to_a_tenth_of_a_millimetre_are_kept(
 
 
 def crossed(config, wrong=None, seed=0):
-    """A smoother after a drive on which one sighting of landmark 0 was `wrong`, and its position error."""
+    """A smoother after a drive on which one observation of landmark 0 was `wrong`, and its position error."""
     rng, true, smoother = np.random.default_rng(seed), START, make("isam2", isam2=config)
     for k in range(40):
         smoother.predict(step())
         true = true @ noisy(step(), rng)
-        sightings = sight(true, range(6), rng, points=POINTS)
+        observations = sight(true, range(6), rng, points=POINTS)
         if k == 30 and wrong is MISSING:
-            del sightings[0]
+            del observations[0]
         elif k == 30 and wrong is not None:
-            sightings[0] = Sighting(Kind.CORNER, sightings[0].z + wrong, sightings[0].cov)
-        smoother.update(sightings)
+            observations[0] = Observation(Kind.CORNER, observations[0].z + wrong, observations[0].cov)
+        smoother.update(observations)
     order = np.argsort(smoother.estimate().ids)
     return float(np.linalg.norm(smoother.estimate().landmarks[order][0] - POINTS[0])), smoother
 
@@ -227,7 +227,7 @@ def test_a_wrong_match_of_a_wall_is_rejected_too():
         z = predict_walls(true, walls)[0] + rng.multivariate_normal(np.zeros(2), cov, 3)
         if k == 25:
             z[0, 1] += 0.6
-        smoother.update({i: Sighting(Kind.WALL, z[i], cov, (-1.0, 1.0)) for i in range(3)})
+        smoother.update({i: Observation(Kind.WALL, z[i], cov, (-1.0, 1.0)) for i in range(3)})
     estimate = smoother.estimate()
     assert smoother.rejected == 1
     assert np.abs(wrap_angle(estimate.landmarks[np.argsort(estimate.ids)][:, 0] - walls[:, 0])).max() < 0.02
@@ -240,7 +240,7 @@ def test_a_wide_robust_loss_has_no_effect():
     assert np.allclose(joint_state(one)[1], joint_state(two)[1], atol=1e-9)
 
 
-def test_past_poses_gain_from_later_sightings():
+def test_past_poses_gain_from_later_observations():
     """The smoothed trajectory is nearer to the truth than the filtered one."""
     errors = []
     for seed in range(5):

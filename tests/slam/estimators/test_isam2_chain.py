@@ -9,7 +9,7 @@ import pytest
 
 from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting, predict, predict_walls
+from sixthsense.core.landmarks import Kind, Observation, predict, predict_walls
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.evaluation.metrics import nees_band
@@ -23,10 +23,10 @@ WALLS = np.array([[0.0, -6.0], [math.pi / 2, -5.0], [math.pi, -6.0]])
 WALL_COV = np.diag([1e-5, 1e-4])
 
 
-def sightings_from(true, rng):
+def observations_from(true, rng):
     """Of all points and walls."""
     z = predict_walls(true, WALLS)[0] + rng.multivariate_normal(np.zeros(2), WALL_COV, len(WALLS))
-    walls = {10 + k: Sighting(Kind.WALL, z[k], WALL_COV, (-1.0, 1.0)) for k in range(len(WALLS))}
+    walls = {10 + k: Observation(Kind.WALL, z[k], WALL_COV, (-1.0, 1.0)) for k in range(len(WALLS))}
     return sight(true, range(len(POINTS)), rng) | walls
 
 
@@ -38,7 +38,7 @@ def circling(config, seed, steps=200, at=lambda estimator, k, true: None):
         smoother.predict(step())
         true = true @ noisy(step(), rng)
         smoother.joint_covariance(smoother.estimate().ids.tolist())  # as the association asks for it
-        smoother.update(sightings_from(true, rng))
+        smoother.update(observations_from(true, rng))
         truth.append(true.array())
         at(smoother, k, true)
     return smoother, np.array(truth)
@@ -49,7 +49,7 @@ def in_graph(smoother):
     return len(gtsam.utilities.allPose2s(smoother._solver.isam.calculateEstimate()).keys()) - len(WALLS)
 
 
-def test_the_gain_is_what_the_sightings_say_of_the_landmarks():
+def test_the_gain_is_what_the_observations_say_of_the_landmarks():
     """As the ratio of the determinants of the landmarks' covariance without and with them."""
     estimator = driven("ekf")
     estimate, joint = joint_state(estimator)
@@ -125,7 +125,7 @@ def test_poses_with_links_stay():
         smoother.predict(step())
         true = true @ noisy(step(), rng)
         smoother.joint_covariance(smoother.estimate().ids.tolist())
-        smoother.update(sightings_from(true, rng))
+        smoother.update(observations_from(true, rng))
         if k:
             smoother.link([Link(k - 1, k, Odometry(step().motion, 1e-2 * np.eye(3)))])
     assert in_graph(smoother) == 80
@@ -137,7 +137,7 @@ def test_without_a_covariance_that_was_asked_for_all_poses_stay():
     for _ in range(80):
         smoother.predict(step())
         true = true @ noisy(step(), rng)
-        smoother.update(sightings_from(true, rng))
+        smoother.update(observations_from(true, rng))
     assert in_graph(smoother) == 80
 
 
@@ -147,7 +147,7 @@ def test_with_the_wheels_as_a_variable_all_poses_stay():
     rng = np.random.default_rng(0)
     for _ in range(60):
         smoother.joint_covariance(smoother.estimate().ids.tolist())
-        smoother.update(sightings_from(START, rng))
+        smoother.update(observations_from(START, rng))
     assert in_graph(smoother) == 60
 
 

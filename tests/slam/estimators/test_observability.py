@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.batch import to_robot
 from sixthsense.testing.estimation import CONSISTENT, START, START_COV, joint_state, make, noisy, step
@@ -56,11 +56,11 @@ def information_about_the_maps_position(name, seed, steps=20):
     for _ in range(steps):
         true = true @ noisy(step(), rng)
         estimator.predict(step())
-        sightings = {}
+        observations = {}
         for i, kind in enumerate(BOTH.kinds):
             z = to_robot(true.array(), BOTH.landmarks[i], kind == Kind.WALL) + 0.02 * rng.standard_normal(2)
-            sightings[i] = Sighting(kind, z, cov, (-1.0, 1.0))
-        estimator.update(sightings)
+            observations[i] = Observation(kind, z, cov, (-1.0, 1.0))
+        estimator.update(observations)
         estimate, joint = joint_state(estimator)
         N = np.zeros((len(joint), 2))
         N[:2] = np.eye(2)

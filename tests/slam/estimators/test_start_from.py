@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Sighting
+from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS, takes_prior_map
 from sixthsense.testing.batch import to_robot
@@ -38,7 +38,7 @@ def drive(estimator, true, rng, sigma):
         for i in rng.choice(len(LANDMARKS), 3, replace=False).tolist():
             wall = i >= len(POINTS)
             z = to_robot(true.array(), LANDMARKS[i], wall) + sigma * rng.standard_normal(2)
-            seen[i] = Sighting(Kind.WALL if wall else Kind.CORNER, z, sigma**2 * np.eye(2), (-1.0, 1.0))
+            seen[i] = Observation(Kind.WALL if wall else Kind.CORNER, z, sigma**2 * np.eye(2), (-1.0, 1.0))
         estimator.update(seen)
     return true
 

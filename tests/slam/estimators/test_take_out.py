@@ -73,12 +73,12 @@ def test_no_pose_changes_nothing():
     assert_same(before, joint_state(smoother), 1e-7)
 
 
-def test_sightings_from_a_pose_that_is_taken_out_are_lost():
+def test_observations_from_a_pose_that_is_taken_out_are_lost():
     smoother, whole = driven("isam2"), driven("isam2")
     smoother.take_out([3, 4])
     (found, cov), (_, all_cov) = joint_state(smoother), joint_state(whole)
     assert len(found.ids) == 5 and len(smoother.trajectory()) == len(whole.trajectory())
-    # Means differ, and with them what the same sightings say: by a hundredth here.
+    # Means differ, and with them what the same observations say: by a hundredth here.
     assert np.linalg.eigvalsh(1.01 * cov - all_cov).min() > 0.0
     smoother.predict(step())
     smoother.update({})

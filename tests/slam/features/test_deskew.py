@@ -129,21 +129,24 @@ def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(lan
         mount = Pose(*config.laser.mount)
         ranges = cast_rays(truth @ mount, beam_bearings(config.laser), ROOM, config.laser.max_range)
         instant = Scan.from_config(ranges, dataclasses.replace(config.laser, sweep_s=0.0))
-        one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).sightings for s in (moved, instant))
-        for sighting in one:
+        one, two = (
+            extract(s, ASSUMED, config.features, np.random.default_rng(0)).observations for s in (moved, instant)
+        )
+        for observation in one:
             assert any(
-                s.kind == sighting.kind and np.hypot(*((sighting.z - s.z + math.pi) % (2 * math.pi) - math.pi)) < 0.02
+                s.kind == observation.kind
+                and np.hypot(*((observation.z - s.z + math.pi) % (2 * math.pi) - math.pi)) < 0.02
                 for s in two
             )
         assert len(one) >= len(two) - 2
 
 
-def test_sweep_noise_of_a_sighting_grows_with_its_lag() -> None:
+def test_sweep_noise_of_an_observation_grows_with_its_lag() -> None:
     config = merge(SWEPT, {"features": {"landmarks": "corners"}})
     _, moved, _ = last_scan(config, 0.5, 0.5)
     assert moved.sweep is not None
     sure = dataclasses.replace(moved, sweep=dataclasses.replace(moved.sweep, cov=np.zeros((3, 3))))
-    one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).sightings for s in (moved, sure))
+    one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).observations for s in (moved, sure))
     extra = {float(np.arctan2(a.z[1], a.z[0])): float(np.trace(a.cov - b.cov)) for a, b in zip(one, two, strict=True)}
     assert len(extra) == 4 and all(value > 0.0 for value in extra.values())
 

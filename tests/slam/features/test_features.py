@@ -5,7 +5,7 @@ import pytest
 
 from sixthsense.config import LaserNoise, PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, predict_walls, sighting_innovations
+from sixthsense.core.landmarks import Kind, observation_innovations, predict_walls
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.features import extract
@@ -199,22 +199,22 @@ def test_a_free_end_lies_half_a_spacing_beyond_the_last_beam_with_the_sigma_of_a
     assert across[2] == pytest.approx(exact[0, 0], rel=1e-3)
 
 
-def sightings_and_truth(config, rng, poses, sigma):
+def observations_and_truth(config, rng, poses, sigma):
     for pose in poses:
         features = extract(scan_from(pose, config, rng, sigma), config.assumed, config.features, rng)
-        for sighting in features.sightings:
-            world = pose @ sighting.z
+        for observation in features.observations:
+            world = pose @ observation.z
             nearest = LANDMARKS[np.argmin(np.linalg.norm(LANDMARKS - world, axis=1))]
-            yield sighting, pose.inverse() @ nearest - sighting.z
+            yield observation, pose.inverse() @ nearest - observation.z
 
 
 def test_landmarks_are_correct_and_their_covariance_is_consistent():
     """Over a thousand scans: no false landmark, and a NEES of 2 for either kind."""
     config, rng = corners(), np.random.default_rng(5)
     nees = {Kind.CORNER: [], Kind.END: []}
-    for sighting, error in sightings_and_truth(config, rng, free_poses(rng, 1000), 0.01):
+    for observation, error in observations_and_truth(config, rng, free_poses(rng, 1000), 0.01):
         assert math.hypot(*error) < 0.3
-        nees[sighting.kind].append(error @ np.linalg.solve(sighting.cov, error))
+        nees[observation.kind].append(error @ np.linalg.solve(observation.cov, error))
     for values in nees.values():
         assert len(values) > 2000
         assert 1.8 < np.mean(values) < 2.2
@@ -225,7 +225,7 @@ def test_the_covariances_follow_the_noise(sigma):
     stages = {"split": {"epsilon_m": 6 * sigma}, "lines": {"ransac_threshold_m": 5 * sigma}}
     config = merge(corners(), {"assumed": {"laser": {"range_m": sigma}}, "features": stages})
     rng = np.random.default_rng(6)
-    values = [e @ np.linalg.solve(s.cov, e) for s, e in sightings_and_truth(config, rng, free_poses(rng, 400), sigma)
+    values = [e @ np.linalg.solve(s.cov, e) for s, e in observations_and_truth(config, rng, free_poses(rng, 400), sigma)
               if s.kind == Kind.CORNER and math.hypot(*e) < 0.5]  # fmt: skip
     assert len(values) > 500 and 1.7 < np.mean(values) < 2.3
 
@@ -237,7 +237,7 @@ def test_two_corners_of_one_wall_have_independent_errors():
     pairs = []
     for _ in range(1500):
         features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features, rng)
-        ends = {(z[0] > 0, z[1] > 0): pose @ z for z in (s.z for s in features.sightings)}
+        ends = {(z[0] > 0, z[1] > 0): pose @ z for z in (s.z for s in features.observations)}
         if len(ends) == 4:
             # Errors across the upper wall, of its left and right corner.
             pairs.append((ends[False, True][1] - 1.5, ends[True, True][1] - 1.5))
@@ -252,7 +252,7 @@ def test_the_rules_for_free_ends():
     def ends(walls, pose, settings=config):
         features = extract(scan_from(pose, settings, walls=np.array(walls, float)), settings.assumed,
                            settings.features, rng)  # fmt: skip
-        return [pose @ s.z for s in features.sightings if s.kind == Kind.END]
+        return [pose @ s.z for s in features.observations if s.kind == Kind.END]
 
     stub, back = [(2, -1), (2, 1)], [(5, -30), (5, 30)]
     found = ends([stub, back], Pose())
@@ -273,7 +273,7 @@ def test_a_wall_that_continues_at_a_flat_incidence_has_no_free_end():
     for x in np.linspace(-3, 3, 40):
         features = extract(scan_from(Pose(x, 0.05, 0.01 * x), config, rng, walls=corridor), config.assumed,
                            config.features, rng)  # fmt: skip
-        assert features.sightings == ()
+        assert features.observations == ()
 
 
 @pytest.mark.parametrize("change", [
@@ -283,7 +283,7 @@ def test_a_wall_that_continues_at_a_flat_incidence_has_no_free_end():
 def test_every_stage_can_be_switched_off(change):
     config, rng = merge(corners(), {"features": change}), np.random.default_rng(10)
     features = extract(scan_from(Pose(1.5, 1.0, 0.3), config, rng), config.assumed, config.features, rng)
-    kinds = {s.kind for s in features.sightings}
+    kinds = {s.kind for s in features.observations}
     assert len(features.walls) >= 3
     if "landmarks" in change:
         assert kinds == ({Kind.END} if "corners" in change["landmarks"] else {Kind.CORNER})
@@ -293,8 +293,8 @@ def test_walls_lie_on_the_true_walls_for_any_mount():
     config = merge(corners(), {"laser": {"mount": [0.3, -0.1, 2.0]}})
     rng, pose = np.random.default_rng(11), Pose(1.4, 1.2, -0.7)
     features = extract(scan_from(pose, config, rng), config.assumed, config.features, rng)
-    for sighting in features.sightings:
-        world = pose @ sighting.z
+    for observation in features.observations:
+        world = pose @ observation.z
         assert np.linalg.norm(LANDMARKS - world, axis=1).min() < 0.1
     for a, b in pose @ features.walls:
         middle = 0.5 * (a + b)
@@ -308,7 +308,7 @@ def test_degenerate_scans_have_no_landmarks_and_cause_no_error(ranges):
     config = corners()
     features = extract(Scan.from_config(ranges, config.laser), config.assumed, config.features,
                        np.random.default_rng(0))  # fmt: skip
-    assert isinstance(features.sightings, tuple)
+    assert isinstance(features.observations, tuple)
     assert np.isfinite(features.walls).all()
 
 
@@ -318,7 +318,7 @@ def test_the_same_scan_and_stream_give_the_same_bits():
     one, two = (extract(scan, config.assumed, config.features, np.random.default_rng(5)) for _ in range(2))
     assert np.array_equal(one.walls, two.walls)
     assert all(np.array_equal(a.z, b.z) and np.array_equal(a.cov, b.cov)
-               for a, b in zip(one.sightings, two.sightings, strict=True))  # fmt: skip
+               for a, b in zip(one.observations, two.observations, strict=True))  # fmt: skip
 
 
 def test_uniform_noise_is_used_by_its_variance():
@@ -326,7 +326,7 @@ def test_uniform_noise_is_used_by_its_variance():
     uniform = merge(corners(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
     assert uniform.assumed.laser == LaserNoise("uniform", 0.03, 0.0)
     scan = scan_from(Pose(1.5, 1.0, 0.3), gaussian)
-    covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).sightings]
+    covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).observations]
             for c in (gaussian, uniform)]  # fmt: skip
     assert np.allclose(covs[0], covs[1])
 
@@ -338,11 +338,11 @@ def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls
     bias, nees = [], []
     for _ in range(1500):
         pose = Pose(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(-3.0, 3.0))
-        for sighting in extract(
+        for observation in extract(
             scan_from(pose, config, rng, walls=wall), config.assumed, config.features, rng
-        ).sightings:
+        ).observations:
             expected, _, _ = predict_walls(pose, np.array([[math.pi, -3.0]]))
-            (error,), (cov,) = sighting_innovations(sighting.z[None], sighting.cov[None], expected, is_wall)
+            (error,), (cov,) = observation_innovations(observation.z[None], observation.cov[None], expected, is_wall)
             across = np.array([-cov[0, 1] / cov[0, 0], 1.0])  # what its angle does not tell
             bias.append(across @ error / math.sqrt(across @ cov @ across))
             nees.append(error @ np.linalg.solve(cov, error))

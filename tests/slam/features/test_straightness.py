@@ -95,11 +95,11 @@ def test_a_foreign_return_at_the_end_costs_a_short_wall_nothing_else():
     assert pieces_of(points, np.arange(6), fine, 0.01, 6).tolist() == []
 
 
-def walls_sighted(walls, config, rng):
+def walls_observed(walls, config, rng):
     ranges = cast_rays(Pose(), beam_bearings(config.laser), walls, config.laser.max_range)
     noise = config.assumed.laser.range_m
     scan = Scan.from_config(ranges + rng.normal(0.0, noise, len(ranges)), config.laser)
-    return [s for s in extract(scan, config.assumed, config.features, rng).sightings if s.is_wall]
+    return [s for s in extract(scan, config.assumed, config.features, rng).observations if s.is_wall]
 
 
 def test_no_line_spans_two_walls_that_meet_at_one_and_a_half_degrees():
@@ -107,9 +107,9 @@ def test_no_line_spans_two_walls_that_meet_at_one_and_a_half_degrees():
     walls = np.array([[(2.0, -5.0), (2.0, 0.0)], [(2.0, 0.0), (2.0 + 5.0 * math.tan(bend), 5.0)]])
     config, rng = preset(laser={"beams": 1440}), np.random.default_rng(4)
     for _ in range(30):
-        sightings = walls_sighted(walls, config, rng)
-        turns = np.array([math.remainder(s.z[0] - math.pi, 2.0 * math.pi) for s in sightings])
-        off = np.abs(turns[:, None] - np.array([0.0, -bend])) / np.sqrt([[s.cov[0, 0]] for s in sightings])
+        observations = walls_observed(walls, config, rng)
+        turns = np.array([math.remainder(s.z[0] - math.pi, 2.0 * math.pi) for s in observations])
+        off = np.abs(turns[:, None] - np.array([0.0, -bend])) / np.sqrt([[s.cov[0, 0]] for s in observations])
         assert (off.min(axis=1) < 4.5).all()
         assert set(off.argmin(axis=1).tolist()) == {0, 1}
 
@@ -119,7 +119,7 @@ def test_two_faces_five_centimetres_apart_are_two_landmarks():
     rng = np.random.default_rng(5)
     config = preset()
     for _ in range(30):
-        near, far = sorted(-s.z[1] for s in walls_sighted(walls, config, rng))
+        near, far = sorted(-s.z[1] for s in walls_observed(walls, config, rng))
         assert near == pytest.approx(2.0, abs=0.015)
         assert far == pytest.approx(2.05, abs=0.015)
 
@@ -127,7 +127,7 @@ def test_two_faces_five_centimetres_apart_are_two_landmarks():
 def test_a_line_is_not_cut_where_that_is_switched_off():
     walls = np.array([[(2.0, -3.0), (2.0, 0.0)], [(2.0, 0.0), (2.04, 0.0)], [(2.04, 0.0), (2.04, 3.0)]])
     config = preset(features={"lines": {"cut_false_alarm": 0.0}})
-    assert len(walls_sighted(walls, config, np.random.default_rng(5))) == 1
+    assert len(walls_observed(walls, config, np.random.default_rng(5))) == 1
 
 
 def test_the_shape_of_a_wall_is_the_least_squares_fit_of_two_polynomials():
@@ -165,8 +165,8 @@ def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was()
     variances = []
     for floor in (0.0, 0.05):
         config = preset(assumed={"wall_floor_rad": floor}, features={"walls": {"max_sigma_rad": 0.2}})
-        (sighting,) = walls_sighted(walls, config, np.random.default_rng(9))
-        middle = 0.5 * sum(sighting.extent)
+        (observation,) = walls_observed(walls, config, np.random.default_rng(9))
+        middle = 0.5 * sum(observation.extent)
         lever = np.array([-middle, 1.0])
-        variances.append(float(lever @ sighting.cov @ lever))
+        variances.append(float(lever @ observation.cov @ lever))
     assert variances[1] == pytest.approx(variances[0], rel=1e-3)

@@ -98,7 +98,7 @@ def test_a_scan_without_a_return_causes_no_error() -> None:
 
 
 def test_a_smoother_that_revisits_corners_rebuilds_its_map() -> None:
-    """In the block's corridors the heading is uncertain until the next corner, whose sighting moves earlier poses."""
+    """In the block's corridors the heading is uncertain until a corner is observed, which moves earlier poses."""
     trace = run(preset(scene="block", estimator="isam2", task="tour", max_time=100.0, features=CORNERS))
     assert trace.outcome == "tour ended" and trace.rebuilds > 0
     moved = trace.trajectory - np.array([estimate.pose.array() for estimate in trace.key_estimates])

@@ -1,4 +1,4 @@
-"""Sightings in a factor graph, with the places of their factors, and their residuals at the solution."""
+"""Observations in a factor graph, with the places of their factors, and their residuals at the solution."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.core.landmarks import LandmarkId, Sighting, sighting_innovations
+from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations
 from sixthsense.slam.estimators.isam2_factors import Loss, noise_of, with_loss
 
 _FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", np.bool_), ("first", np.bool_),
            ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip
 
 
-def point_factor(point: int, pose: int, sighting: Sighting, loss: Loss | None) -> gtsam.NonlinearFactor:
-    """The sighting of a point as a factor between the variables with these keys."""
-    bearing, distance, cov = sighting.bearing_range()
+def point_factor(point: int, pose: int, observation: Observation, loss: Loss | None) -> gtsam.NonlinearFactor:
+    """The observation of a point as a factor between the variables with these keys."""
+    bearing, distance, cov = observation.bearing_range()
     return gtsam.BearingRangeFactor2D(pose, point, gtsam.Rot2(bearing), distance, with_loss(noise_of(cov), loss))
 
 
-class SightingFactors:
-    """Sightings by the place of their factors in the graph."""
+class ObservationFactors:
+    """Observations by the place of their factors in the graph."""
 
     def __init__(self) -> None:
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
-    def add(self, pose: int, i: LandmarkId, place: int, sighting: Sighting, is_first: bool) -> None:
-        """Add a sighting of landmark `i` from the pose with that index, whose factor has that place in the graph."""
+    def add(self, pose: int, i: LandmarkId, place: int, observation: Observation, is_first: bool) -> None:
+        """Add an observation of landmark `i` from the pose with that index; its factor has that place in the graph."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[self._count] = (pose, i, place, sighting.is_wall, is_first, sighting.z, sighting.cov)
+        self._rows[self._count] = (pose, i, place, observation.is_wall, is_first, observation.z, observation.cov)
         self._count += 1
 
     def places(self, ids: Collection[LandmarkId]) -> list[int]:
@@ -42,7 +42,7 @@ class SightingFactors:
         return sorted(rows["place"][np.isin(rows["id"], list(ids))].tolist())
 
     def drop_poses(self, poses: Sequence[int]) -> list[int]:
-        """Remove the sightings from some poses; the places of their factors."""
+        """Remove the observations from some poses; the places of their factors."""
         if not poses:
             return []
         rows = self._rows[: self._count]
@@ -51,7 +51,7 @@ class SightingFactors:
         return places
 
     def drop(self, places: Collection[int]) -> None:
-        """Remove the sightings whose factors have these places."""
+        """Remove the observations whose factors have these places."""
         rows = self._rows[: self._count]
         kept = rows[~np.isin(rows["place"], list(places))]
         self._rows[: len(kept)] = kept
@@ -63,7 +63,7 @@ class SightingFactors:
         place[:] = np.asarray(after)[np.searchsorted(before, place)]
 
     def squared_residuals(self, poses: Array, ids: NDArray[np.int64], landmarks: Array) -> tuple[Array, Array]:
-        """Squared Mahalanobis distances of all but each landmark's first sighting, and the places of their factors.
+        """Squared Mahalanobis distances of all but each landmark's first observation, and the places of their factors.
 
         `poses` (K, 3) world frame; `landmarks` (n, 2) are those of `ids` (n,).
         """
@@ -78,5 +78,5 @@ class SightingFactors:
         foot = np.cos(landmark[:, 0]) * pose[:, 0] + np.sin(landmark[:, 0]) * pose[:, 1]
         walls = np.column_stack([wrap_angle(landmark[:, 0] - pose[:, 2]), landmark[:, 1] - foot])
         predicted = np.where(rows["wall"][:, None], walls, points)
-        off, cov = sighting_innovations(rows["z"], rows["cov"], predicted, rows["wall"])
+        off, cov = observation_innovations(rows["z"], rows["cov"], predicted, rows["wall"])
         return np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]), rows["place"]
