@@ -32,22 +32,23 @@ LATTICE = 3  # cells between candidate viewpoints
 
 
 def settings(options: Any) -> list[tuple[str, Config]]:
-    """Name and configuration of each setting: all combinations of scene, estimator, planner, method and revisiting."""
+    """Name and configuration of each setting: all combinations of the options."""
     found = []
     for scene in options.scenes:
         for estimator in options.estimators:
             for planner in options.planners:
                 for method in options.methods:
-                    for revisit in options.revisit:
+                    for loop_closure in options.loop_closure:
                         config = preset(
                             options.preset, scene=scene, estimator=estimator, planner=planner, task="explore",
                             max_time=options.max_time, features={"landmarks": options.landmarks},
                             explore={
-                                "method": method, "revisit": revisit == "on", "revisit_sigma_m": options.revisit_sigma
+                                "method": method, "loop_closure": loop_closure == "on",
+                                "loop_closure_sigma_m": options.loop_closure_sigma,
                             },
                         )  # fmt: skip
                         name = f"{scene}.{estimator}.{planner}.{method}.{options.preset}"
-                        found.append((name if revisit == "on" else f"{name}.no_revisit", config))
+                        found.append((name if loop_closure == "on" else f"{name}.no_loop_closure", config))
     return found
 
 
@@ -115,8 +116,8 @@ def main() -> None:
     parser.add_argument("--estimators", nargs="+", default=["ekf-invariant"])
     parser.add_argument("--planners", nargs="+", default=["astar"])
     parser.add_argument("--methods", nargs="+", default=["frontier"], choices=["frontier", "random"])
-    parser.add_argument("--revisit", nargs="+", default=["on"], choices=["on", "off"], help="on off: the ablation")
-    parser.add_argument("--revisit-sigma", type=float, default=0.1, metavar="M", help="threshold of revisiting (0.1)")
+    parser.add_argument("--loop-closure", nargs="+", default=["on"], choices=["on", "off"], help="on off: the ablation")
+    parser.add_argument("--loop-closure-sigma", type=float, default=0.1, metavar="M", help="threshold (0.1)")
     parser.add_argument("--landmarks", default="both", choices=["corners", "walls", "both"])
     parser.add_argument("--preset", default="default")
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="seeds 0 to N - 1 (10)")

@@ -1,4 +1,4 @@
-"""Revisits in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
+"""LoopClosures in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
 
     python benchmarks/repetition.py --seeds 3                 # all scenes
     python benchmarks/repetition.py --scenes doors niches --rows FOLDER
@@ -6,9 +6,9 @@
     python benchmarks/repetition.py --calibrate-wheels        # with the wheels' errors estimated on line
 
 A link to an old keyframe is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
-more than its covariance allows: along a bare corridor a link says nothing. A true revisit is a keyframe and an old one,
-at least 10 m driven between, that share half of their views by the truth. It is closed if the pair is right to 0.3 m
-and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one.
+more than its covariance allows: along a bare corridor a link says nothing. A true loop closure is a keyframe and an old
+one, at least 10 m driven between, that share half of their views by the truth. It is closed if the pair is right to 0.3
+m and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _NEAR_M, _NEAREST = 4.0, 4
 
 
 def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
-    """Replay one drive, and compare its revisits with the truth."""
+    """Replay one drive, and compare its loop closures with the truth."""
     name, seed = due
     log = log_of(SCENES[name], seed)
     truths = []
@@ -69,11 +69,11 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
                 assert tick.truth is not None
                 truths.append(tick.truth.array())
         spent_s = time.process_time() - began
-        revisits = slam._front_end.revisits  # type: ignore[union-attr]
-        graph, closings = revisits._graph, revisits.closings
+        loop_closures = slam._front_end.loop_closures  # type: ignore[union-attr]
+        graph, closings = loop_closures._graph, loop_closures.closings
         return {
             "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
-            "refused": revisits.counts.refused,
+            "refused": loop_closures.counts.refused,
             "accepted": closings.accepted, "undone": closings.undone,
             **judged(slam.trajectory(), np.array(truths), closings.links, graph.store),
         }  # fmt: skip
@@ -85,7 +85,7 @@ def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     off = np.hypot(*(poses - truths)[:, :2].T)
     false = false_links(truths, links)
-    pairs = true_revisits(truths, travelled, store)
+    pairs = true_loop_closures(truths, travelled, store)
     linked = np.unique([j for i, j, _, _ in links if travelled[j] - travelled[i] >= _DRIVEN_M])
     error = between(between(truths[pairs[:, 0]], truths[pairs[:, 1]]), between(poses[pairs[:, 0]], poses[pairs[:, 1]]))
     right = (np.hypot(error[:, 0], error[:, 1]) < _WRONG_M) & (np.abs(error[:, 2]) < _WRONG_RAD)
@@ -112,7 +112,7 @@ def false_links(truths: Array, links: list[tuple[int, int, Array, Array]]) -> li
     return sorted(found, key=lambda row: -row[2])
 
 
-def true_revisits(truths: Array, travelled: Array, store: ScanStore) -> NDArray[np.int64]:
+def true_loop_closures(truths: Array, travelled: Array, store: ScanStore) -> NDArray[np.int64]:
     """(n, 2) old keyframe and keyframe that share half of their views, the nearest one of each keyframe."""
     pairs = []
     for j in range(len(truths)):
@@ -148,7 +148,7 @@ def rows(config: Config, factors: Factors, due: Sequence[tuple[str, int]], jobs:
 
 
 def changed_config(odometry: float, score: float, calibrate_wheels: bool) -> Config:
-    """The defaults of logs, with the sigmas of the odometry and the least score of a revisit multiplied."""
+    """The defaults of logs, with the sigmas of the odometry and the least score of a loop closure multiplied."""
     base = preset("log")
     motion = base.assumed.motion
     slip = {f.name: odometry * getattr(motion, f.name) for f in dataclasses.fields(motion) if "slip" in f.name}
@@ -195,7 +195,7 @@ def main() -> int:
         options.rows,
     )
     figures = {name: summary([row for row in found if row["scene"] == name]) for name in options.scenes}
-    lines = [["scene", "runs", "driven, m", "false links", "runs with", "true revisits", "closed", "worst run",
+    lines = [["scene", "runs", "driven, m", "false links", "runs with", "true loop closures", "closed", "worst run",
               "ATE m, median / max", "accepted", "undone", "refused", "s a run"]]  # fmt: skip
     for name, f in figures.items():
         lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",

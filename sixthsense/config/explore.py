@@ -1,4 +1,4 @@
-"""Configuration of exploration: choice of viewpoints, end of the task, and revisits for an uncertain pose."""
+"""Configuration of exploration: choice of viewpoints, end of the task, and loop closures for an uncertain pose."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ExploreConfig(Section):
     the only unseen area left continues beyond the region."""
     least_area_m2: NonNegative = 0.02
     """An area that was given up counts as left unseen if it is at least this large."""
-    revisit: bool = True
+    loop_closure: bool = True
     """Drive back to a place where the pose was certain when it no longer is."""
-    revisit_sigma_m: Positive = 0.1
+    loop_closure_sigma_m: Positive = 0.1
     """The pose is uncertain when the largest sigma of its position is above this."""

@@ -40,8 +40,8 @@ def measure(trace: Trace) -> Metrics:
     out["landmarks"] = len(trace.records)
     out["landmarks_culled"] = trace.culled
     out["walls_merged"] = trace.walls_merged
-    if trace.revisits is not None:
-        out |= {f"revisits_{name}": count for name, count in trace.revisits._asdict().items()}
+    if trace.loop_closures is not None:
+        out |= {f"loop_closures_{name}": count for name, count in trace.loop_closures._asdict().items()}
     if trace.wheels is not None:
         out |= {f"wheel_{key}": value for key, value in zip(_WHEELS, trace.wheels.ravel().tolist(), strict=True)}
     if trace.outcome.startswith("explored"):

@@ -41,7 +41,7 @@ _WHEELS = (
 
 _REMARKS = {
     "plans_below_margin": "usual: doors leave less room than the margin",
-    "revisits_refused": "usual: places that look alike",
+    "loop_closures_refused": "usual: places that look alike",
 }
 """why a value that looks alarming is not, in a few words, by key"""
 
@@ -83,9 +83,9 @@ def _quantities() -> dict[str, Quantity]:
             ("landmarks", "1", "landmarks in the map at the end"),
             ("landmarks_culled", "1", "landmarks removed from the map"),
             ("walls_merged", "1", "walls merged into older duplicates"),
-            ("revisits_found", "1", "old places found again by the shape of the scans"),
-            ("revisits_refused", "1", "places that looked right and were refused: ambiguous, or scans disagreed"),
-            ("revisits_undone", "1", "revisits taken back, since later scans contradicted them"),
+            ("loop_closures_found", "1", "old places found again by the shape of the scans"),
+            ("loop_closures_refused", "1", "places that looked right and were refused: ambiguous, or scans disagreed"),
+            ("loop_closures_undone", "1", "loop closures taken back, since later scans contradicted them"),
             ("path_length_m", "m", "length of the driven path"),
             ("plans", "1", "planned paths"),
             ("plans_below_margin", "1", "planned paths with less clearance than configured"),

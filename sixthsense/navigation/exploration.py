@@ -62,7 +62,7 @@ class Exploration:
         self._retries = 0  # of unreachable cells
         self._stagnation = Stagnation()
         self._retracing = False
-        self._has_seen_more = True  # since the last revisit: else one revisit could follow another for ever
+        self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._limited.driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
         self._drawn_window: MapWindow | None = None
@@ -77,7 +77,7 @@ class Exploration:
             self._retries = 0  # what was unreachable may no longer be
         if self._history.is_certain:
             self._react("pose certain", pose)
-        elif self._history.needs_revisit and (self._has_seen_more or self._history.is_much_less_certain):
+        elif self._history.needs_loop_closure and (self._has_seen_more or self._history.is_much_less_certain):
             self._react("pose uncertain", pose)
         if self._target.is_seen(grid):
             self._has_seen_more |= self._target is not NO_TARGET
@@ -159,9 +159,9 @@ class Exploration:
         self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
         return self._choose_view(pose)
 
-    def _revisit(self, pose: Pose) -> State:
+    def _close_loop(self, pose: Pose) -> State:
         """Head for the nearest place where the pose was certain, if one can be reached."""
-        self._history.postpone_revisit()
+        self._history.postpone_loop_closure()
         places = self._history.well_known_places()
         distances = self._distances(pose)
         costs = np.array([distances.to(*self._window.cell(place)) for place in places])
@@ -169,7 +169,7 @@ class Exploration:
             return self.state
         self._target, self._has_seen_more = NO_TARGET, False
         self.driver.head_for(places[int(np.argmin(costs))], pose)
-        return "revisiting"
+        return "closing a loop"
 
     def _drop_target(self, pose: Pose) -> State:
         self._target = NO_TARGET
@@ -291,7 +291,7 @@ _ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
     "turn around": Exploration._turn_around,
     "count failed view": Exploration._count_failed_view,
     "mark unreachable": Exploration._mark_unreachable,
-    "revisit": Exploration._revisit,
+    "close loop": Exploration._close_loop,
     "drop target": Exploration._drop_target,
     "approach gap or retrace": Exploration._approach_gap_or_retrace,
     "finish": Exploration._finish,

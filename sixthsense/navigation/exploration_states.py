@@ -1,8 +1,8 @@
 """The states of an exploration and its transitions, in one table.
 
 An exploration selects a view, drives to its viewpoint, turns around there, and selects the next view. When no view is
-left it returns home. Two detours are possible: a revisit of a place where the pose was certain, and an approach of the
-gap that closes the path home.
+left it returns home. Two detours are possible: a loop closure at a place where the pose was certain, and an approach of
+the gap that closes the path home.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-State = Literal["selecting", "to viewpoint", "at viewpoint", "revisiting", "approaching gap", "returning"]
+State = Literal["selecting", "to viewpoint", "at viewpoint", "closing a loop", "approaching gap", "returning"]
 """selecting: a view is chosen when the next map arrives; to viewpoint, at viewpoint: driving there, turning around
-there; revisiting: driving to a place where the pose was certain; approaching gap: driving to a gap that cuts the robot
-off from home, to see it from nearer; returning: driving home."""
+there; closing a loop: driving to a place where the pose was certain; approaching gap: driving to a gap that cuts the
+robot off from home, to see it from nearer; returning: driving home."""
 
 Event = Literal[
     "target seen", "path blocked", "pose uncertain", "pose certain", "arrived", "turned around", "stuck", "stuck again"
@@ -31,7 +31,7 @@ Action = Literal[
     "turn around",
     "count failed view",
     "mark unreachable",
-    "revisit",
+    "close loop",
     "drop target",
     "approach gap or retrace",
     "finish",
@@ -68,12 +68,12 @@ TRANSITIONS: Mapping[State, Mapping[Event, Transition]] = MappingProxyType(
     {
         "selecting": {
             "target seen": _CHOOSE,
-            "pose uncertain": Transition("revisit", ("selecting", "revisiting")),
+            "pose uncertain": Transition("close loop", ("selecting", "closing a loop")),
         },
         "to viewpoint": {
             "target seen": _CHOOSE,
             "path blocked": Transition("replan or choose view", _AFTER_CHOICE),
-            "pose uncertain": Transition("revisit", ("to viewpoint", "revisiting")),
+            "pose uncertain": Transition("close loop", ("to viewpoint", "closing a loop")),
             "arrived": Transition("turn around", ("at viewpoint",)),
             "turned around": _MARK_UNREACHABLE,  # no path was found meanwhile
             "stuck": _MARK_UNREACHABLE,
@@ -81,18 +81,18 @@ TRANSITIONS: Mapping[State, Mapping[Event, Transition]] = MappingProxyType(
         },
         "at viewpoint": {
             "target seen": _CHOOSE,
-            "pose uncertain": Transition("revisit", ("at viewpoint", "revisiting")),
+            "pose uncertain": Transition("close loop", ("at viewpoint", "closing a loop")),
             "turned around": _COUNT_FAILED_VIEW,
             "stuck": _COUNT_FAILED_VIEW,
             "stuck again": _give_up("at viewpoint"),
         },
-        "revisiting": {
+        "closing a loop": {
             "pose certain": Transition("drop target", ("selecting",)),
-            "path blocked": _replan("revisiting"),
+            "path blocked": _replan("closing a loop"),
             "arrived": _CHOOSE,
             "turned around": _CHOOSE,
             "stuck": _CHOOSE,
-            "stuck again": _give_up("revisiting"),
+            "stuck again": _give_up("closing a loop"),
         },
         "approaching gap": {
             "path blocked": _replan("approaching gap"),

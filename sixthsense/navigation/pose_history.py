@@ -1,4 +1,4 @@
-"""Where the robot has been and how certain its position was there: when to revisit a place, and which."""
+"""Where the robot has been and how certain its position was there: when to close a loop, and where."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from sixthsense.config import ExploreConfig
 from sixthsense.core.geometry import Array, Pose
 
-_WELL_KNOWN = 0.5  # a place is worth a revisit if sigma there was at most this share of the present one
-_NEXT_REVISIT = 1.5  # growth of sigma before another revisit is tried
-_MOST_REVISIT = 4.0  # times `revisit_sigma_m`: the most that a revisit may come to need
+_WELL_KNOWN = 0.5  # a place is worth a loop closure if sigma there was at most this share of the present one
+_NEXT_LOOP_CLOSURE = 1.5  # growth of sigma before another loop closure is tried
+_MOST_LOOP_CLOSURE = 4.0  # times `loop_closure_sigma_m`: the most that a loop closure may come to need
 
 
 class PoseHistory:
     """Positions at the keyframes and their largest standard deviations."""
 
     def __init__(self, explore: ExploreConfig) -> None:
-        """Begin with no position; `explore` sets the threshold of a revisit."""
+        """Begin with no position; `explore` sets the threshold of a loop closure."""
         self.sigma_m = 0.0
         """largest standard deviation of the latest position"""
         self._explore = explore
-        self._revisit_threshold_m = explore.revisit_sigma_m
+        self._loop_closure_threshold_m = explore.loop_closure_sigma_m
         self._much_less_m = math.inf
         self._rows: list[tuple[float, float, float]] = []
 
@@ -38,26 +38,26 @@ class PoseHistory:
 
     @property
     def is_certain(self) -> bool:
-        """Whether the position is certain enough to end a revisit."""
-        return self.sigma_m <= _WELL_KNOWN * self._explore.revisit_sigma_m
+        """Whether the position is certain enough to end a loop closure."""
+        return self.sigma_m <= _WELL_KNOWN * self._explore.loop_closure_sigma_m
 
     @property
-    def needs_revisit(self) -> bool:
-        """Whether the position is so uncertain that a revisit is due."""
-        return self._explore.revisit and self.sigma_m > self._revisit_threshold_m
+    def needs_loop_closure(self) -> bool:
+        """Whether the position is so uncertain that a loop closure is due."""
+        return self._explore.loop_closure and self.sigma_m > self._loop_closure_threshold_m
 
     @property
     def is_much_less_certain(self) -> bool:
-        """Whether the position is much less certain than when a revisit was last due."""
+        """Whether the position is much less certain than when a loop closure was last due."""
         return self.sigma_m > self._much_less_m
 
-    def postpone_revisit(self) -> None:
-        """Require a larger uncertainty for the next revisit, whatever the present one achieves.
+    def postpone_loop_closure(self) -> None:
+        """Require a larger uncertainty for the next loop closure, whatever the present one achieves.
 
         Far from where it is certain, a robot that comes back by the same way is about as uncertain as before.
         """
-        self._much_less_m = _NEXT_REVISIT * self.sigma_m
-        self._revisit_threshold_m = min(self._much_less_m, _MOST_REVISIT * self._explore.revisit_sigma_m)
+        self._much_less_m = _NEXT_LOOP_CLOSURE * self.sigma_m
+        self._loop_closure_threshold_m = min(self._much_less_m, _MOST_LOOP_CLOSURE * self._explore.loop_closure_sigma_m)
 
     def well_known_places(self) -> Array:
         """(K, 2) positions that were much more certain than the present one."""

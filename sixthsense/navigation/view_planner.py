@@ -154,7 +154,7 @@ class ViewPlanner:
         """The visible target with the largest gain per time; None if all that is visible together is dust."""
         window, explore, robot = self.window, self.config.explore, self.config.robot
         # An uncertain robot prefers near targets.
-        seconds_per_cell = (1.0 + self.sigma_m / explore.revisit_sigma_m) * window.cell_m / robot.speed
+        seconds_per_cell = (1.0 + self.sigma_m / explore.loop_closure_sigma_m) * window.cell_m / robot.speed
         views: list[_View] = []
         shown_together = 0
         for k in self.by_distance(candidates.clusters):

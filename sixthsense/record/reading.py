@@ -22,7 +22,7 @@ from sixthsense.record.stream import FORMAT, Line
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.front_end import RevisitCounts
+from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.sources.scene import Scene
 
 _LARGEST = (1 << 63) - 1
@@ -183,8 +183,8 @@ def _take_end(table: Line, trace: Trace) -> None:
     trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
     trace.culled, trace.walls_merged = _whole(table, "culled"), _whole(table, "walls_merged")
     trace.rebuilds = _whole(table, "rebuilds")
-    if (counts := table.get("revisits")) is not None:  # older records have none
-        trace.revisits = RevisitCounts(*(_whole(counts, name) for name in RevisitCounts._fields))
+    if (counts := table.get("loop_closures")) is not None:  # older records have none
+        trace.loop_closures = LoopClosureCounts(*(_whole(counts, name) for name in LoopClosureCounts._fields))
     if "wheels" in table:
         trace.wheels = _array(table, "wheels", (2, PARAMETERS))
 

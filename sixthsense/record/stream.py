@@ -202,6 +202,6 @@ def _end_line(trace: Trace) -> Line:
         "culled": trace.culled,
         "walls_merged": trace.walls_merged,
         "rebuilds": trace.rebuilds,
-        "revisits": None if trace.revisits is None else trace.revisits._asdict(),
+        "loop_closures": None if trace.loop_closures is None else trace.loop_closures._asdict(),
         **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),
     }

@@ -19,7 +19,7 @@ from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Association, Record
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.front_end import RevisitCounts
+from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step
 from sixthsense.sources.logs.relations import Relations
@@ -98,7 +98,7 @@ class Trace:
     """number of removed landmarks"""
     walls_merged: int = 0
     """number of walls merged into older duplicates"""
-    revisits: RevisitCounts | None = None
+    loop_closures: LoopClosureCounts | None = None
     """what the search for old places has come to; None without one"""
     wheels: Array | None = None
     """(2, 4) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""

@@ -125,7 +125,7 @@ def _keep_imports() -> None:
 
 
 def warm_up_scans() -> None:
-    """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and the search for revisits."""
+    """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and loop closures."""
     # Here, so that runs with landmarks do not load them.
     from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
     from sixthsense.slam.scans.evidence import explained

@@ -42,15 +42,15 @@ class Keyframe:
         return _NO_WALLS if self.features is None else self.features.walls
 
 
-class RevisitCounts(NamedTuple):
+class LoopClosureCounts(NamedTuple):
     """What the search for old places has come to."""
 
     found: int
-    """revisits that stand"""
+    """loop closures that stand"""
     refused: int
     """places that looked right, and were refused: another looked as good, or pairs of scans did not agree"""
     undone: int
-    """revisits taken back, since later scans contradicted them"""
+    """loop closures taken back, since later scans contradicted them"""
 
 
 class FrontEnd(Protocol):
@@ -71,7 +71,7 @@ class FrontEnd(Protocol):
         ...
 
     @property
-    def revisit_counts(self) -> RevisitCounts | None:
+    def loop_closure_counts(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None for a front end that does not search."""
         ...
 

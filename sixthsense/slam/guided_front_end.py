@@ -20,7 +20,7 @@ from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.features import Features
-from sixthsense.slam.front_end import RevisitCounts, Timed
+from sixthsense.slam.front_end import LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.front_end import ScanFrontEnd
 
@@ -43,9 +43,9 @@ class GuidedFrontEnd(LandmarkFrontEnd):
         self._proposed = ProposedLandmarks()
 
     @property
-    def revisit_counts(self) -> RevisitCounts | None:
+    def loop_closure_counts(self) -> LoopClosureCounts | None:
         """What the aligned scans' search for old places has come to so far."""
-        return self._guide.revisit_counts
+        return self._guide.loop_closure_counts
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         keyframe = self._guide.take(tick, scan, increment)

@@ -14,7 +14,7 @@ from sixthsense.slam.association.blind_zone import BlindZone
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
-from sixthsense.slam.front_end import Keyframe, RevisitCounts, Timed
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.keyframes import Keyframes
 
 
@@ -72,7 +72,7 @@ class LandmarkFrontEnd:
         return Keyframe(motion, estimate, association, features)
 
     @property
-    def revisit_counts(self) -> RevisitCounts | None:
+    def loop_closure_counts(self) -> LoopClosureCounts | None:
         """None: old places are found by their landmarks alone."""
         return None
 

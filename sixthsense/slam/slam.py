@@ -26,7 +26,7 @@ from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator, Record
 from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import FrontEnd, Keyframe, RevisitCounts, Timed
+from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
@@ -77,7 +77,7 @@ class SlamResult:
     """times the grid was drawn again because key poses had moved"""
     since_key: Array | None = None
     """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
-    revisits: RevisitCounts | None = None
+    loop_closures: LoopClosureCounts | None = None
     """of a front end that searches for old places"""
     wheels: WheelEstimate | None = None
     """the wheels' parameters, if they are estimated"""
@@ -182,9 +182,9 @@ class Slam:
         return self._front_end.pose
 
     @property
-    def revisits(self) -> RevisitCounts | None:
+    def loop_closures(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None for a front end that does not search."""
-        return self._front_end.revisit_counts
+        return self._front_end.loop_closure_counts
 
     @property
     def grid(self) -> Grid:
@@ -219,7 +219,7 @@ class Slam:
                 self.associator.walls_merged,
                 self._mapper.rebuilds,
                 since_key,
-                self.revisits,
+                self.loop_closures,
                 self.wheels(),
             )
         return self._result

@@ -223,7 +223,7 @@ def test_one_seed_gives_one_exploration(tmp_path: Path) -> None:
 def test_a_robot_that_does_not_know_where_it_is_has_not_explored(tmp_path: Path) -> None:
     unsure = {"motion": {"slip_position_per_sqrt_m": 0.5}}
     blind = {"lines": {"min_points": 300}, "points": {"min_points": 300}}
-    made = explored(tmp_path, two_rooms(1.0), assumed=unsure, features=blind, explore={"revisit": False})
+    made = explored(tmp_path, two_rooms(1.0), assumed=unsure, features=blind, explore={"loop_closure": False})
     assert made.outcome == "lost"
 
 
@@ -238,12 +238,12 @@ def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path)
     assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
 
 
-def test_an_uncertain_pose_is_improved_by_a_revisit(tmp_path: Path, visited: Visited) -> None:
-    threshold = {"revisit_sigma_m": 0.001}
-    off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"revisit": False})
-    assert "revisiting" not in visited.states
+def test_an_uncertain_pose_is_improved_by_a_loop_closure(tmp_path: Path, visited: Visited) -> None:
+    threshold = {"loop_closure_sigma_m": 0.001}
+    off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"loop_closure": False})
+    assert "closing a loop" not in visited.states
     on = explored(tmp_path, two_rooms(1.0), explore=threshold)
-    assert "revisiting" in visited.states
+    assert "closing a loop" in visited.states
     assert on.outcome == off.outcome == "explored"
 
 

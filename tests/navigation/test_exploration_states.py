@@ -207,18 +207,18 @@ def test_an_arrival_between_two_times_stuck_lets_the_robot_go_on() -> None:
     assert not stage.exploration.handle("stuck", START)
 
 
-def test_an_uncertain_pose_is_revisited_and_exploration_goes_on_when_it_is_certain() -> None:
+def test_an_uncertain_pose_closes_a_loop_and_exploration_goes_on_when_it_is_certain() -> None:
     stage = Stage(TWO_ROOMS)
     stage.look(START)
     pose = Pose(2.0, 1.5, 0.0)
-    assert stage.look(pose, sigma_m=0.2) == "revisiting"
+    assert stage.look(pose, sigma_m=0.2) == "closing a loop"
     assert stage.exploration._target is NO_TARGET
     np.testing.assert_allclose(stage.exploration.driver.goal, START.position)
-    assert stage.look(pose, sigma_m=0.2) == "revisiting"
+    assert stage.look(pose, sigma_m=0.2) == "closing a loop"
     assert stage.look(pose, sigma_m=0.01) == "to viewpoint"
 
 
-def test_a_revisit_that_does_not_help_is_repeated_only_when_the_pose_is_much_less_certain() -> None:
+def test_a_loop_closure_that_does_not_help_is_repeated_only_when_the_pose_is_much_less_certain() -> None:
     stage = Stage(TWO_ROOMS)
     stage.look(START)
     pose = Pose(2.0, 1.5, 0.0)
@@ -226,15 +226,15 @@ def test_a_revisit_that_does_not_help_is_repeated_only_when_the_pose_is_much_les
     stage.exploration.handle("arrived", START)
     assert stage.exploration.state == "to viewpoint"
     assert stage.look(pose, sigma_m=0.25) == "to viewpoint"
-    assert stage.look(pose, sigma_m=0.35) == "revisiting"
+    assert stage.look(pose, sigma_m=0.35) == "closing a loop"
 
 
-def test_an_uncertain_pose_without_a_certain_place_is_not_revisited() -> None:
+def test_an_uncertain_pose_without_a_certain_place_closes_no_loop() -> None:
     stage = Stage(TWO_ROOMS)
     assert stage.look(START, sigma_m=0.2) == "to viewpoint"
 
 
-@pytest.mark.parametrize("state", ["revisiting", "approaching gap"])
+@pytest.mark.parametrize("state", ["closing a loop", "approaching gap"])
 @pytest.mark.parametrize("event", ["arrived", "turned around", "stuck"])
 def test_a_detour_ends_with_another_view(state: State, event: Event) -> None:
     stage = Stage(TWO_ROOMS)
@@ -244,7 +244,7 @@ def test_a_detour_ends_with_another_view(state: State, event: Event) -> None:
     assert stage.exploration.state == "to viewpoint"
 
 
-@pytest.mark.parametrize("state", ["revisiting", "approaching gap", "returning"])
+@pytest.mark.parametrize("state", ["closing a loop", "approaching gap", "returning"])
 def test_a_blocked_path_is_planned_again_towards_the_same_goal(state: State) -> None:
     stage = Stage(TWO_ROOMS)
     stage.look(START)
@@ -252,7 +252,7 @@ def test_a_blocked_path_is_planned_again_towards_the_same_goal(state: State) -> 
     exploration.state, exploration._target = state, NO_TARGET
     goal = exploration.driver.goal
     exploration.driver.stop()
-    assert stage.look(START, sigma_m=0.08) == state  # too uncertain to end a revisit
+    assert stage.look(START, sigma_m=0.08) == state  # too uncertain to end a loop closure
     assert exploration.driver.following and exploration.driver.goal is goal
 
 

@@ -66,9 +66,9 @@ def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
 
 def test_a_second_run_that_cannot_be_linked_leaves_no_folder(runs, here, monkeypatch):
     """As where the place was found, but is not the right one."""
-    from sixthsense.slam.scans.revisits import Revisits
+    from sixthsense.slam.scans.loop_closures import LoopClosures
 
-    monkeypatch.setattr(Revisits, "look", lambda self, key: None)
+    monkeypatch.setattr(LoopClosures, "look", lambda self, key: None)
     with pytest.raises(MergeError, match=r"^merge: found no scan of the second run that could be linked to the first"):
         ss.merge_runs(runs / "monday", runs / "tuesday", out="both", progress=False)
     assert [entry.name for entry in here.iterdir() if entry.name != ".run.lock"] == []

@@ -1,8 +1,8 @@
-"""Closing a loop: the links of a revisit, how they are given to the estimator, and how they are taken back.
+"""Closing a loop: the links of a loop closure, how they are given to the estimator, and how they are taken back.
 
-A loop that is off by metres cannot be closed with a loss that lets go of large residuals. The links of a new revisit
-are given as squares first, which distributes the error over the loop, and then with their loss. A revisit is undone if
-its own links contradict the graph then, or if it has made more other links contradict than it has.
+A loop that is off by metres cannot be closed with a loss that lets go of large residuals. The links of a new loop
+closure are given as squares first, which distributes the error over the loop, and then with their loss. A loop closure
+is undone if its own links contradict the graph then, or if it has made more other links contradict than it has.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ARCS = 2  # per keyframe: further links hardly make it more certain
 
 @dataclass(slots=True)
 class _Group:
-    """A revisit's links, and those that were made because of it."""
+    """A loop closure's links, and those that were made because of it."""
 
     ids: list[int] = field(default_factory=list)
     """of the estimator's links"""
@@ -36,20 +36,20 @@ class _Group:
     measured: list[tuple[int, int, Array, Array]] = field(default_factory=list)
     """of each link: target, source, pose (3,) and information (3, 3)"""
     own: int = 0
-    """how many of them, the first ones, are the revisit's own"""
+    """how many of them, the first ones, are the loop closure's own"""
 
 
 class Closings:
-    """The revisits so far. Links to old keyframes belong to the last revisit before them: it made their poses known."""
+    """The loop closures so far. A link to an old keyframe belongs to the last of them, which made its pose known."""
 
     def __init__(self, graph: ScanGraph, uncertainty: UncertaintyGraph) -> None:
         self._graph, self._uncertainty = graph, uncertainty
         self._groups: dict[int, _Group] = {-1: _Group()}
         self._latest = -1
         self.accepted = 0
-        """revisits accepted so far"""
+        """loop closures accepted so far"""
         self.undone = 0
-        """revisits taken back so far"""
+        """loop closures taken back so far"""
 
     @property
     def links(self) -> list[tuple[int, int, Array, Array]]:
@@ -58,11 +58,11 @@ class Closings:
 
     @property
     def own_keys(self) -> set[int]:
-        """Keyframes of the revisits' own links."""
+        """Keyframes of the loop closures' own links."""
         return {k for group in self._groups.values() for pair in group.pairs[: group.own] for k in pair}
 
     def take_out(self, keys: Collection[int]) -> None:
-        """Take in that keyframes have left the graph with their links, none of which were a revisit's own."""
+        """Take in that keyframes have left the graph with their links, none of which were a loop closure's own."""
         gone = set(keys)
         for group in self._groups.values():
             lost = [not gone.isdisjoint(pair) for pair in group.pairs]
@@ -101,7 +101,7 @@ class Closings:
             last = k if made.rows else last
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
-        """Close a loop with a revisit's links, rows of alignments; whether the revisit stands."""
+        """Close a loop with a loop closure's links, rows of alignments; whether the loop closure stands."""
         graph = self._graph
         self._latest = self.accepted
         self.accepted += 1
@@ -120,7 +120,7 @@ class Closings:
         return self._groups.get(self._latest) is group
 
     def _keep(self, ids: list[int], links: list[tuple[Alignments, int]]) -> None:
-        """Remember links with the last revisit, and add arcs for them."""
+        """Remember links with the last loop closure, and add arcs for them."""
         group = self._groups[self._latest]
         group.ids += ids
         if not links:
@@ -137,7 +137,7 @@ class Closings:
                 self._uncertainty.add(target, source, position, float(cov[2, 2]), self._latest)
 
     def _contradiction(self, g: int) -> float:
-        """Median squared Mahalanobis distance of a revisit's own links from the estimate."""
+        """Median squared Mahalanobis distance of a loop closure's own links from the estimate."""
         own = self._groups[g].measured[: self._groups[g].own]
         return float(np.median(self._squared(own))) if own else 0.0
 
@@ -154,7 +154,7 @@ class Closings:
         return np.asarray(np.einsum("ni,nij,nj->n", off, informations, off))
 
     def _undo(self, g: int) -> None:
-        """Take back a revisit and all links that followed from it."""
+        """Take back a loop closure and all links that followed from it."""
         group = self._groups.pop(g)
         self._graph.estimator.unlink(group.ids)
         self._graph.forget(group.pairs)

@@ -1,4 +1,4 @@
-"""The front end of scans: track, and on keyframes update, link, revisit."""
+"""The front end of scans: track, and on keyframes update, link, close loops."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
-from sixthsense.slam.front_end import Keyframe, RevisitCounts, Timed
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import (
     has_slipped,
@@ -29,7 +30,6 @@ from sixthsense.slam.scans.odometry_prior import (
     with_wheel_errors,
 )
 from sixthsense.slam.scans.poses import between, compose
-from sixthsense.slam.scans.revisits import Revisits
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import Prior, Tracked, Views, track
 
@@ -57,7 +57,7 @@ class ScanFrontEnd:
         self._config, self._estimator, self._pose = config, estimator, start
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
-        self.revisits = Revisits(config.scans, self._graph)
+        self.loop_closures = LoopClosures(config.scans, self._graph)
         """the search for old places, with what it has found"""
         self._mount = Mount(Pose())
         self._T_key_world = Pose()
@@ -79,8 +79,8 @@ class ScanFrontEnd:
         self._predict = timed("predict", estimator.predict)
         self._track = timed("track", self._tracked)
         self._update = timed("update", self._updated)
-        self._link = timed("link", self.revisits.closings.link)
-        self._revisit = timed("revisit", self._revisited)
+        self._link = timed("link", self.loop_closures.closings.link)
+        self._close_loops = timed("loop_closure", self._closed_loops)
 
     @property
     def pose(self) -> Pose:
@@ -114,15 +114,15 @@ class ScanFrontEnd:
         predicted = self._estimator.estimate()
         key = self._update(tracked)
         self._link(key)
-        self._revisit(key)
+        self._close_loops(key)
         estimate = self._stand_at_keyframe()
         association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
         return Keyframe(motion, estimate, association, None)
 
     @property
-    def revisit_counts(self) -> RevisitCounts | None:
+    def loop_closure_counts(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None where it is switched off."""
-        return self.revisits.counts if self._config.scans.revisits else None
+        return self.loop_closures.counts if self._config.scans.loop_closures else None
 
     def finish(self) -> Array | None:
         """Predict up to the last tick, and align the scans between keyframes once more."""
@@ -140,7 +140,7 @@ class ScanFrontEnd:
         """Where the robot is at the newest keyframe, relative to the others."""
         laser, graph = self._mount, self._graph
         poses = compose(graph.poses, laser.T_laser_robot.array())
-        sigma_m, sigma_rad = self.revisits.sigmas(self.newest)
+        sigma_m, sigma_rad = self.loop_closures.sigmas(self.newest)
         return Proposal(between(poses[-1], poses), sigma_m, sigma_rad)
 
     def _tracked(self, scan: Scan) -> Tracked | None:
@@ -204,13 +204,13 @@ class ScanFrontEnd:
             self._graph.first, self._is_carried = key, False
         self._graph.add(guess, self._mount)
         if self._prior is not None:
-            self.revisits.moved(key, tracked, self._prior.information)
+            self.loop_closures.moved(key, tracked, self._prior.information)
         return key
 
-    def _revisited(self, key: int) -> None:
+    def _closed_loops(self, key: int) -> None:
         """Look for old places."""
-        if self._config.scans.revisits:
-            self.revisits.look(key)
+        if self._config.scans.loop_closures:
+            self.loop_closures.look(key)
 
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""

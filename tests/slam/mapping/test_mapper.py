@@ -97,7 +97,7 @@ def test_a_scan_without_a_return_causes_no_error() -> None:
     assert not mapper.grid.obstacles.any()
 
 
-def test_a_smoother_that_revisits_corners_rebuilds_its_map() -> None:
+def test_a_smoother_that_sees_corners_again_rebuilds_its_map() -> None:
     """In the block's corridors the heading is uncertain until a corner is observed, which moves earlier poses."""
     trace = run(preset(scene="block", estimator="isam2", task="tour", max_time=100.0, features=CORNERS))
     assert trace.outcome == "tour ended" and trace.rebuilds > 0

@@ -1,4 +1,4 @@
-"""The front end of scans in simulated drives: loops close, estimates are honest, wrong revisits are undone."""
+"""The front end of scans in simulated drives: loops close, estimates are honest, wrong loop closures are undone."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -50,17 +50,17 @@ def test_two_loops_with_bad_wheels_close():
     slam, result, _, last_key = run(CONFIG, poses, RING, scale=1.05, drift=0.03)
     truth = np.array([pose.array() for pose in poses])
     off = scan_poses(result, last_key) - truth
-    assert result.revisits.found >= 1 and result.revisits.undone == 0
+    assert result.loop_closures.found >= 1 and result.loop_closures.undone == 0
     assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1 and np.abs(wrap_angle(off[:, 2])).max() < 0.03
     links = slam._front_end._graph.old_links
     second_lap = [k for k in range(len(result.trajectory)) if last_key.tolist().index(k) > len(poses) * 0.75]
     assert np.mean([k in links for k in second_lap]) > 0.7
 
 
-def test_without_revisits_no_old_scan_is_linked():
-    config = merge(CONFIG, {"scans": {"revisits": False, "final_pass": False}})
+def test_without_loop_closures_no_old_scan_is_linked():
+    config = merge(CONFIG, {"scans": {"loop_closures": False, "final_pass": False}})
     slam, result, *_ = run(config, drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1), (0, 1)]), ROOM)
-    assert not slam._front_end._graph.old_links and result.since_key is None and result.revisits is None
+    assert not slam._front_end._graph.old_links and result.since_key is None and result.loop_closures is None
 
 
 @pytest.mark.parametrize("mount", [Pose(-0.3, 0.1, 0.5), Pose(0.2, 0.0, np.pi)])
@@ -153,7 +153,7 @@ def test_the_same_drive_gives_the_same_bits():
     assert np.array_equal(one.trajectory, two.trajectory) and np.array_equal(one.since_key, two.since_key)
 
 
-def test_a_revisit_that_contradicts_the_graph_is_undone_with_what_followed():
+def test_a_loop_closure_that_contradicts_the_graph_is_undone_with_what_followed():
     slam, *_ = run(CONFIG, drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1), (0, 1)]), ROOM)
     front_end = slam._front_end
     graph, before = front_end._graph, slam.trajectory()
@@ -161,7 +161,7 @@ def test_a_revisit_that_contradicts_the_graph_is_undone_with_what_followed():
     last = graph.count - 1
     found = graph._align(np.array([0, 1, 2]), last, np.array([0.12]))
     found.poses[:] = found.poses + np.array([0.8, -0.5, 0.3])  # a wrong place
-    closings: Closings = front_end.revisits.closings
+    closings: Closings = front_end.loop_closures.closings
     stands = closings.close([(found, k) for k in range(3)])
     assert not stands and closings.undone == 1 and graph.old_links == links_before
     assert np.allclose(slam.trajectory(), before, atol=1e-3)

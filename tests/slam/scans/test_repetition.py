@@ -171,7 +171,7 @@ def test_in_a_corridor_of_equal_doors_no_wrong_door_is_taken_and_the_scans_are_l
         for pose, tick in zip(poses, ticks(poses, walls, scale=1.02, drift=0.009, laser=laser), strict=True):
             if slam.take(tick).keyframe is not None:
                 truths.append(pose.array())
-    links, truths = slam._front_end.revisits.closings.links, np.array(truths)
+    links, truths = slam._front_end.loop_closures.closings.links, np.array(truths)
     wrong = [np.hypot(*(between(truths[i], truths[j]) - found)[:2]) for i, j, found, _ in links]
     assert max(wrong) < 0.3
     third = [k for k, truth in enumerate(truths) if k > 0.7 * len(truths) and truth[0] > 3.0]

@@ -51,7 +51,7 @@ def test_what_is_seen_a_few_times_stays():
 
 def test_new_territory_stays_bound_to_the_keyframes_before_it():
     """A keyframe leaves only if those that are linked to it are known by old ones."""
-    thinning = laps(3)[0]._front_end.revisits._thinning
+    thinning = laps(3)[0]._front_end.loop_closures._thinning
     graph = thinning._graph
     key = graph.count - 30
     graph.old_links = {k: [k % 40, k % 40 + 1] for k in range(graph.count)}

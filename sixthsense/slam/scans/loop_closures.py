@@ -1,4 +1,4 @@
-"""Revisits: old places that the robot is at again.
+"""LoopClosures: old places that the robot is at again.
 
 How uncertain an old keyframe is relative to the newest one, along the graph, decides what is done. One that is certain
 is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.slam.estimators import takes_out_poses
-from sixthsense.slam.front_end import RevisitCounts
+from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import Alignments
@@ -30,7 +30,7 @@ from sixthsense.slam.scans.tracking import Tracked
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.scans.verification import verified
 
-_PERIOD_M = 0.6  # of travel between two looks for revisits
+_PERIOD_M = 0.6  # of travel between two looks for loop closures
 _AMBIGUOUS_M = 1.5  # of travel before the next search where places look alike: there is little new before that
 _M_PER_RAD = 0.3  # what a turn counts as travel
 _OLD_AGE = 25  # keyframes; nearer ones are of the same pass
@@ -54,7 +54,7 @@ class _Vote(NamedTuple):
     links: list[tuple[Alignments, int]]
 
 
-class Revisits:
+class LoopClosures:
     """Finds old places, and links keyframes to them."""
 
     def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
@@ -71,10 +71,10 @@ class Revisits:
         """places that looked right, and were refused"""
 
     @property
-    def counts(self) -> RevisitCounts:
+    def counts(self) -> LoopClosureCounts:
         """What the search has come to."""
         undone = self.closings.undone
-        return RevisitCounts(self.closings.accepted - undone, self._refused, undone)
+        return LoopClosureCounts(self.closings.accepted - undone, self._refused, undone)
 
     def sigmas(self, key: int) -> tuple[Array, Array]:
         """(K,) sigmas of position, m, and heading, rad, of all keyframes relative to `key`; infinite if unconnected."""
@@ -109,7 +109,7 @@ class Revisits:
         self._uncertainty.add(key - 1, key, float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2]))
 
     def look(self, key: int) -> None:
-        """From time to time, link the newest keyframe to old ones around it, and look for a revisit."""
+        """From time to time, link the newest keyframe to old ones around it, and look for a loop closure."""
         if self._travelled[key] - self._looked_m >= _PERIOD_M:
             self._looked_m = float(self._travelled[key])
             self._look_around(key)
