@@ -1,7 +1,7 @@
 """Processing time of the smoother as its graph grows: `python benchmarks/smoother_growth.py --figure growth.png`.
 
 A tour of the apartment with 6,000 scans and `isam2`: the processing time of every keyframe, by tenths of the run. Other
-places, front ends and estimators: `--scene campus --seconds 3600`, `--front-end scans --seconds 2400`.
+places, front ends and estimators: `--scene campus --seconds 3600`, `--front-end scan-matching --seconds 2400`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--estimator", default="isam2", choices=ESTIMATORS)
     parser.add_argument("--scene", default="apartment")
-    parser.add_argument("--front-end", default="landmarks", choices=("landmarks", "scans"))
+    parser.add_argument("--front-end", default="landmarks", choices=("landmarks", "scan-matching"))
     parser.add_argument("--landmarks", default="both", choices=("corners", "walls", "both"))
     parser.add_argument("--seconds", type=float, default=600.0, help="simulated, with ten scans per second (600)")
     parser.add_argument("--seed", type=int, default=0)

@@ -161,8 +161,8 @@ class AssociationConfig(Section):
     jointly compatible ones (Neira and Tardos 2001)."""
     joint_probability: Probability = 0.999
     """joint: all matches together lie inside this quantile of their innovations' distribution."""
-    proposed_by: Literal["estimate", "scans"] = "estimate"
-    """Where the robot is when matches are chosen: by the estimator's prediction; or by aligned scans, which are used
+    proposed_by: Literal["estimate", "scan-matching"] = "estimate"
+    """Where the robot is when matches are chosen: by the estimator's prediction; or by scan matching, which is used
     for nothing else."""
     culling: bool = True
     """Remove landmarks that were seen too rarely."""

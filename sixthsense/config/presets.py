@@ -49,7 +49,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     # free ends are less accurate than walls. Half a circle of beams 1 degree apart shows short pieces of walls.
     "log": {
         "estimator": "isam2",
-        "front_end": "scans",
+        "front_end": "scan-matching",
         "assumed": {
             "motion": {
                 "slip_position_per_sqrt_m": 0.03,
@@ -67,7 +67,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"min_points": 3},
             "points": {"min_points": 3, "max_sigma_m": 0.25},
         },
-        "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2, "proposed_by": "scans"},
+        "association": {"pre_gate_m": 3.0, "new_separation_m": 0.2, "proposed_by": "scan-matching"},
         "grid": {"no_return_passes": False},
     },
     # Set 6, robot 3 of UTIAS MRCLAM, all measured against Vicon. The wheels' noise is large because errors of records

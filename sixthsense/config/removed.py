@@ -1,12 +1,17 @@
-"""Fields and presets of earlier versions: a file with such a field at its default is read, other values are errors."""
+"""Fields, values and names of earlier versions: renamed ones are read with a note, removed ones at their defaults."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from sixthsense.config.section import ConfigError, shown
+
+
+class RenamedWarning(FutureWarning):
+    """A note that names the new name of what an earlier version called otherwise."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +24,9 @@ class Removed:
     """why it was removed, a sentence that follows "was removed: " """
 
 
-_PROBATION = "landmarks join the state at their first sighting, since waiting multiplied the trajectory's error by 5.8"
+_PROBATION = (
+    "landmarks join the state at their first observation, since waiting multiplied the trajectory's error by 5.8"
+)
 
 REMOVED: dict[str, Removed] = {
     "association.candidate_sightings": Removed(1, _PROBATION),
@@ -31,6 +38,68 @@ REMOVED_PRESETS = {
     "intel": "it had the wheels of one robot, and a log says itself what its laser is",
 }
 """by name: why it was removed"""
+
+RENAMED: dict[str, str] = {
+    "keyscans": "keyframes",
+    "scans.revisits": "scans.loop_closures",
+    "explore.revisit": "explore.loop_closure",
+    "explore.revisit_sigma_m": "explore.loop_closure_sigma_m",
+}
+"""by dotted name: the new name of a field or section, in the same section"""
+
+RENAMED_VALUES: dict[str, dict[str, str]] = {
+    "front_end": {"scans": "scan-matching"},
+    "association.proposed_by": {"scans": "scan-matching"},
+}
+"""by dotted name of a field: the new names of its values"""
+
+
+def note_renamed(old: str, new: str) -> None:
+    """Warn that `old` is now called `new`."""
+    warnings.warn(f"{old} is now called {new}", RenamedWarning, stacklevel=3)
+
+
+class OldName:
+    """An attribute's name of an earlier version: reads the attribute that has the new name, with a note."""
+
+    def __init__(self, old: str, new: str) -> None:
+        self._old, self._new = old, new
+
+    def __get__(self, instance: Any, owner: type) -> Any:
+        if instance is None:
+            return self
+        note_renamed(f"{owner.__name__}.{self._old}", self._new)
+        return getattr(instance, self._new)
+
+
+def current_name(dotted: str) -> str:
+    """The present name of a field, section or option, given by its name of any version (a_b.c_d)."""
+    for old, new in RENAMED.items():
+        if dotted == old or dotted.startswith(f"{old}."):
+            return new + dotted[len(old) :]
+    return dotted
+
+
+def with_current_names(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """A nested table with renamed fields and values under their new names, and a note for each.
+
+    Raises ConfigError for a field that is given under both names.
+    """
+    current: dict[str, Any] = {}
+    for key, value in table.items():
+        dotted = f"{path}{key}".replace("-", "_")
+        name = current_name(dotted)
+        if name != dotted:
+            note_renamed(f"{path}{key}", name)
+            key = name.rpartition(".")[2]
+        values = RENAMED_VALUES.get(name, {})
+        if isinstance(value, str) and value in values:
+            note_renamed(f"{name} {value}", values[value])
+            value = values[value]
+        if key in current:
+            raise ConfigError(f"{path}{key}: found under its old name, too, allowed: one of the two")
+        current[key] = with_current_names(value, f"{name}.") if isinstance(value, Mapping) else value
+    return current
 
 
 def without_removed(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -11,7 +11,7 @@ from sixthsense.config.values import Positive
 
 @dataclass(frozen=True)
 class ScansConfig(Section):
-    """Alignment of scans with earlier scans, and loop closures (front_end scans)."""
+    """Alignment of scans with earlier scans, and loop closures (front_end scan-matching)."""
 
     max_range_m: Positive = 30.0
     """Returns farther away are not used."""

@@ -18,6 +18,7 @@ from sixthsense.config.pipeline import (
     RRTStarConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
+from sixthsense.config.removed import OldName, with_current_names
 from sixthsense.config.safety import SafetyConfig
 from sixthsense.config.scans import ScansConfig
 from sixthsense.config.section import ConfigError, Range, Section
@@ -35,10 +36,10 @@ class Config(Section):
     estimator: Annotated[str, ESTIMATORS] = "ekf-invariant"
     """Back end: ekf-invariant, ekf-fej, ekf-oc, ekf or isam2. The first three are filters that stay consistent when
     the robot turns, ekf is the report's filter, isam2 a smoother."""
-    front_end: Literal["landmarks", "scans"] = "landmarks"
-    """What the estimator is given: landmarks or scans. landmarks: observations of walls and points; scans: relative
-    poses of aligned scans, for an estimator that keeps all poses, isam2. Logs with scans: isam2 and scans, unless an
-    estimator is named."""
+    front_end: Literal["landmarks", "scan-matching"] = "landmarks"
+    """What the estimator is given: landmarks or scan-matching. landmarks: observations of walls and points;
+    scan-matching: relative poses of keyframes, for an estimator that keeps all poses, isam2. Logs with scans: isam2
+    and scan-matching, unless an estimator is named."""
     calibrate_wheels: bool = False
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
@@ -75,22 +76,24 @@ class Config(Section):
     follow: FollowConfig = field(default_factory=FollowConfig)
     explore: ExploreConfig = field(default_factory=ExploreConfig)
     safety: SafetyConfig = field(default_factory=SafetyConfig)
+    keyscans = OldName("keyscans", "keyframes")
 
     def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """The front end that a named estimator can use, and an estimator that a named front end can use."""
+        table = with_current_names(table)
         estimator, front_end = (
             table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
         )
-        if estimator is not None and front_end is None and self.front_end == "scans" and estimator != "isam2":
+        if estimator is not None and front_end is None and self.front_end == "scan-matching" and estimator != "isam2":
             return {**table, "front_end": "landmarks"}
-        if front_end == "scans" and estimator is None and self.estimator in FILTERS:
+        if front_end == "scan-matching" and estimator is None and self.estimator in FILTERS:
             return {**table, "estimator": "isam2"}
         return table
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.front_end == "scans" and self.estimator in FILTERS:
-            raise ConfigError(f"front_end: found scans with estimator {self.estimator}, {KEEP_POSES}")
+        if self.front_end == "scan-matching" and self.estimator in FILTERS:
+            raise ConfigError(f"front_end: found scan-matching with estimator {self.estimator}, {KEEP_POSES}")
         if self.calibrate_wheels and self.estimator in FILTERS[:-1]:
             raise ConfigError(f"calibrate_wheels: found true with {self.estimator}, {CALIBRATE_WHEELS}")
         between = self.laser.period_ticks * self.robot.control_period_s

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
@@ -42,6 +43,7 @@ class Tick:
     """Whether the robot touched a wall since the last tick; it stands where it touched."""
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
+    sightings = OldName("sightings", "observations")
 
 
 class Source(Protocol):

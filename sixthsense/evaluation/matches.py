@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, distinguished, identify
-from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.records import Association
 
 Match = tuple[int, LandmarkId]
 """Keyframe, and the landmark that its observation was matched with."""

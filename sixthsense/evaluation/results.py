@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from sixthsense.config.extras import pandas
+from sixthsense.config.removed import note_renamed
+from sixthsense.config.suggestion import did_you_mean
 from sixthsense.evaluation import tables
 from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.record.stopwatch import STAGES
@@ -117,6 +119,14 @@ class Metrics(dict[str, Any]):
     Values are numbers, except for `outcome`. The dictionary prints as a table with units. `QUANTITIES` has the meaning
     of each key.
     """
+
+    def __missing__(self, key: str) -> Any:
+        """A metric by its name of an earlier version, with a note; KeyError with the nearest name otherwise."""
+        current = key.replace("revisits_", "loop_closures_").replace(".revisit", ".loop_closure")
+        if current in self:
+            note_renamed(key, current)
+            return self[current]
+        raise KeyError(f"{key}{did_you_mean(key, self)}")
 
     def groups(self) -> Iterator[tuple[str, list[str]]]:
         """Each heading that has metrics, with their keys."""

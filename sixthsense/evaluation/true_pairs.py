@@ -23,8 +23,8 @@ from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, identify
 from sixthsense.record.trace import Trace
-from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.matching import compare
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators.base import Belief
 
 

@@ -107,7 +107,7 @@ def label_plane(ax: Any) -> None:
 def draw_map(ax: Any, trace: Trace) -> None:
     """Draw truth, estimate, landmarks with 95 % ellipses, detected walls, and planned and driven paths.
 
-    Without walls, as from aligned scans, the grid's obstacles are dark, and the path is that of the final poses.
+    Without walls, as from scan matching, the grid's obstacles are dark, and the path is that of the final poses.
     """
     found = walls_found(trace)
     draw_grid(ax, trace, 0.7 if len(found) else 0.2)

@@ -20,8 +20,8 @@ from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
-from sixthsense.slam.association.associator import Record
 from sixthsense.slam.association.crookedness import MeanShape
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
@@ -79,7 +79,8 @@ def read_records(file: Path) -> dict[LandmarkId, Record]:
 def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
     ids = _integers(arrays, "ids")
     n = len(ids)
-    kinds, observations = _integers(arrays, "kinds", n).tolist(), _integers(arrays, "observations", n).tolist()
+    counts = "observations" if "observations" in arrays else "sightings"  # the name in older records
+    kinds, observations = _integers(arrays, "kinds", n).tolist(), _integers(arrays, counts, n).tolist()
     first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
     sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
     if sigmas_m.shape != (n,):
@@ -135,7 +136,9 @@ def read_landmark_table(file: Path) -> dict[LandmarkId, Record]:
                 kind = Kind[row["kind"].upper()]
                 ends = [float(row[name] or 0.0) for name in ("from_x", "from_y", "to_x", "to_y")]
                 extent = np.array(ends).reshape(2, 2)
-                found[int(row["id"])] = Record(kind, int(row["observations"]), 0, 0, extent=extent)
+                found[int(row["id"])] = Record(
+                    kind, int(row.get("observations") or row["sightings"]), 0, 0, extent=extent
+                )
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
     except (LookupError, TypeError, ValueError, AttributeError, csv.Error):

@@ -10,7 +10,8 @@ import numpy as np
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
-from sixthsense.slam.association.associator import Associator, Record
+from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
 

@@ -9,7 +9,7 @@ from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.motion import Odometry, odometry
 from sixthsense.record.reading import pose_estimate
 from sixthsense.record.trace import Trace
-from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.keyframes import Keyframes
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.motion import Odometry
@@ -17,7 +18,7 @@ from sixthsense.core.source import Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
-from sixthsense.slam.association.associator import Association, Record
+from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.mapping.grid import Grid
@@ -116,6 +117,7 @@ class Trace:
     """current state of the loop, while it runs"""
     last_position: Array | None = None
     """(2,) position of the robot at the last tick, world frame: true, or by odometry for a log"""
+    revisits = OldName("revisits", "loop_closures")
 
     def add_tick(self, tick: Tick, odometry: Pose, is_carried: bool = False) -> None:
         """Add the distance driven since the last tick, if the robot was not carried.

@@ -53,7 +53,7 @@ def open_merged(
 
 
 def _aligning(config: Config) -> Config:
-    changed = merge(config, {"front_end": "scans", "estimator": "isam2", "calibrate_wheels": False})
+    changed = merge(config, {"front_end": "scan-matching", "estimator": "isam2", "calibrate_wheels": False})
     return dataclasses.replace(changed, max_time=None)
 
 

@@ -43,15 +43,15 @@ COMPILING = "compiling the hot loops, once; this takes about half a minute ..."
 def prepare(say: Callable[[str], object], config: Config | None = None, of_log: bool = False) -> None:
     """Compile the hot loops of a run, or load them compiled, once per process; `say` is told where that takes long.
 
-    `of_log` is whether the run replays a log: with aligned scans alone it needs neither a world nor a planner.
+    `of_log` is whether the run replays a log: with scan matching alone it needs neither a world nor a planner.
     """
     if kernel_cache.note:
         say(f"note: {kernel_cache.note}")
     if not is_compiled():
         say(COMPILING)
-    if config is None or not of_log or config.front_end != "scans":
+    if config is None or not of_log or config.front_end != "scan-matching":
         _warm_up_once()
-    if config is not None and "scans" in (config.front_end, config.association.proposed_by):
+    if config is not None and "scan-matching" in (config.front_end, config.association.proposed_by):
         _warm_up_scans_once()
 
 
@@ -125,7 +125,7 @@ def _keep_imports() -> None:
 
 
 def warm_up_scans() -> None:
-    """Compile the hot loops of aligned scans, or load them compiled: tracking, links, and loop closures."""
+    """Compile the hot loops of scan matching, or load them compiled: tracking, links and loop closures."""
     # Here, so that runs with landmarks do not load them.
     from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
     from sixthsense.slam.scans.evidence import explained
@@ -134,7 +134,7 @@ def warm_up_scans() -> None:
     from sixthsense.slam.scans.tracking import share_on_lines
     from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
-    config = merge(Config(), {"front_end": "scans"})
+    config = merge(Config(), {"front_end": "scan-matching"})
     source, store = World(WALLS, Pose(), 0.2, config, np.random.default_rng(0)), ScanStore(config.scans.max_range_m)
     with Slam(config) as slam:
         for _ in range(150):

@@ -1,6 +1,6 @@
-"""The front end of landmarks whose matches are chosen where aligned scans say that the robot is.
+"""The front end of landmarks whose matches are chosen where scan matching says that the robot is.
 
-The aligned scans have a graph of their own. What it says is used to choose matches, and to doubt the wheels where they
+Scan matching has a graph of its own. What it says is used to choose matches, and to doubt the wheels where they
 slip. The estimator is given odometry and observations, as without it: no aligned pose is a measurement.
 """
 
@@ -15,8 +15,9 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
-from sixthsense.slam.association.associator import Association, Associator
+from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.features import Features
@@ -44,7 +45,7 @@ class GuidedFrontEnd(LandmarkFrontEnd):
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:
-        """What the aligned scans' search for old places has come to so far."""
+        """Counts of the loop closures of scan matching so far."""
         return self._guide.loop_closure_counts
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:

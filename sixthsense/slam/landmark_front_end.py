@@ -9,8 +9,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
-from sixthsense.slam.association.associator import Association, Associator
+from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.blind_zone import BlindZone
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract

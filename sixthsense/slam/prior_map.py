@@ -14,7 +14,7 @@ from sixthsense.config import Config, ConfigError
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
-from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimator, LandmarkPrior, takes_prior_map
 from sixthsense.slam.mapping.submap import Submap
 

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import CALIBRATE_WHEELS, KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -23,7 +24,8 @@ from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
-from sixthsense.slam.association.associator import Associator, Record
+from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
@@ -55,6 +57,7 @@ class Step:
     """None where the tick brought no keyframe"""
     grid: Grid
     """the map as it is now; the next keyframe changes it"""
+    key_scan = OldName("key_scan", "keyframe")
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,7 @@ class SlamResult:
     """of a front end that searches for old places"""
     wheels: WheelEstimate | None = None
     """the wheels' parameters, if they are estimated"""
+    revisits = OldName("revisits", "loop_closures")
 
 
 def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -181,6 +185,8 @@ class Slam:
         """`T_world_robot` now: the last estimate, and the odometry since."""
         return self._front_end.pose
 
+    revisits = OldName("revisits", "loop_closures")
+
     @property
     def loop_closures(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None for a front end that does not search."""
@@ -207,8 +213,7 @@ class Slam:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
             since_key = self._front_end.finish()
-            estimate = self.estimate()
-            trajectory = self.trajectory()
+            estimate, trajectory = self.estimate(), self.trajectory()
             self._mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
@@ -265,7 +270,7 @@ class Slam:
 
             return GuidedFrontEnd(*args)
         if not keeps_poses(self.estimator):
-            raise ConfigError(f"front_end: found scans with {self.config.estimator}, {KEEP_POSES}")
+            raise ConfigError(f"front_end: found scan-matching with {self.config.estimator}, {KEEP_POSES}")
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
         return ScanFrontEnd(self.config, self.estimator, self._start, timed)

@@ -92,8 +92,8 @@ def test_python_takes_the_same_options(first):
         (["--lost"], "--lost: found without --prior-map, allowed: with it"),
         (["--prior-map", "{first}", "--lost", "--pose", "0", "0", "0"], "--pose: found with --lost, allowed: one of b"),
         (
-            ["--prior-map", "{first}", "--lost", "--front-end", "scans", "--estimator", "isam2"],
-            "front_end: found scans",
+            ["--prior-map", "{first}", "--lost", "--front-end", "scan-matching", "--estimator", "isam2"],
+            "front_end: found scan-matching",
         ),
         (["--prior-map", "nowhere"], "nowhere: found no such folder, allowed: the folder of a run"),
         (["--prior-map", "."], ".: found no config.toml in it, allowed: the folder of a run"),
@@ -102,8 +102,8 @@ def test_python_takes_the_same_options(first):
             "pose: found (30.00, 0.00), outside the prior map first",
         ),
         (
-            ["--prior-map", "{first}", "--estimator", "isam2", "--front-end", "scans"],
-            "front_end: found scans with a pr",
+            ["--prior-map", "{first}", "--estimator", "isam2", "--front-end", "scan-matching"],
+            "front_end: found scan-matching with a pr",
         ),
     ],
 )

@@ -43,9 +43,9 @@ def test_any_other_value_of_a_removed_field_is_one_line_that_says_so(name: str, 
 
 def test_a_file_may_write_a_removed_field_with_hyphens(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
-    file.write_text("[association]\ncandidate-observations = 1\npre-gate-m = 2.0\n")
+    file.write_text("[association]\ncandidate-sightings = 1\npre-gate-m = 2.0\n")
     assert load_config(file).association.pre_gate_m == 2.0
-    file.write_text("[association]\ncandidate-observations = true\n")
+    file.write_text("[association]\ncandidate-sightings = true\n")
     with pytest.raises(ConfigError, match="found True; was removed"):
         load_config(file)
 
@@ -57,11 +57,11 @@ def test_a_saved_configuration_holds_no_removed_field(tmp_path: Path) -> None:
 
 
 def test_the_command_line_exits_with_2_and_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = old_file(tmp_path, "association.candidate_observations", 3)
+    file = old_file(tmp_path, "association.candidate_sightings", 3)
     assert main(["run", "--config", str(file), "--out", str(tmp_path / "run")]) == 2
     assert not (tmp_path / "run").exists()
     said = capsys.readouterr().err.strip()
-    assert "candidate_observations: found 3; was removed: " in said and "\n" not in said
+    assert "candidate_sightings: found 3; was removed: " in said and "\n" not in said
 
 
 @pytest.mark.parametrize("name", REMOVED_PRESETS)

@@ -16,7 +16,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import discarded_share, judge_matches
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
-from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.association.wall_extents import fused
 from sixthsense.slam.features import extract
 

@@ -49,7 +49,7 @@ class Bench:
         laser = LaserReader(reader, None, Pose())
         notices = Notices(self.lines.append)
         self.robot = LiveRobot(self._receive, reader, laser, notices, steering, lambda: self.now_ms * MS)
-        self.slam = Slam(preset(front_end="scans", estimator="isam2"))
+        self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def _receive(self, timeout_s: float):
         self.now_ms += 20

@@ -106,7 +106,7 @@ def test_a_replay_of_landmarks_known_by_name_is_read_back(tmp_path):
 def test_a_replay_measured_by_relations_is_read_back(settings, tmp_path):
     run = ss.replay(INTEL[0], relations=INTEL[1], out=tmp_path / "intel", **settings)
     assert run.metrics["relations_trans_m_max"] >= run.metrics["relations_trans_m_mean"]
-    assert "loop_closures_found" in run.metrics  # with landmarks, too: aligned scans propose where the robot is
+    assert "loop_closures_found" in run.metrics  # with landmarks, too: scan matching proposes where the robot is
     check_equal(run)
 
 

@@ -153,9 +153,15 @@ def test_a_place_that_looks_like_another_one_is_refused(explored, tmp_path):
 @pytest.mark.parametrize(
     ("fields", "found"),
     [
-        ({"estimator": "isam2", "front_end": "scans"}, "front_end: found scans with a prior map, allowed: landmarks"),
+        (
+            {"estimator": "isam2", "front_end": "scan-matching"},
+            "front_end: found scan-matching with a prior map, allowed: landmarks",
+        ),
         ({"grid": {"cell_m": 0.1}}, "grid.cell_m: found 0.1 with a prior map of 0.05 m cells, allowed: the same"),
-        ({"association": {"proposed_by": "scans"}}, "association.proposed_by: found scans with a prior map, allowed"),
+        (
+            {"association": {"proposed_by": "scan-matching"}},
+            "association.proposed_by: found scan-matching with a prior map, allowed",
+        ),
     ],
 )
 def test_a_configuration_that_cannot_use_the_map_is_refused(first, fields, found):

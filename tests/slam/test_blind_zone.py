@@ -9,8 +9,8 @@ import pytest
 import sixthsense as ss
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command, Tick
-from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.blind_zone import BlindZone
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
 from sixthsense.sources.world import World

@@ -358,5 +358,5 @@ def test_a_bag_is_replayed_to_its_end_with_the_preset_of_logs(tmp_path):
     assert base_of(path) == "log"
     trace = replay(open_log(path, LaserConfig()), preset("log"))
     assert trace.outcome == "log ended" and trace.scene is None and not trace.truths
-    assert not trace.records  # aligned scans leave no landmarks
+    assert not trace.records  # scan matching leaves no landmarks
     assert len(replay(open_log(path, LaserConfig()), preset("log", front_end="landmarks")).records) >= 4

@@ -7,16 +7,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.agreement import predicted_cov
-from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain, noise_of_pairs
+from sixthsense.slam.association.crookedness import Crookedness, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import (
     Indices,
@@ -28,6 +27,7 @@ from sixthsense.slam.association.matching import (
     without_barely_covered,
 )
 from sixthsense.slam.association.pre_gate import pre_gate
+from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.association.rivals import best_agreed
 from sixthsense.slam.association.wall_alignment import Alignment, align
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
@@ -37,48 +37,8 @@ _CONFIRMED = 3
 """matches that agree with each other, from which on a wall beside a known one can be another wall"""
 
 
-@dataclass(frozen=True, slots=True)
-class Association:
-    """The observations of one keyframe with the landmarks they are of."""
-
-    observations: Mapping[LandmarkId, Observation]
-    """those to update with; an id that the estimator does not know is a new landmark"""
-    discarded: int
-    """observations that are too far for a match and too near for a new landmark"""
-    nis: float
-    """normalised innovation squared of all matches together, before the update"""
-    dof: int
-    """its degrees of freedom, 2 per match"""
-    fused: int = 0
-    """observations that were fused with another one of the same wall"""
-    predicted_pose: Pose = Pose()
-    """before the update"""
-    predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) of the predicted pose, world frame"""
-
-
 Observer = Callable[[Sequence[Observation], Belief], None]
 """Called with all observations of a keyframe and the estimator before its update; must not change either."""
-
-
-@dataclass(slots=True)
-class Record:
-    """What the associator keeps of a landmark, beside the estimator's two numbers."""
-
-    kind: Kind
-    """of its first observation"""
-    observations: int
-    """observations so far, the first included"""
-    first_scan: int
-    """keyframe of its first observation"""
-    last_scan: int
-    """keyframe of its last observation"""
-    sigma_m: float = math.inf
-    """upper bound of a point's sigma along any direction, when it was last compared"""
-    extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
-    """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
-    shape: MeanShape = field(default_factory=MeanShape)
-    """of a wall"""
 
 
 class Associator:

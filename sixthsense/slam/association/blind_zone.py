@@ -11,7 +11,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.associator import Association
+from sixthsense.slam.association.records import Association
 
 _PATIENCE = 3
 """keyframes in a row before anything is done"""

@@ -1,6 +1,6 @@
 """Landmarks as seen from a proposed pose, to choose matches by and for nothing else.
 
-Aligned scans say where the robot is relative to its earlier keyframes. Each landmark is fixed to the keyframe of its
+Scan matching says where the robot is relative to its earlier keyframes. Each landmark is fixed to the keyframe of its
 last observation, so what is proposed places the landmarks around the robot, whatever the estimator believes of the way
 between. The robot is the origin here, since walls far from the origin have offsets that change with the heading.
 """
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators.base import Estimate
 
 _SIGMA_M, _SIGMA_RAD = 0.04, 0.01  # of a proposed pose, beside what the graph of scans is uncertain of

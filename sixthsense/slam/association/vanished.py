@@ -10,7 +10,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
 
 _GONE = 6

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark
 from sixthsense.core.laser import Scan
@@ -36,6 +37,7 @@ class Features:
     """beams of each first-level partition"""
     spans: tuple[Indices, ...]
     """beams of each second-level partition"""
+    sightings = OldName("sightings", "observations")
 
 
 def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.random.Generator) -> Features:

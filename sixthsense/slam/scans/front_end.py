@@ -14,8 +14,8 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.association.associator import Association
 from sixthsense.slam.association.proposed import Proposal
+from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.scans.final_pass import TrackedScan, refined

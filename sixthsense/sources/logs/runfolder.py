@@ -29,6 +29,7 @@ _TYPES = {
     "/estimate": ESTIMATE,
     "/plan": PLAN,
     "/observations": CLOUD,
+    "/sightings": CLOUD,  # the name in older bags
 }
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
@@ -62,7 +63,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
                 estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
-            elif ticks and topic == "/observations":
+            elif ticks and topic in ("/observations", "/sightings"):
                 ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
             elif ticks:
                 # The message has the maximum range as a float32 only.

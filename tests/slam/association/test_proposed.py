@@ -5,8 +5,8 @@ import pytest
 
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, initialize_landmark
-from sixthsense.slam.association.associator import Record
 from sixthsense.slam.association.proposed import Proposal, ProposedLandmarks, moved
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators.base import Estimate
 
 OBSERVATIONS = {

@@ -10,7 +10,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.slam.association.associator import Record
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate
 

@@ -1,4 +1,4 @@
-"""Rooms and scans of them, for tests of aligned scans."""
+"""Rooms and scans of them, for tests of scan matching."""
 
 import dataclasses
 

@@ -42,7 +42,7 @@ def scan_poses(result, last_key) -> Array:
     )
 
 
-CONFIG = preset(front_end="scans")
+CONFIG = preset(front_end="scan-matching")
 
 
 def test_two_loops_with_bad_wheels_close():
@@ -133,18 +133,18 @@ def test_the_share_on_lines_is_what_one_keyframe_explains_and_grows_with_another
 
 
 def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():
-    with pytest.raises(ConfigError, match="front_end: found scans with estimator ekf, allowed: with isam2"):
-        preset(front_end="scans", estimator="ekf")
+    with pytest.raises(ConfigError, match="front_end: found scan-matching with estimator ekf, allowed: with isam2"):
+        preset(front_end="scan-matching", estimator="ekf")
     register_estimator("own-filter", EKF)
-    with pytest.raises(ConfigError, match="found scans with own-filter, allowed: with isam2"):
-        Slam(preset(front_end="scans", estimator="own-filter"))
+    with pytest.raises(ConfigError, match="found scan-matching with own-filter, allowed: with isam2"):
+        Slam(preset(front_end="scan-matching", estimator="own-filter"))
 
 
 def test_an_estimator_that_is_named_alone_gets_the_front_end_that_it_can_use():
-    assert (preset("log").estimator, preset("log").front_end) == ("isam2", "scans")
+    assert (preset("log").estimator, preset("log").front_end) == ("isam2", "scan-matching")
     assert preset("log", estimator="ekf-invariant").front_end == "landmarks"
     assert preset("log", front_end="landmarks").estimator == "isam2"
-    assert preset(front_end="scans").estimator == "isam2" and preset().front_end == "landmarks"
+    assert preset(front_end="scan-matching").estimator == "isam2" and preset().front_end == "landmarks"
 
 
 def test_the_same_drive_gives_the_same_bits():

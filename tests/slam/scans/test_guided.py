@@ -1,4 +1,4 @@
-"""Landmarks whose matches are chosen where aligned scans say that the robot is."""
+"""Landmarks whose matches are chosen where scan matching says that the robot is."""
 
 import dataclasses
 from collections.abc import Iterator

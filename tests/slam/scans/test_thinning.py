@@ -12,7 +12,7 @@ from sixthsense.slam.scans.graph import RECENT
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.slam import Slam
 
-CONFIG = preset(front_end="scans", scans={"final_pass": False})
+CONFIG = preset(front_end="scan-matching", scans={"final_pass": False})
 LAP = [(3.0, -2.0), (3.0, 2.0), (-3.0, 2.0), (-3.0, -2.0)]
 
 

@@ -1,4 +1,4 @@
-"""The wheels' parameters on line with aligned scans: found where scans observe them, kept where they do not."""
+"""The wheels' parameters on line with scan matching: found where scans observe them, kept where they do not."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from sixthsense.core.wheels import WheelEstimate, Wheels, WheelTerms, wheel_prio
 from sixthsense.slam.scans.odometry_prior import with_unsteady_errors, with_wheel_errors
 from sixthsense.slam.slam import Slam
 
-CONFIG = preset(front_end="scans", calibrate_wheels=True)
+CONFIG = preset(front_end="scan-matching", calibrate_wheels=True)
 PRIOR = wheel_prior(CONFIG.assumed).with_sigmas()[1]
 
 

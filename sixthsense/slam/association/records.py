@@ -1,0 +1,56 @@
+"""What the association says of one keyframe, and what it keeps of each landmark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sixthsense.config.removed import OldName
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.slam.association.crookedness import MeanShape
+
+
+@dataclass(frozen=True, slots=True)
+class Association:
+    """The observations of one keyframe with the landmarks they are of."""
+
+    observations: Mapping[LandmarkId, Observation]
+    """those to update with; an id that the estimator does not know is a new landmark"""
+    discarded: int
+    """observations that are too far for a match and too near for a new landmark"""
+    nis: float
+    """normalised innovation squared of all matches together, before the update"""
+    dof: int
+    """its degrees of freedom, 2 per match"""
+    fused: int = 0
+    """observations that were fused with another one of the same wall"""
+    predicted_pose: Pose = Pose()
+    """before the update"""
+    predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) of the predicted pose, world frame"""
+    sightings = OldName("sightings", "observations")
+
+
+@dataclass(slots=True)
+class Record:
+    """What the associator keeps of a landmark, beside the estimator's two numbers."""
+
+    kind: Kind
+    """of its first observation"""
+    observations: int
+    """observations so far, the first included"""
+    first_scan: int
+    """keyframe of its first observation"""
+    last_scan: int
+    """keyframe of its last observation"""
+    sigma_m: float = math.inf
+    """upper bound of a point's sigma along any direction, when it was last compared"""
+    extent: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
+    shape: MeanShape = field(default_factory=MeanShape)
+    """of a wall"""
+    sightings = OldName("sightings", "observations")
