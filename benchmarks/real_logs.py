@@ -93,10 +93,10 @@ def near(range_m: float, ticks: Sequence[Tick]) -> Sequence[Tick]:
 STARTS = np.random.default_rng(1000).uniform(0.05, 0.6, 10)
 _ODOMETRY = ("_SIGMA_M", "_M_PER_M", "_SIGMA_RAD", "_RAD_PER_RAD", "_RAD_PER_M")
 _BY_A_FIFTH = {
-    "ambiguity": (("evidence", "_CLEARLY"), ("place_search", "_WORTH")),
+    "ambiguity": (("evidence", "_CLEARLY"), ("place_search", "_AS_GOOD")),
     "votes": (("loop_closures", "_VOTE_APART_M"), ("loop_closures", "_VOTE_M")),
-    "see-through": (("see_through", "_TOLERANCE_M"),),
-    "loss": (("graph", "_RECENT_LOSS"), ("graph", "OLD_LOSS"), ("links", "_SCALE_M"), ("tracking", "_SCALE_M")),
+    "see-through": (("visibility", "_TOLERANCE_M"),),
+    "loss": (("graph", "_RECENT_LOSS"), ("graph", "OLD_LOSS"), ("alignment", "_SCALE_M")),
 }
 VARIANTS = (
     Variant("defaults"),

@@ -37,7 +37,7 @@ from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.running.warmup import warm_up_scans
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.see_through import compare_views
+from sixthsense.slam.scans.visibility import compare_views
 from sixthsense.slam.slam import Slam
 
 Row = dict[str, Any]

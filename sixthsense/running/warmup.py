@@ -131,7 +131,6 @@ def warm_up_scans() -> None:
     from sixthsense.slam.scans.evidence import explained
     from sixthsense.slam.scans.scan_store import ScanStore
     from sixthsense.slam.scans.submap import pyramid, submap_points
-    from sixthsense.slam.scans.tracking import share_on_lines
     from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
     config = merge(Config(), {"front_end": "scan-matching"})
@@ -145,10 +144,9 @@ def warm_up_scans() -> None:
                 store.put(tick.scan)
                 store.keep()
         slam.finish()
-    points = submap_points(store.returns, np.arange(1), np.zeros((1, 3)), np.zeros(3), 0.05)
+    points = submap_points(store.returns, np.arange(1), np.zeros((1, 3)), 0.05)
     peaks(pyramid(points), points, Window(np.zeros(3), 0.8, 0.1), 0.2, Apart(0.7, 0.2))
     explained(store.returns, 0, 0, np.zeros(3))
-    share_on_lines(store.returns, 0, np.zeros(1, dtype=np.int64), np.zeros((1, 3)), np.zeros(3))
     graph = UncertaintyGraph()
     graph.add(0, 1, 1.0, 1.0)
     graph.sigmas(0, np.zeros((2, 3)))

@@ -1,4 +1,4 @@
-"""Point-to-line alignment of two scans: normal equations, one way and both ways, and their solution.
+"""Point-to-line alignment of a scan with others: residuals, a prior, and a loss whose gate narrows.
 
 A point of the source scan, seen from the target's laser, falls into a cell of bearings; the nearest return in the cells
 around is its partner, and the residual is its distance from the partner's line. Partners' normals must agree, so that
@@ -25,11 +25,43 @@ NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 
 _LINE_GATE_M, _LINE_SCALE_M = 0.12, 0.05  # of the distance of a point that lies on a line
+SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
+_SCALE_M = 0.05  # of the Cauchy loss on that distance
+_NARROWEST_M, _NARROWER = 0.12, 0.8  # the last gate, and the ratio of one gate to the one before
+_MOST_STEPS = 14
 _NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
+_STEP_M, _STEP_RAD = 3e-4, 1e-4  # a smaller step ends the iteration
 
 HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = 0, 6, 9, 10, 11, 12, 18
 """Places in the sums: upper triangle of the Hessian (6), gradient (3), sum of weights, number of partners, weighted sum
 of squared residuals, and the part of the Hessian that the noise of the normals feigns (6)."""
+
+
+class Prior(NamedTuple):
+    """What is known of a pose without the scans, such as by odometry."""
+
+    pose: Array
+    """(3,)"""
+    information: Array
+    """(3, 3) of the error of (x, y, theta), axes of the frame of the pose"""
+    slip_sigmas: float = math.inf
+    """scale of the Cauchy loss on the distance from it; infinite for none"""
+
+    def squared(self, off: Array) -> float:
+        """Squared Mahalanobis distance of a pose that is `off` (3,) from it."""
+        return float(off @ self.information @ off)
+
+
+class Views(NamedTuple):
+    """A scan and those that it is aligned with."""
+
+    returns: Returns
+    source: int
+    """row of the scan"""
+    targets: NDArray[np.int64]
+    """(R,) rows of the others"""
+    at: Array
+    """(R, 3) their poses, in the frame of the pose that is sought"""
 
 
 class Loss(NamedTuple):
@@ -195,15 +227,6 @@ def matrix(sums: Array, at: int) -> Array:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def next_step(step: int, gates_m: Array, shift_m: float, turn: float) -> int:
-    """The step after `step`: the next gate, or the first of the last width where the pose hardly moves any more."""
-    last = len(gates_m) - 1
-    while last > 0 and gates_m[last - 1] == gates_m[-1]:
-        last -= 1
-    return max(step + 1, last) if shift_m < _NEAR_M and turn < _NEAR_RAD else step + 1
-
-
-@numba.njit(cache=True, error_model="numpy")
 def turned(sums: Array, at: int, c: float, s: float) -> Array:
     """(3, 3) symmetric matrix at a place of the sums, in axes turned by an angle of cosine c and sine s.
 
@@ -215,6 +238,71 @@ def turned(sums: Array, at: int, c: float, s: float) -> Array:
     d = s * s * xx + 2.0 * c * s * xy + c * c * yy
     e, f = c * xt - s * yt, s * xt + c * yt
     return np.array([[a, b, e], [b, d, f], [e, f, tt]])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add_all(views: Views, pose: Array, loss: Loss, both: bool, sums: Array) -> float:
+    """Sum of `add_one_way`, or `add_both_ways` if `both`, over the targets, into `sums` (SUMS,), axes of their frame.
+
+    `pose` (3,) is that of the source. Returns the largest weight of one target: targets that see the same surfaces
+    count once.
+    """
+    returns, source, targets, at = views
+    sums[:] = 0.0
+    most = 0.0
+    for r in range(len(targets)):
+        c, s = math.cos(at[r, 2]), math.sin(at[r, 2])
+        dx, dy = pose[0] - at[r, 0], pose[1] - at[r, 1]
+        seen = np.array([c * dx + s * dy, c * dy - s * dx, pose[2] - at[r, 2]])
+        own = np.zeros(SUMS)
+        if both:
+            add_both_ways(returns, targets[r], source, seen, loss, own)
+        else:
+            add_one_way(returns, targets[r], source, seen, loss, own)
+        for place in (HESSIAN, SPREAD):
+            block = turned(own, place, c, s)
+            sums[place] += block[0, 0]
+            sums[place + 1] += block[0, 1]
+            sums[place + 2] += block[0, 2]
+            sums[place + 3] += block[1, 1]
+            sums[place + 4] += block[1, 2]
+            sums[place + 5] += block[2, 2]
+        gx, gy = own[GRADIENT], own[GRADIENT + 1]
+        sums[GRADIENT] += c * gx - s * gy
+        sums[GRADIENT + 1] += s * gx + c * gy
+        sums[GRADIENT + 2] += own[GRADIENT + 2]
+        for k in (WEIGHT, HITS, SQUARES):
+            sums[k] += own[k]
+        most = max(most, own[WEIGHT])
+    return most
+
+
+@numba.njit(cache=True, error_model="numpy")
+def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, sums: Array) -> float:
+    """Gauss-Newton steps of the pose of a scan among others, from and into `pose` (3,); fills `sums` (SUMS,).
+
+    Arguments as in `add_all`. `gate_m` is the first gate: it narrows step by step, and at once where the pose hardly
+    moves any more. Returns the largest weight of one target.
+    """
+    scale = 1.0 / (SIGMA_M * SIGMA_M * max(1, len(views.targets)))
+    gate, most = max(gate_m, _NARROWEST_M), 0.0
+    for _ in range(_MOST_STEPS):
+        most = add_all(views, pose, Loss(gate, _SCALE_M), both, sums)
+        off = pose - prior.pose
+        off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
+        pull = prior.information @ off
+        weight = 1.0 / (1.0 + off @ pull / (prior.slip_sigmas * prior.slip_sigmas))
+        gradient = scale * sums[GRADIENT : GRADIENT + 3] + weight * pull
+        move = solved(scale * matrix(sums, HESSIAN) + weight * prior.information, -gradient)
+        pose += move
+        shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
+        if gate == _NARROWEST_M and shift < _STEP_M and turn < _STEP_RAD:
+            break
+        gate = max(_NARROWER * gate, _NARROWEST_M)
+        if shift < _NEAR_M and turn < _NEAR_RAD:
+            gate = _NARROWEST_M
+    pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return most
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -20,7 +20,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.alignment import HITS, inverse, on_line
 from sixthsense.slam.scans.bearings import cell_of
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.links import WIDE_GATES_M, align_pairs
+from sixthsense.slam.scans.links import WIDE_GATE_M, align_pairs
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import Returns
 
@@ -32,8 +32,7 @@ _LEAST_HITS = 20.0
 _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
 _SHIFT_RAD = 0.1
 _HIDDEN_M = 0.3  # a point this far behind a return is hidden
-_LEAST_SCANS, _MEAN_SHARE = 3, 0.65  # that tell about a place, and what they must explain of what both could see
-_MEAN_SHARE_ALONE = 0.55  # where no other place looks alike: people and moved things leave less
+_LEAST_SCANS = 3  # that tell about two places which are compared
 _CLEARLY = 0.25  # scans' worth of points that a place must explain beyond another one
 _SCANS_BEYOND = 6  # or this many scans more that tell about it
 
@@ -50,12 +49,6 @@ class Evidence(NamedTuple):
     def weight(self) -> float:
         """Scans that the place explains, beyond a half each."""
         return float(np.nansum(self.shares - 0.5))
-
-    def is_enough(self, is_alone: bool) -> bool:
-        """Whether scans enough tell about the place, and explain it; `is_alone` if no other place looks alike."""
-        tells = np.isfinite(self.shares)
-        least = _MEAN_SHARE_ALONE if is_alone else _MEAN_SHARE
-        return int(tells.sum()) >= _LEAST_SCANS and float(self.shares[tells].mean()) >= least
 
     def is_clearly_better(self, other: Evidence) -> bool:
         """Whether this place explains clearly more than another one, on the same scans."""
@@ -106,7 +99,7 @@ def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], mos
     if not len(targets):
         return np.nan, at
     off = between(poses[targets], at)
-    aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATES_M)
+    aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
     shift = between(off, aligned.poses)
     is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
     is_near &= aligned.sums[:, HITS] >= _LEAST_HITS

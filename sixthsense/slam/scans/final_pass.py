@@ -10,11 +10,12 @@ from scipy.spatial import cKDTree
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
+from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import informations_in_world, with_wheel_errors
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import Prior, Views, refine
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS, refine
 
 _REACH_M, _REACH_RAD = 1.5, 1.0  # to keyframes that a scan is aligned with
 _MOST = 3
@@ -54,8 +55,8 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mou
         if len(near) < 2 or scan is None:
             continue
         references = near[np.argsort(np.abs(near - keys[i]), kind="stable")[:_MOST]]
-        views = Views(store.returns, store.put(scan), references, poses)
-        tracked = refine(views, Prior(found[i], informations[i]))
+        views = Views(store.returns, store.put(scan), references, poses[references])
+        tracked = refine(views, Prior(found[i], informations[i], SLIP_SIGMAS))
         found[i], is_aligned[i] = tracked.pose, True
     rows, keys, found = rows[is_aligned], keys[is_aligned], found[is_aligned]
     motions[rows] = mount.robot_motions(between(poses[keys], found))

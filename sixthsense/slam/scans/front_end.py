@@ -18,12 +18,12 @@ from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
+from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import (
-    has_slipped,
     prior_of,
     weakened,
     with_unsteady_errors,
@@ -31,10 +31,11 @@ from sixthsense.slam.scans.odometry_prior import (
 )
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import Prior, Tracked, Views, track
+from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, doubted, search, track
 
-_SUPPORT_SHARE = 0.1  # of the newest scan in the usual support
+_NEWEST_SHARE = 0.1  # of the newest scan in what is usual
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a keyframe's distance, and of the support below the usual, where much is new
+_RECENT_KEYS, _RECENT_M = 40, 8.0  # keyframes, and their distance, that a contradicted scan is searched in
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
 
@@ -76,6 +77,8 @@ class ScanFrontEnd:
         self._scans: list[TrackedScan] = []
         self._support = 0.0
         """share of returns on known lines that scans have lately had"""
+        self._contradicted = 0.0
+        """share of returns that contradict which scans have lately had"""
         self._predict = timed("predict", estimator.predict)
         self._track = timed("track", self._tracked)
         self._update = timed("update", self._updated)
@@ -109,7 +112,7 @@ class ScanFrontEnd:
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
             return None
         motion = self._since if tracked is None else weakened(self._since_with_errors(), tracked.slip)
-        self._doubts_wheels = tracked is not None and has_slipped(tracked.slip)
+        self._doubts_wheels = tracked is not None and tracked.has_slipped
         self._predict(motion)
         predicted = self._estimator.estimate()
         key = self._update(tracked)
@@ -158,13 +161,34 @@ class ScanFrontEnd:
         # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
         motions = (last.motion, step, Pose()) if self._doubts_wheels else (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
-        trusted = prior.doubted() if self._doubts_wheels else prior
-        tracked = track(Views(self._store.returns, row, self._references(), poses), trusted, starts, self._support)
-        tracked = tracked.judged_by(prior)
-        self._support += _SUPPORT_SHARE * (tracked.support - self._support)
+        trusted = doubted(prior) if self._doubts_wheels else prior
+        tracked = track(self._views(row, self._references()), trusted, starts, self._contradicted).judged_by(prior)
+        if tracked.is_lost(self._contradicted):
+            tracked = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
+            if tracked.is_lost(self._contradicted):
+                self._break_track()
+                return None
+        self._support += _NEWEST_SHARE * (tracked.support - self._support)
+        self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
+
+    def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
+        return Views(self._store.returns, row, targets, self._graph.poses[targets])
+
+    def _recent(self, pose: Array) -> NDArray[np.int64]:
+        """The keyframes of the last metres around a pose, since the track last broke."""
+        newest = self._store.count
+        recent = np.arange(max(self._graph.first, newest - _RECENT_KEYS), newest)
+        off = self._graph.poses[recent, :2] - pose[:2]
+        return recent[np.hypot(off[:, 0], off[:, 1]) < _RECENT_M]
+
+    def _break_track(self) -> None:
+        """Go on by odometry, with the covariance of a motion that it has missed: no pose agrees with the last scans."""
+        self._since = Odometry(self._since.motion, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
+        self._prior = prior_of(self._graph.poses[-1], self._since_of_laser())
+        self._is_carried = True
 
     def _wheel_estimate(self) -> WheelEstimate | None:
         return self._estimator.wheels() if estimates_wheels(self._estimator) else None

@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator, takes_out_poses
 from sixthsense.slam.scans.alignment import SUMS
-from sixthsense.slam.scans.links import NEAR_GATES_M, RECENT_GATES_M, Alignments, align_pairs, covariances
+from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
@@ -102,24 +102,24 @@ class ScanGraph:
 
     def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
         """Link a new keyframe to those just before it, and to old ones near it; the links to old ones."""
-        recent = self._align(np.arange(max(self.first, key - RECENT), key), key, RECENT_GATES_M)
+        recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old)
 
     def link_old(self, key: int, targets: NDArray[np.int64]) -> OldLinks:
         """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres."""
-        found = self._align(targets, key, NEAR_GATES_M)
+        found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
         good = np.flatnonzero(found.agree(self.store.returns, OLD_AGREEMENT) & near)
         rows = [(found, int(k)) for k in good]
         return OldLinks(self.give(rows, OLD_LOSS), rows)
 
-    def _align(self, targets: NDArray[np.int64], key: int, gates_m: Array) -> Alignments:
+    def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
         """Align a keyframe with others, from the present poses."""
         starts = between(self.poses[targets], self.poses[key])
-        return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gates_m)
+        return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gate_m)
 
     def give(self, rows: list[tuple[Alignments, int]], loss_scale: float) -> list[int]:
         """Give the estimator links between scans of different passes, rows of alignments; their ids."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numba
@@ -9,34 +10,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.scans.alignment import (
-    GRADIENT,
     HESSIAN,
     HITS,
+    SIGMA_M,
     SPREAD,
     SQUARES,
     SUMS,
     WEIGHT,
-    Loss,
-    add_both_ways,
+    Prior,
+    Views,
+    align,
     inverse,
-    matrix,
-    next_step,
-    solved,
 )
 from sixthsense.slam.scans.scan_store import Returns
-from sixthsense.slam.scans.see_through import compare_views
+from sixthsense.slam.scans.visibility import compare_views
 
-RECENT_GATES_M = np.array([0.15, *[0.12] * 8])
-"""of pairs whose relative pose is known to some centimetres"""
-NEAR_GATES_M = np.array([0.25, 0.2, 0.2, 0.15, 0.15, *[0.12] * 6])
-"""of pairs whose relative pose is known to two decimetres"""
-WIDE_GATES_M = np.array([0.5, 0.5, 0.4, 0.3, 0.25, 0.2, 0.15, 0.15, 0.12, 0.12, 0.12, 0.12])
-"""of pairs whose relative pose is known to half a metre"""
-_SCALE_M = 0.05  # of the loss on points' distances
-_ANCHOR = 1.0  # points' worth that holds the start value where the scans say nothing; no information of the link
-_STEP_M, _STEP_RAD = 3e-4, 1e-4
+TRACKED_GATE_M, NEAR_GATE_M, WIDE_GATE_M = 0.15, 0.25, 0.5
+"""first gates of pairs whose relative pose is known to centimetres, to two decimetres, and to half a metre"""
+_ANCHOR = 1.0  # returns' worth that holds the start value where the scans say nothing; no information of the link
 _LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
 _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
@@ -102,12 +94,12 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
 
 
 def align_pairs(
-    returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gates_m: Array
+    returns: Returns, targets: NDArray[np.int64], sources: NDArray[np.int64], starts: Array, gate_m: float
 ) -> Alignments:
     """Align pairs of scans from the relative poses `starts` (m, 3), and compare their views."""
     m = len(targets)
     poses, sums, views = starts.copy(), np.zeros((m, SUMS)), np.zeros((m, 2, 3), dtype=np.int64)
-    _align_all(returns, targets, sources, gates_m, poses, sums, views)
+    _align_all(returns, targets, sources, gate_m, poses, sums, views)
     return Alignments(targets, sources, poses, sums, views)
 
 
@@ -116,37 +108,15 @@ def _align_all(
     returns: Returns,
     targets: NDArray[np.int64],
     sources: NDArray[np.int64],
-    gates_m: Array,
+    gate_m: float,
     poses: Array,
     sums: Array,
     views: NDArray[np.int64],
 ) -> None:
+    anchor, origin = np.eye(3) * (_ANCHOR / SIGMA_M**2), np.zeros((1, 3))
     for k in range(len(targets)):
-        _align(returns, targets[k], sources[k], gates_m, poses[k], sums[k], views[k])
-        poses[k, 2] = wrapped(poses[k, 2])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _align(
-    returns: Returns, target: int, source: int, gates_m: Array, pose: Array, sums: Array, views: NDArray[np.int64]
-) -> None:
-    """Gauss-Newton steps from and into `pose` (3,); fills `sums` (SUMS,) and `views` (2, 3) at its end."""
-    start = pose.copy()
-    step = 0
-    while step < len(gates_m):
-        sums[:] = 0.0
-        add_both_ways(returns, target, source, pose, Loss(gates_m[step], _SCALE_M), sums)
-        if sums[HITS] < _LEAST_HITS:
-            return
-        hessian, gradient = matrix(sums, HESSIAN), np.empty(3)
-        for i in range(3):
-            hessian[i, i] += _ANCHOR
-            gradient[i] = -(sums[GRADIENT + i] + _ANCHOR * (pose[i] - start[i]))
-        move = solved(hessian, gradient)
-        pose += move
-        shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
-        if gates_m[step] == gates_m[-1] and shift < _STEP_M and turn < _STEP_RAD:
-            break
-        step = next_step(step, gates_m, shift, turn)
-    views[0, 0], views[0, 1], views[0, 2] = compare_views(returns, target, source, pose)
-    views[1, 0], views[1, 1], views[1, 2] = compare_views(returns, source, target, inverse(pose))
+        target, source, pose = targets[k], sources[k], poses[k]
+        prior = Prior(pose.copy(), anchor, math.inf)
+        align(Views(returns, source, targets[k : k + 1], origin), prior, gate_m, True, pose, sums[k])
+        views[k, 0, 0], views[k, 0, 1], views[k, 0, 2] = compare_views(returns, target, source, pose)
+        views[k, 1, 0], views[k, 1, 1], views[k, 1, 2] = compare_views(returns, source, target, inverse(pose))

@@ -22,8 +22,7 @@ from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import Alignments
-from sixthsense.slam.scans.odometry_prior import has_slipped
-from sixthsense.slam.scans.place_search import Hypothesis, PlaceSearch
+from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis, PlaceSearch
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
@@ -97,7 +96,7 @@ class LoopClosures:
         weakest = np.linalg.eigh(cov[:2, :2])[1][:, -1]
         # The share of the wheels in what is known along the direction that is known least: 1 in a bare corridor.
         by_wheels = float(weakest @ odometry_information[:2, :2] @ weakest) * float(weakest @ cov[:2, :2] @ weakest)
-        if has_slipped(tracked.slip):
+        if tracked.has_slipped:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
         bias_m = _WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
@@ -117,7 +116,7 @@ class LoopClosures:
             self._thinning.look(key)
 
     def _look_around(self, key: int) -> None:
-        old = np.flatnonzero(self._graph.is_kept[: max(0, key - _OLD_AGE)])
+        old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - _OLD_AGE)])
         if not len(old):
             return
         sigma_m, sigma_rad = self._uncertainty.sigmas(key, self._graph.poses)
@@ -128,8 +127,7 @@ class LoopClosures:
             self._search_uncertain(key, old[~is_certain[old]], sigma_m, sigma_rad)
 
     def _search_uncertain(self, key: int, old: NDArray[np.int64], sigma_m: Array, sigma_rad: Array) -> None:
-        expected = [self._graph.poses[key], *(self._said(vote, key) for vote in self._lasting(key))]
-        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count], expected)
+        found = self._search.best(key, old, sigma_m, sigma_rad, self._travelled[: self._graph.count])
         if found is None:
             return
         if found.is_ambiguous:
@@ -143,8 +141,8 @@ class LoopClosures:
             self._search.forget()
 
     def _verified(self, key: int, found: Hypothesis) -> _Vote | None:
-        recent = np.flatnonzero(self._travelled[: key + 1] > self._travelled[key] - _VOTE_APART_M)
-        good = verified(self._graph, key, recent, found)
+        recent = np.flatnonzero(self._travelled[: key + 1] > self._travelled[key] - RECENT_M)
+        good = verified(self._graph, key, recent, found._replace(old=found.old[found.old < recent[0]]))
         if good is None:
             return None
         return _Vote(key, good.pose, float(self._travelled[key]), good.links)

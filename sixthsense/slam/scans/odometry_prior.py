@@ -11,17 +11,13 @@ from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.scans.tracking import SLIP_SIGMAS, Prior
+from sixthsense.slam.scans.alignment import Prior
+from sixthsense.slam.scans.tracking import SLIP_SIGMAS
 
 # Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
 _SIGMA_M, _M_PER_M = 0.01, 0.05
 _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
 _UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
-
-
-def has_slipped(slip: float) -> bool:
-    """Whether the scans contradict the odometry, by the squared Mahalanobis distance between them."""
-    return slip > SLIP_SIGMAS**2
 
 
 def with_wheel_errors(odometry: Odometry, wheels: WheelEstimate | None = None) -> Odometry:
@@ -53,7 +49,8 @@ def weakened(odometry: Odometry, slip: float) -> Odometry:
 def prior_of(key_pose: Array, odometry: Odometry) -> Prior:
     """The prior of a pose, from that of the last keyframe (3,), world frame, and the odometry since then."""
     pose = Pose.from_array(key_pose)
-    return Prior((pose @ odometry.motion).array(), informations_in_world(key_pose[None], odometry.cov[None])[0])
+    information = informations_in_world(key_pose[None], odometry.cov[None])[0]
+    return Prior((pose @ odometry.motion).array(), information, SLIP_SIGMAS)
 
 
 def informations_in_world(key_poses: Array, covs: Array) -> Array:

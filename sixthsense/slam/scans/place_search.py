@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,8 @@ from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import Pyramid, pyramid, submap_points
 
-_RECENT_M = 6.0  # travel of the submap that is searched for
+RECENT_M = 6.0
+"""travel of the submap that is searched for"""
 _RECENT_VOXEL_M, _OLD_VOXEL_M = 0.2, 0.05
 _LEAST_POINTS, _MOST_POINTS = 60, 300
 _ANCHORS_APART_M, _HALF_M = 3.0, 5.0  # travel between the anchors of old submaps, and along each of them to either side
@@ -24,7 +24,7 @@ _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
 _SIGMAS, _MARGIN_M, _MARGIN_RAD = 2.0, 1.5, 0.12  # of the window that is searched
 _REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the estimate
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
-_LEAST_SCORE, _WORTH = 0.4, 0.7  # of a place that is compared, and as a share of the best one
+_AS_GOOD = 0.9  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 _BACK_M = 16.0  # travel beyond the submap whose old keyframes are compared
 _APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
@@ -73,12 +73,10 @@ class PlaceSearch:
         sigma_m: Array,
         sigma_rad: Array,
         travelled_m: Array,
-        expected: Sequence[Array],
     ) -> Hypothesis | None:
         """The best pose of keyframe `key` among the uncertain keyframes `old`; None if none is good enough.
 
-        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all keyframes, and `expected` are poses (3,) that the graph
-        and earlier hypotheses say.
+        `sigma_m`, `sigma_rad` and `travelled_m` (K,) are of all keyframes.
         """
         anchors = self._anchors(key, old, sigma_m, travelled_m)
         points = self._recent_points(key, travelled_m) if len(anchors) else np.zeros((0, 2))
@@ -94,12 +92,12 @@ class PlaceSearch:
             return None
         candidates: list[_Candidate] = []
         for submap, window in looks:
-            found = peaks(submap.cells, points, window, max(_LEAST_SCORE, _WORTH * top), _APART)
+            found = peaks(submap.cells, points, window, _AS_GOOD * top, _APART)
             placed = compose(self._graph.poses[submap.anchor], found[:, 1:])
             candidates += [
                 _Candidate(submap, pose, score) for pose, score in zip(placed, found[:, 0].tolist(), strict=True)
             ]
-        return self._judged(key, old, _distinct(candidates, _WORTH * top), travelled_m, expected)
+        return self._judged(key, old, _distinct(candidates, _AS_GOOD * top), travelled_m)
 
     def _look(
         self, key: int, anchor: int, past: int, sigmas: tuple[Array, Array], travelled_m: Array
@@ -129,9 +127,9 @@ class PlaceSearch:
 
     def _recent_points(self, key: int, travelled_m: Array) -> Array:
         """(N, 2) points of the last keyframes, in the frame of the newest."""
-        keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - _RECENT_M)
+        keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
         poses = self._graph.poses
-        points = submap_points(self._graph.store.returns, keys, poses, poses[key], _RECENT_VOXEL_M)
+        points = submap_points(self._graph.store.returns, keys, between(poses[key], poses[keys]), _RECENT_VOXEL_M)
         if len(points) > _MOST_POINTS:
             points = points[np.linspace(0, len(points) - 1, _MOST_POINTS).astype(np.int64)]
         return points
@@ -143,7 +141,7 @@ class PlaceSearch:
         keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)
         is_whole, keys = bool(keys[-1] < past), keys[keys < past]
         poses = self._graph.poses
-        points = submap_points(self._graph.store.returns, keys, poses, poses[anchor], _OLD_VOXEL_M)
+        points = submap_points(self._graph.store.returns, keys, between(poses[anchor], poses[keys]), _OLD_VOXEL_M)
         submap = _Submap(anchor, keys, pyramid(points))
         if is_whole:
             self._submaps[anchor] = submap
@@ -155,7 +153,6 @@ class PlaceSearch:
         old: NDArray[np.int64],
         candidates: list[_Candidate],
         travelled_m: Array,
-        expected: Sequence[Array],
     ) -> Hypothesis | None:
         """The candidate that the last scans explain best, and whether another one is nearly as good."""
         if len(candidates) > _MOST_COMPARED:
@@ -169,9 +166,7 @@ class PlaceSearch:
         said = sorted(zip(found, candidates, olds, strict=True), key=lambda each: -each[0].weight)
         most, best, around = said[0]
         others = [e for e, *_ in said[1:] if not _is_same(most.pose, e.pose)]
-        # That the robot is where it should be, and nowhere else, needs less: pairs of scans and the votes decide.
-        is_expected = not others and any(_is_same(most.pose, pose) for pose in expected)
-        if best.score < self._config.min_score or not (is_expected or most.is_enough(not others)):
+        if best.score < self._config.min_score:
             return None
         ambiguous = not all(most.is_clearly_better(other) for other in others)
         return Hypothesis(most.pose, around, best.score, ambiguous)

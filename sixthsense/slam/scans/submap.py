@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.scan_store import Returns
 
 CELL_M = 0.1
@@ -32,10 +31,9 @@ class Pyramid(NamedTuple):
     y0: float
 
 
-def submap_points(returns: Returns, keys: NDArray[np.int64], poses: Array, frame: Array, voxel_m: float) -> Array:
-    """(N, 2) points of keyframes in `frame` (3,), one per voxel; `poses` (K, 3) are those of all keyframes."""
-    seen = between(frame, poses[keys])
-    return _gathered(returns, keys, seen, voxel_m)
+def submap_points(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m: float) -> Array:
+    """(N, 2) points of keyframes in the frame of their poses `at` (n, 3), one per voxel."""
+    return np.asarray(_gathered(returns, keys, np.ascontiguousarray(at), voxel_m))
 
 
 def pyramid(points: Array) -> Pyramid:

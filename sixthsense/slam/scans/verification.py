@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.links import WIDE_GATES_M, Alignments, align_pairs
+from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
 from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between, compose
 
@@ -39,7 +39,7 @@ def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypot
     targets, sources, starts = _pairs(graph, found.old, recent, moved)
     if len(targets) < _LEAST_PAIRS:
         return None
-    aligned = align_pairs(graph.store.returns, targets, sources, starts, WIDE_GATES_M)
+    aligned = align_pairs(graph.store.returns, targets, sources, starts, WIDE_GATE_M)
     good = aligned.agree(graph.store.returns, _AGREEMENT)
     least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
     if np.count_nonzero(good) < least:

@@ -21,13 +21,12 @@ from sixthsense.slam.scans.alignment import (
     add_one_way,
     inverse,
     matrix,
-    next_step,
     solved,
     turned,
 )
 from sixthsense.slam.scans.bearings import direction
-from sixthsense.slam.scans.links import NEAR_GATES_M, align_pairs, covariances
-from sixthsense.slam.scans.see_through import compare_views
+from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances
+from sixthsense.slam.scans.visibility import compare_views
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
 LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])
@@ -128,13 +127,6 @@ def test_small_matrices_are_turned_and_solved_as_numpy_does():
         assert np.allclose(solved(a, b), np.linalg.solve(a, b))
 
 
-def test_a_small_step_goes_on_with_the_last_gate_and_a_large_one_with_the_next():
-    gates = np.array([0.3, 0.2, 0.1, 0.1, 0.1])
-    assert [next_step(k, gates, 0.5, 0.0) for k in range(5)] == [1, 2, 3, 4, 5]
-    assert [next_step(k, gates, 0.0, 0.0) for k in range(5)] == [2, 2, 3, 4, 5]
-    assert next_step(0, np.array([0.1]), 0.0, 0.0) == 1
-
-
 def test_the_inverse_of_a_pose_is_its_inverse():
     assert np.allclose(inverse(B.array()), B.inverse().array())
 
@@ -163,7 +155,7 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
         b = a @ Pose(*rng.normal(0, [0.2, 0.2, 0.2]))
         returns, true = pair(laser, rng, a, b)
         start = true + rng.normal(0, [0.03, 0.03, 0.02])
-        found = align_pairs(returns, np.array([0]), np.array([1]), start[None], NEAR_GATES_M)
+        found = align_pairs(returns, np.array([0]), np.array([1]), start[None], NEAR_GATE_M)
         if not found.agree(returns, 0.6)[0]:
             continue
         off = found.poses[0] - true
@@ -188,7 +180,7 @@ def test_a_direction_of_which_few_returns_tell_is_not_observed(along, is_observe
 def test_along_a_corridor_the_covariance_claims_nothing():
     rng = np.random.default_rng(4)
     returns, true = pair(HALF, rng, Pose(0.0, 0.2, 0.1), Pose(0.5, 0.25, 0.05), CORRIDOR)
-    found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATES_M)
+    found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATE_M)
     values, axes = np.linalg.eigh(found.covariance(0, 2.0, 0.01)[:2, :2])
     assert np.sqrt(values[1]) > 0.5 and np.sqrt(values[0]) < 0.02
     assert abs(axes[:, 1] @ [math.cos(0.1), -math.sin(0.1)]) > 0.999
@@ -196,7 +188,7 @@ def test_along_a_corridor_the_covariance_claims_nothing():
 
 def test_more_scans_of_one_surface_make_each_link_less_certain():
     returns, true = pair(ROUND, np.random.default_rng(5))
-    found = align_pairs(returns, np.array([0]), np.array([1]), true[None], NEAR_GATES_M)
+    found = align_pairs(returns, np.array([0]), np.array([1]), true[None], NEAR_GATE_M)
     two, ten = (found.covariance(0, n, 0.01) for n in (2.0, 10.0))
     assert np.linalg.eigvalsh(ten - two).min() > 0
 
@@ -206,7 +198,7 @@ def test_a_scan_that_looks_through_a_wall_is_rejected():
     deep = np.array([[[-4, -3], [9, -3]], [[9, -3], [9, 3]], [[9, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=float)
     store = stored(*(scan_at(Pose(2.0, y, 0.0), walls) for y, walls in ((0.0, ROOM[:4]), (0.0, deep), (0.1, ROOM[:4]))))
     ends = np.array([0, 0]), np.array([1, 2])
-    found = align_pairs(store.returns, *ends, np.zeros((2, 3)), NEAR_GATES_M)
+    found = align_pairs(store.returns, *ends, np.zeros((2, 3)), NEAR_GATE_M)
     assert found.agree(store.returns, 0.8).tolist() == [False, True]
 
 

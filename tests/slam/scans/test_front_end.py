@@ -12,12 +12,12 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import register_estimator
 from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.scans.alignment import Views
 from sixthsense.slam.scans.closing import Closings
-from sixthsense.slam.scans.evidence import explained
 from sixthsense.slam.scans.front_end import ScanFrontEnd
 from sixthsense.slam.scans.mount import Mount, seen_from
-from sixthsense.slam.scans.poses import between
-from sixthsense.slam.scans.tracking import Tracked, share_on_lines
+from sixthsense.slam.scans.tracking import Tracked
+from sixthsense.slam.scans.visibility import Agreement, judged
 from sixthsense.slam.slam import Slam
 
 
@@ -115,21 +115,31 @@ def test_in_a_corridor_someone_who_walks_ahead_does_not_hold_the_robot_back(widt
 def test_keyframes_are_nearer_to_each_other_where_a_scan_sees_little_of_the_known(moved_m, support, is_due):
     moved = Odometry(Pose(x=moved_m), 1e-4 * np.eye(3))
     front_end = SimpleNamespace(since_keyframe=moved.motion, _since=moved, _config=CONFIG, _support=0.6)
-    tracked = Tracked(np.zeros(3), np.eye(3), support, 0.0, np.zeros(3))
+    tracked = Tracked(np.zeros(3), np.eye(3), support, 0.0, np.zeros(3), Agreement(0.0, 0.0))
     assert ScanFrontEnd._is_due(front_end, tracked) == is_due
 
 
-def test_the_share_on_lines_is_what_one_keyframe_explains_and_grows_with_another():
-    poses = [Pose(-0.4, 0.3, 0.2), Pose(-3.0, -2.0, 0.4), Pose(-1.5, -0.4, 0.45)]
-    returns = stored(*(scan_at(pose, rng=np.random.default_rng(2)) for pose in poses)).returns
-    rows = np.array([pose.array() for pose in poses])
-    shares = []
-    for target in (0, 1):
-        weight, _, count = explained(returns, target, 2, between(rows[target], rows[2]))
-        shares.append(share_on_lines(returns, 2, np.array([target]), rows, rows[2]))
-        assert shares[-1] == pytest.approx(weight / count, rel=1e-6)
-    both = share_on_lines(returns, 2, np.array([0, 1]), rows, rows[2])
-    assert max(shares) < both <= sum(shares)
+def seen_by(pose, poses):
+    """What scans from `poses` say of a scan from the last of them, if it is taken to be at `pose`."""
+    returns = stored(*(scan_at(each, rng=np.random.default_rng(2)) for each in poses)).returns
+    at = np.array([each.array() for each in poses[:-1]])
+    return Agreement(*judged(Views(returns, len(at), np.arange(len(at)), at), pose.array()))
+
+
+def test_a_right_pose_is_not_contradicted_and_a_wrong_one_is():
+    poses = [Pose(-0.4, 0.3, 0.2), Pose(-1.0, 0.2, 0.4), Pose(-0.6, -0.1, 0.45)]
+    assert seen_by(poses[-1], poses).share < 0.05
+    assert seen_by(poses[-1] @ Pose(0.8, 0.0, 0.5), poses).share > 0.3
+
+
+def test_a_scan_of_which_nothing_is_judged_is_no_evidence():
+    assert Agreement(3.0, 9.0).share == 0.0 and Agreement(30.0, 90.0).share == 0.75
+
+
+def test_a_return_is_judged_once_however_many_scans_saw_its_place():
+    poses = [Pose(-0.4, 0.3, 0.2), Pose(-0.6, -0.1, 0.45)]
+    once, twice = seen_by(poses[-1], poses), seen_by(poses[-1], [poses[0], *poses])
+    assert twice.hits == pytest.approx(once.hits) and twice.violations == pytest.approx(once.violations)
 
 
 def test_a_filter_that_is_asked_for_scans_is_named_with_those_that_can():

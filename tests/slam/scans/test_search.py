@@ -57,7 +57,7 @@ def room():
     scans = [Pose(-1.0, 0.5, 0.0), Pose(0.0, -1.0, 1.0), Pose(-3.0, 1.0, 2.0)]
     store = stored(*(scan_at(pose) for pose in scans))
     poses = np.array([pose.array() for pose in scans])
-    return submap_points(store.returns, np.arange(3), poses, np.zeros(3), 0.05)
+    return submap_points(store.returns, np.arange(3), poses, 0.05)
 
 
 def brute_force(cells, points, window):

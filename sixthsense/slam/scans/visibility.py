@@ -1,0 +1,112 @@
+"""Agreement of a scan with others at a pose, by visibility: seen on a surface, seen through, or not seen.
+
+A return of one scan agrees with another scan that saw a surface there. It contradicts one that saw through its place.
+It says nothing where the other scan saw nothing, or is blocked by something nearer.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from sixthsense.core.geometry import Array
+from sixthsense.slam.scans.alignment import Views
+from sixthsense.slam.scans.bearings import cell_of, direction
+from sixthsense.slam.scans.scan_store import Returns
+
+_TOLERANCE_M = 0.12  # between returns of one surface
+_LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
+
+UNSEEN, THROUGH, SURFACE = 0, 1, 2
+
+
+class Agreement(NamedTuple):
+    """Returns that agree and that contradict, of both sides, halved."""
+
+    hits: float
+    violations: float
+
+    @property
+    def share(self) -> float:
+        """Share of the violations in what is judged; 0 where nothing is."""
+        count = self.hits + self.violations
+        return self.violations / count if count >= _LEAST_JUDGED else 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def look_at(returns: Returns, target: int, x: float, y: float) -> int:
+    """What `target` saw at (x, y) in its frame: `SURFACE`, `THROUGH` or `UNSEEN`."""
+    points, bearings = returns.points, returns.bearings
+    distance = math.sqrt(x * x + y * y)
+    centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
+    if not bearings.closed and (centre < 1 or centre >= bearings.beams - 1):
+        return UNSEEN
+    gap, shortest = math.inf, math.inf
+    for beam in range(centre - 1, centre + 2):
+        q = beam % bearings.beams
+        r = points[target, q, 2]
+        if r > 0.0:
+            dx, dy = x - points[target, q, 0], y - points[target, q, 1]
+            gap = min(gap, math.sqrt(dx * dx + dy * dy), abs(distance - r))
+            shortest = min(shortest, r)
+    if gap < _TOLERANCE_M:
+        return SURFACE
+    if shortest < math.inf and distance < shortest - 2.0 * _TOLERANCE_M:
+        return THROUGH
+    return UNSEEN
+
+
+@numba.njit(cache=True, error_model="numpy")
+def judged(views: Views, pose: Array) -> tuple[float, float]:
+    """Hits and violations of a scan at `pose` (3,) among others, both ways.
+
+    A return of the source counts once: as a hit if any target saw a surface there, else as a violation if any saw
+    through. Those of the targets count by 1 / R.
+    """
+    returns, source, targets, at = views
+    points, bearings = returns.points, returns.bearings
+    state = np.zeros(bearings.beams, np.int64)
+    hits, violations = 0.0, 0.0
+    for r in range(len(targets)):
+        target = targets[r]
+        c, s = math.cos(at[r, 2]), math.sin(at[r, 2])
+        dx, dy = pose[0] - at[r, 0], pose[1] - at[r, 1]
+        x, y, turn = c * dx + s * dy, c * dy - s * dx, pose[2] - at[r, 2]
+        c, s = math.cos(turn), math.sin(turn)
+        for k in range(0, bearings.beams, bearings.stride):
+            px, py = points[source, k, 0], points[source, k, 1]
+            if points[source, k, 2] > 0.0 and state[k] < 2:
+                state[k] = max(state[k], look_at(returns, target, x + c * px - s * py, y + s * px + c * py))
+            if points[target, k, 2] > 0.0:
+                px, py = points[target, k, 0] - x, points[target, k, 1] - y
+                saw = look_at(returns, source, c * px + s * py, c * py - s * px)
+                if saw == 2:
+                    hits += 1.0 / len(targets)
+                elif saw == 1:
+                    violations += 1.0 / len(targets)
+    for k in range(0, bearings.beams, bearings.stride):
+        if state[k] == 2:
+            hits += 1.0
+        elif state[k] == 1:
+            violations += 1.0
+    return 0.5 * hits, 0.5 * violations
+
+
+@numba.njit(cache=True, error_model="numpy")
+def compare_views(returns: Returns, target: int, source: int, pose: Array) -> tuple[int, int, int]:
+    """Hits, violations and number of the returns of `source`, at `pose` (3,) in the frame of `target`, one way."""
+    points, bearings = returns.points, returns.bearings
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    hits = violations = count = 0
+    for k in range(0, bearings.beams, bearings.stride):
+        if points[source, k, 2] == 0.0:
+            continue
+        count += 1
+        px, py = points[source, k, 0], points[source, k, 1]
+        saw = look_at(returns, target, pose[0] + c * px - s * py, pose[1] + s * px + c * py)
+        hits += saw == SURFACE
+        violations += saw == THROUGH
+    return hits, violations, count
