@@ -252,7 +252,9 @@ def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.Captur
     assert cli.main(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG]) == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.endswith("written to runs/some-isam2-1/\n")
+    assert out.endswith("written to runs/some-isam2-1/\n") and out.count("\n") <= 10
+    assert re.search(r"\naccuracy +error against the relations \S+ mm and \S+° on average\n", out)
+    assert re.search(r"\nscans +5 used, \d of them as keyframes; largest gap 1 s\n", out)
     values = metrics(here / "runs" / "some-isam2-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
@@ -371,12 +373,12 @@ def test_a_bad_command_line_is_exit_code_2_without_a_traceback_for_the_shell(her
     assert entries(here) == []
 
 
-def test_a_run_as_a_program_prints_its_table_and_the_folder(here: Path) -> None:
+def test_a_run_as_a_program_prints_its_summary_and_the_folder(here: Path) -> None:
     command = [sys.executable, "-m", "sixthsense.cli", "run", "rectangle", "--out", "some/run"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("Outcome\n  outcome")
-    assert done.stdout.endswith("written to some/run/\n")
+    assert done.stdout.startswith("outcome      explored: the robot saw all that it could; coverage ")
+    assert done.stdout.endswith("written to some/run/\n") and done.stdout.count("\n") <= 10
     assert entries(here / "some") == sorted(["run", *(f"run/{name}" for name in entries(here / "some" / "run"))])
 
 
@@ -413,11 +415,27 @@ def test_a_robot_that_reaches_its_goal_exits_with_0(here: Path, capsys: pytest.C
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert re.match(r"Outcome\n  outcome +goal reached\n", out)
-    assert re.search(r"\n\nThe robot reached its goal; .* of one\srun\)\.\nwritten to", out, re.DOTALL)
+    assert re.match(r"outcome +goal reached: the robot reached its goal; it stands \S+ \w+ from it\n", out)
+    assert "\nmap          runs/rectangle-ekf-invariant-1/figures/map.png, " in out
+    assert "\nreport       sixthsense report runs/rectangle-ekf-invariant-1 writes figures/report.html\n" in out
     assert out.endswith("written to runs/rectangle-ekf-invariant-1/\n")
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-invariant-2/\n")
+
+
+def test_verbose_prints_all_metrics_but_only_those_of_the_active_front_end(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("rectangle", "--task", "tour", "--max-time", "3", "--out", "landmarks", "--verbose") == cli.DONE
+    out = capsys.readouterr().out
+    assert out.startswith("Outcome\n  outcome") and "\n\noutcome      tour ended: " in out
+    assert "\n  stage_ms_mean.extract " in out and "\n  walls_merged " in out
+    assert not re.search(r"\n  (loop_closures_|stage_ms_mean.track)", out)
+    assert set(re.findall(r"^  (\S+) ", out, re.MULTILINE)) == set(metrics(here / "landmarks"))
+    assert cli.main(["replay", "landmarks", "--front-end", "scan-matching", "--out", "scans", "--verbose"]) == cli.DONE
+    out = capsys.readouterr().out
+    assert "\n  loop_closures_found " in out and "\n  stage_ms_mean.track " in out
+    assert not re.search(r"\n  (landmark|walls_|discarded_|stage_ms_mean.(extract|associate))", out)
 
 
 def test_a_robot_that_runs_out_of_time_exits_with_1_and_leaves_its_folder(here: Path) -> None:
