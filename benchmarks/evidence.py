@@ -90,7 +90,7 @@ def collected(row: Row, seeds: Sequence[int], runs: Sequence[Figures], commit: s
     outcomes = [run["outcome"] for run in runs if "outcome" in run]
     return {
         "kind": row.kind, "setting": list(row.setting), "commit": commit, "seeds": list(seeds), "outcomes": outcomes,
-        "values": values,
+        "values": values, "machine": machine(),
     }  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def measure_rows(rows: Sequence[Row], scale: float, jobs: int, commit: str) -> d
 def as_json(evidence: dict[str, Any]) -> str:
     """The JSON with a row per line."""
     rows = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in evidence["rows"].items())
-    return f'{{\n "machine": {json.dumps(evidence["machine"])},\n "rows": {{\n{rows}\n }}\n}}\n'
+    return f'{{\n "rows": {{\n{rows}\n }}\n}}\n'
 
 
 def write_pages(evidence: dict[str, Any]) -> None:
@@ -158,7 +158,7 @@ def main() -> int:
             print("evidence.py: interrupted; the same command resumes", file=sys.stderr)
             return 130
         kept = {row.key: evidence["rows"][row.key] for row in ROWS if row.key in evidence["rows"]}
-        evidence = {"machine": machine(), "rows": kept | made}
+        evidence = {"rows": kept | made}
         JSON.write_text(as_json(evidence))
         print(f"{len(made)} rows of {commit} in {(time.perf_counter() - began) / 60.0:.1f} minutes")
     write_pages(evidence)

@@ -8,6 +8,7 @@ makes it, with its default seed, which only affects RANSAC.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,9 +21,10 @@ from harness import replay, run, single_threaded
 from tours import judge, nees_of
 
 import sixthsense as ss
-from sixthsense.config import preset
+from sixthsense.config import Config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
+from sixthsense.running.warmup import prepare
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.mrclam import read_mrclam
 
@@ -101,11 +103,25 @@ def tour_figures(setting: tuple[str, ...], seed: int) -> Figures:
     }
 
 
+def times_real_time(config: Config, of_log: bool, go: Callable[[], ss.Run]) -> tuple[ss.Metrics, float]:
+    """The metrics of a run, and the source's time over the processor time of the run, user and system.
+
+    Processor time hardly depends on what else the machine does. It has the reading of a log and the loop; loading and
+    compiling of the hot loops is done before.
+    """
+    prepare(lambda _: None, config, of_log)
+    began = time.process_time()
+    made = go()
+    seconds = time.process_time() - began
+    return made.metrics, made.metrics["sim_time_s"] / seconds
+
+
 def explore_figures(setting: tuple[str, ...], seed: int) -> Figures:
     """An exploration with the default configuration."""
-    metrics = run(preset(scene=setting[0], task="explore", max_time=3600.0, seed=seed)).metrics
-    names = ("outcome", "coverage", "collisions", "home_error_m", "path_length_m", "ate_rmse_m", "realtime_factor")
-    return {name: metrics[name] for name in names if name in metrics}
+    config = preset(scene=setting[0], task="explore", max_time=3600.0, seed=seed)
+    metrics, factor = times_real_time(config, False, lambda: run(config))
+    names = ("outcome", "coverage", "collisions", "home_error_m", "path_length_m", "ate_rmse_m")
+    return {name: metrics[name] for name in names if name in metrics} | {"times_real_time": factor}
 
 
 def relations_figures(setting: tuple[str, ...], seed: int) -> Figures:
@@ -114,12 +130,14 @@ def relations_figures(setting: tuple[str, ...], seed: int) -> Figures:
     name = setting[0]
     log, relations = data_path(f"{name}/{name}.clf.bz2"), data_path(f"{name}/{name}.relations")
     try:
-        metrics = ss.replay(log, relations=relations, progress=False).metrics
+        metrics, factor = times_real_time(
+            preset("log"), True, lambda: ss.replay(log, relations=relations, progress=False)
+        )
     except InputError:
         return {"outcome": "rejected"}
     names = ("trans_m_mean", "trans_m_std", "rot_deg_mean", "rot_deg_std")
     figures = {name: metrics[f"relations_{name}"] for name in names}
-    return figures | {"outcome": metrics["outcome"], "realtime_factor": metrics["realtime_factor"]}
+    return figures | {"outcome": metrics["outcome"], "times_real_time": factor}
 
 
 def mrclam_figures(setting: tuple[str, ...], seed: int) -> Figures:
@@ -192,14 +210,14 @@ FIGURES: dict[Kind, tuple[Figure, ...]] = {
         Figure("home_error_m", "home, m", ".3f", "low"),
         Figure("path_length_m", "travel, m", ".0f", "low"),
         Figure("ate_rmse_m", "ATE, mm", ".1f", "low", 1000.0),
-        Figure("realtime_factor", "times real time", ".0f"),
+        Figure("times_real_time", "times real time (processor)", ".0f"),
     ),
     "relations": (
         Figure("trans_m_mean", "translation, m", ".3f", "low"),
         Figure("trans_m_std", "its spread", ".3f", "low"),
         Figure("rot_deg_mean", "rotation, °", ".2f", "low"),
         Figure("rot_deg_std", "its spread", ".2f", "low"),
-        Figure("realtime_factor", "times real time", ".0f"),
+        Figure("times_real_time", "times real time (processor)", ".0f"),
     ),
     "mrclam": (
         Figure("per_axis_m", "position per axis, m", ".3f", "low"),

@@ -76,8 +76,8 @@ def table(rows: Mapping[str, Measured], kind: Kind, with_origin: bool) -> list[s
 def rendered(evidence: Mapping[str, Any]) -> dict[str, str]:
     """The text between the markers of each name: `readme`, and `results` with seeds and commit of every row."""
     rows = evidence["rows"]
-    commits = sorted({row["commit"] for row in rows.values()})
-    of = f"Code: {', '.join(f'`{commit}`' for commit in commits)}. {evidence['machine']}."
+    origins = sorted({(row["commit"], row["machine"]) for row in rows.values()})
+    of = f"Code: {'; '.join(f'`{commit}` on {machine}' for commit, machine in origins)}."
     found = {}
     for name, kinds, with_origin in (("readme", README_KINDS, False), ("results", tuple(FIGURES), True)):
         parts = [part for kind in kinds if (part := table(rows, kind, with_origin))]

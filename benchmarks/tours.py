@@ -59,7 +59,8 @@ def judge(trace: Trace) -> Row:
     """
     metrics = measure(trace)
     truths = np.array(trace.key_truths)
-    row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor", "landmarks")}
+    row: Row = {key: metrics[key] for key in ("outcome", "collisions", "sim_time_s", "realtime_factor")}
+    row["landmarks"] = len(trace.records)
     row |= {key: metrics[key] for key in ("ate_rmse_m", "ate_max_m", "heading_rmse_rad", "scan_ms_p99")}
     row |= judged_matches(trace)
     row["keyframes"] = len(truths)

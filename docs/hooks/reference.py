@@ -21,9 +21,10 @@ _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
 _UNIT_IN_TEXT = re.compile(r"(?:,| in) (m/s\^2|m/s|rad/s|m and rad|m|rad|s)[,.;:]")
 
 _METRICS_INTRO = """\
-The metrics are flat keys in `run.metrics`, in `metrics.json`, in the table at the end of a run, and in the columns of
-a campaign. Metrics that cannot be computed are left out: errors without truth, relations without a relations file. An
-error is estimate minus truth. `run.metrics.frame()` is a pandas frame with units and meanings.
+The metrics are flat keys in `run.metrics`, in `metrics.json`, in what `--verbose` prints at the end of a run, and in
+the columns of a campaign. Metrics that cannot be computed are left out: errors without truth, relations without a
+relations file, landmarks where scans are matched. An error is estimate minus truth. `run.metrics.frame()` is a pandas
+frame with units and meanings.
 
 This page is generated from the package when the site is built.
 """.splitlines()
@@ -38,7 +39,7 @@ _GROUP_NOTES = {
         "causal estimate at each scan. The relation errors (Kümmerle et al. 2009) are those of the final trajectory.",
     ],
     "Consistency": ["See [Consistency](../concepts/consistency.md) for their meaning and interpretation."],
-    "Map and way": [
+    "Map and path": [
         "Paths keep a [margin](../concepts/planning.md#clearance-and-margin) where there is room. Every command",
         "passes the [guard](../concepts/planning.md#the-guard).",
     ],
@@ -57,8 +58,8 @@ This page is generated from the classes when the site is built.
 """.splitlines()
 _COMMANDS_INTRO = """\
 Exit codes: 0 done (also "explored in part"); 1 the robot failed (stuck, lost, collided, goal unreachable, out of time);
-2 bad input, reported in one line; 130 interrupted. All commands but `report` and `scenes` accept every field of the
-[configuration](configuration.md) as an option in addition to those below.
+2 bad input, reported in one line; 130 interrupted. All commands but `report`, `scenes` and `completion` accept the
+fields of the [configuration](configuration.md) as options in addition to those below.
 """.splitlines()
 
 

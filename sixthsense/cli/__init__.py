@@ -15,7 +15,7 @@ from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
 from sixthsense.config.removed import RenamedWarning
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 
@@ -110,8 +110,8 @@ def _run(args: list[str]) -> int:
             print(f"sixthsense {__version__}")
             return DONE
         if args[0] not in COMMANDS:
-            near = did_you_mean(args[0], (*COMMANDS, "--help", "--version"))
-            raise UsageError(f"command: found {args[0]!r}, allowed: {', '.join(COMMANDS)}{near}")
+            near = nearest(args[0], (*COMMANDS, "--help", "--version"))
+            raise UsageError(f"command: found {args[0]!r}, {allowed_names(COMMANDS, near)}")
         code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])
         return code
     except BrokenPipeError:

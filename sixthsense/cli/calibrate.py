@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from sixthsense.cli.common import Common, announce, parse_command, show_help, wants_help
+from sixthsense.cli.common import Common, announce, parse_command, refuse, show_help, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
@@ -28,11 +28,15 @@ class Calibrate(Common):
     """Samples of motion, one every half second."""
 
 
+_OF_A_RUN = ("view", "bind", "verbose")
+
+
 def command(args: list[str]) -> int:
     """Measure the robot's noise."""
     if wants_help(args):
-        return show_help(Calibrate, "calibrate", "default", args)
+        return show_help(Calibrate, "calibrate", "default", args, _OF_A_RUN)
     options, _ = parse_command(Calibrate, "scene", "default", args)
+    refuse(options, _OF_A_RUN, "on a calibration", "with run")
     if options.out is None:
         raise UsageError("--out: found nothing, allowed: a file to write, such as noise.toml")
     if not isinstance(options.samples, int):  # the parser passes text that is not a number unchanged

@@ -1,12 +1,12 @@
-"""Common parts of the commands: options, help, the run's folder and the table at the end."""
+"""Common parts of the commands: options, help, the run's folder and the summary at the end."""
 
 from __future__ import annotations
 
 import contextlib
 import itertools
 import os
+import shlex
 import sys
-import textwrap
 import typing
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
 from sixthsense.cli.help import help_text, help_topic
-from sixthsense.cli.options import OptionalValue, Table, parse
+from sixthsense.cli.options import OptionalValue, Table, UsageError, parse
 from sixthsense.cli.shown import arg
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
 from sixthsense.view.target import VIEW_TARGETS, is_view_target
@@ -43,6 +43,8 @@ class Common:
     """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install 'sixthsense[view]'."""
     bind: Annotated[str | None, arg(metavar="ADDRESS")] = None
     """With --view browser: address of the server. 127.0.0.1 by default; any host that reaches it can watch."""
+    verbose: bool = False
+    """Print all metrics at the end."""
     settings: Config = field(default_factory=Config)
 
 
@@ -102,6 +104,13 @@ def parse_command(
     return command(**given, settings=merge(settings, flags, "--")), table
 
 
+def refuse(options: Common, names: Collection[str], where: str, allowed: str) -> None:
+    """Raise UsageError for an option of `names` that was given; `where` and `allowed` say why it is of no use."""
+    for name in names:
+        if getattr(options, name):
+            raise UsageError(f"--{name}: found {where}, allowed: {allowed}")
+
+
 def wants_help(args: list[str]) -> bool:
     """Whether any argument asks for the help."""
     return help_topic(args) is not None
@@ -143,18 +152,40 @@ def announce(line: str) -> None:
     print(line, file=sys.stderr)
 
 
-def show_end(run: Run) -> int:
-    """Print a run's metrics, a sentence about them, its unseen places and its folder; returns the exit code."""
-    from sixthsense.evaluation.judgement import judgement
+def show_end(run: Run, verbose: bool = False) -> int:
+    """Print what a run has come to, in at most ten lines, and before it all metrics if wanted; returns the exit code.
 
-    print(run.metrics)
-    print()
-    print("\n".join(textwrap.wrap(judgement(run.metrics), 80)))
-    if run.trace.left:
-        print(f"left unseen: {'; '.join(map(_described, run.trace.left))}")
+    The places that an exploration has left unseen are listed with the metrics.
+    """
+    from sixthsense.evaluation.judgement import summary
+
+    if verbose:
+        print(run.metrics)
+        for place in run.trace.left:
+            print(f"left unseen: {_described(place)}")
+        print()
+    for label, text in (summary(run.metrics) | dict(_left(run)) | dict(_files(run))).items():
+        print(f"{label:12} {text}")
     print(f"written to {run.folder}/")
     return EXIT_CODES.get(run.outcome, FAILED)
 
 
+def _left(run: Run) -> Iterator[tuple[str, str]]:
+    """How much an exploration has left unseen."""
+    if left := run.trace.left:
+        places = f"{len(left)} place{'s' * (len(left) > 1)}, {sum(place.area_m2 for place in left):.2g} m²"
+        yield "left unseen", f"{places}, the largest {left[0].reason}; places_left.csv lists them"
+
+
+def _files(run: Run) -> Iterator[tuple[str, str]]:
+    """Where the map and the report of a run are."""
+    if run.folder is None:
+        return
+    found = [name for name in ("figures/map.png", "map.yaml") if (run.folder / name).exists()]
+    if found:
+        yield "map", ", ".join(str(run.folder / name) for name in found)
+    yield "report", f"sixthsense report {shlex.quote(str(run.folder))} writes figures/report.html"
+
+
 def _described(place: UnseenPlace) -> str:
-    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m^2, {place.reason}"
+    return f"({place.x:.2f}, {place.y:.2f}) {place.area_m2:.2g} m², {place.reason}"

@@ -14,7 +14,7 @@ from sixthsense.cli.exits import DONE
 from sixthsense.cli.help import Option, config_options, option_of, own_options
 from sixthsense.cli.options import UsageError
 from sixthsense.config import PRESETS, Config
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.sources.scene_names import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
@@ -37,8 +37,7 @@ def command(args: list[str]) -> int:
         return DONE
     if len(args) != 1 or args[0] not in SHELLS:
         found = repr(" ".join(args)) if args else "nothing"
-        near = did_you_mean(" ".join(args), SHELLS)
-        raise UsageError(f"shell: found {found}, allowed: {', '.join(SHELLS)}{near}")
+        raise UsageError(f"shell: found {found}, {allowed_names(SHELLS, nearest(' '.join(args), SHELLS))}")
     import shtab
 
     print(shtab.complete(parser(), args[0]))

@@ -19,7 +19,7 @@ from sixthsense.config import Config, Section
 from sixthsense.config.field_texts import field_texts
 from sixthsense.config.names import Names
 from sixthsense.config.section import Range, shown
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 
 EVERYTHING = "all"
 """the topic that is the complete help"""
@@ -104,10 +104,8 @@ def help_text(command: type, name: str, settings: Config, topic: str = "", hidde
     found_options = [option for option in known if wanted in (option.name, option.name.rpartition(".")[2])]
     if not found_options:
         names = [path for path in within if "." not in path]
-        near = did_you_mean(wanted, [*names, EVERYTHING, *(option.name for option in known)])
-        raise UsageError(
-            f"--help: found {shown(topic)}, allowed: {', '.join([*names, EVERYTHING])}, or an option{near}"
-        )
+        near = nearest(wanted, [*names, EVERYTHING, *(option.name for option in known)])
+        raise UsageError(f"--help: found {shown(topic)}, {allowed_names([*names, EVERYTHING], near, ', or an option')}")
     return "\n".join(_rows(found_options))
 
 

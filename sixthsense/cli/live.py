@@ -89,7 +89,7 @@ def command(args: list[str]) -> int:
             run = run_live(session, options.drive, folder, Watch(hooks, say=announce), prior)
             for line in session.notices.summary():
                 announce(line)
-            return show_end(run)
+            return show_end(run, options.verbose)
 
 
 def _base(drive: bool) -> Config:

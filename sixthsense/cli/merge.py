@@ -53,4 +53,4 @@ def command(args: list[str]) -> int:
     for note in merged.notes:
         announce(f"note: {note}")
     with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
-        return show_end(replay_merged(merged, folder, Watch(hooks, say=announce)))
+        return show_end(replay_merged(merged, folder, Watch(hooks, say=announce)), options.verbose)

@@ -18,7 +18,7 @@ from sixthsense.config import Config, Section
 from sixthsense.config.errors import InputError
 from sixthsense.config.removed import current_name, note_renamed
 from sixthsense.config.section import is_one_line, shown, shown_name
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 
 Table = dict[str, Any]
 
@@ -118,8 +118,8 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         positive = re.sub(r"^(--|.*[.])no-", r"\1", flag)
         if hints.get(positive) is bool and not equals:
             return positive, False
-        allowed = ", ".join(_suggestions(flag, hints))
-        raise UsageError(f"{shown_name(flag)}: no such option, allowed: {allowed}{_nearest(flag, hints)}")
+        allowed = allowed_names(_suggestions(flag, hints), _nearest(flag, hints))
+        raise UsageError(f"{shown_name(flag)}: no such option, {allowed}")
     hint, optional = hints[flag], False
     if isinstance(hint, OptionalValue):
         if equals:
@@ -181,12 +181,16 @@ def _suggestions(flag: str, hints: Mapping[str, Any]) -> list[str]:
 
 
 def _nearest(flag: str, hints: Mapping[str, Any]) -> str:
-    """The end of the message that names the option which a misspelt one, or one without its section, may mean."""
+    """The option which a misspelt one, or one without its section, may mean; "" if none is near."""
     if any(known.startswith(flag + ".") for known in hints):
         return ""  # the name of a section, whose options the message lists
-    name = flag.removeprefix("--")
+    path, _, name = flag.rpartition(".")
+    name = name.lstrip("-")
     of_sections = [known for known in hints if "." in known and known.rpartition(".")[2] == name]
-    return f"; did you mean {' or '.join(of_sections)}?" if of_sections else did_you_mean(flag, hints)
+    siblings = {known.rpartition(".")[2].lstrip("-"): known for known in hints if known.rpartition(".")[0] == path}
+    if of_sections or not siblings:
+        return " or ".join(of_sections) or nearest(flag, hints)
+    return siblings.get(nearest(name, siblings), "")
 
 
 def _convert(flag: str, kind: Any, text: str) -> Any:

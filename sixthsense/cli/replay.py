@@ -55,4 +55,4 @@ def command(args: list[str]) -> int:
         print(f"note: {found.name}: {note}", file=sys.stderr)
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"
     with run_folder(options, found.config, stem, found.files, prior) as folder, live_view(options) as hooks:
-        return show_end(replay_log(found, folder, Watch(hooks, say=announce), prior))
+        return show_end(replay_log(found, folder, Watch(hooks, say=announce), prior), options.verbose)

@@ -51,4 +51,4 @@ def command(args: list[str]) -> int:
         live_view(options) as hooks,
     ):
         watch = Watch(hooks, realtime=options.realtime, say=announce)
-        return show_end(simulate(config, scene, folder, watch, prior))
+        return show_end(simulate(config, scene, folder, watch, prior), options.verbose)

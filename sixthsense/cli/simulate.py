@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from sixthsense.cli.common import Common, announce, parse_command, show_help, wants_help
+from sixthsense.cli.common import Common, announce, parse_command, refuse, show_help, wants_help
 from sixthsense.cli.exits import EXIT_CODES, FAILED
 from sixthsense.cli.live import OnNetwork
 from sixthsense.cli.options import UsageError
@@ -36,7 +36,7 @@ class Simulate(OnNetwork, Common):
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
 
-_OF_A_RECORD = ("out", "overwrite", "view", "bind")
+_OF_A_RECORD = ("out", "overwrite", "view", "bind", "verbose")
 
 
 def command(args: list[str]) -> int:
@@ -45,9 +45,7 @@ def command(args: list[str]) -> int:
         return show_help(Simulate, "simulate", "default", args, _OF_A_RECORD)
     options, flags = parse_command(Simulate, "scene", "default", args)
     _check_numbers(options)
-    for name in _OF_A_RECORD:
-        if getattr(options, name):
-            raise UsageError(f"--{name}: found on a simulated robot, which keeps no record, allowed: with live")
+    refuse(options, _OF_A_RECORD, "on a simulated robot, which keeps no record", "with live")
     config = options.settings
     if options.scene is not None and "scene" in flags:
         raise UsageError(f"--scene: found beside {options.scene!r}, allowed: one scene")

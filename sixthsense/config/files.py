@@ -42,8 +42,11 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
     except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
-    if "versions" in table and table.get("preset") in tuple(REMOVED_PRESETS):
-        del table["preset"]  # a saved configuration has all values of its preset
+    if "versions" in table:  # a saved configuration
+        if table.get("preset") in tuple(REMOVED_PRESETS):
+            del table["preset"]  # it has all values of its preset
+        if {"goal", "tour"} <= table.keys():
+            del table["tour" if table.get("task") == "goal" else "goal"]  # of a version that took both and used one
     for note in NOTES:
         table.pop(note, None)
     try:

@@ -28,7 +28,7 @@ class PartitionConfig(Section):
     """adaptive: the jump allowed grows with range and beam spacing (Borges and Aldon 2004)."""
     epsilon_m: Positive = 1.0
     """Jump allowed by the fixed method."""
-    incidence_rad: Annotated[float, Range(0.0, 1.5, open_low=True)] = math.radians(10.0)
+    incidence_rad: Annotated[float, Range(0.0, 1.5, open_low=True, unit="rad")] = math.radians(10.0)
     """Adaptive: the flattest angle between beam and wall that still counts as one wall."""
 
 
@@ -73,7 +73,7 @@ class PointsConfig(Section):
     """Free ends of walls, by the report's four rules."""
     max_gap_m: Positive = 0.3
     """Two walls meet in a corner only if both end within this distance of it."""
-    min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True)] = math.radians(25.0)
+    min_angle_rad: Annotated[float, Range(0.0, math.pi / 2, open_low=True, unit="rad")] = math.radians(25.0)
     """Least angle between the walls of a corner."""
     range_margin_m: NonNegative = 0.2
     """Rule 2: no free end is this close to the maximum range."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 from sixthsense.config.section import Range, Section
-from sixthsense.config.values import Distribution, Noise, NonNegative, Positive, PositiveCount
+from sixthsense.config.values import AngularNoise, Distribution, Noise, NonNegative, Positive, PositiveCount
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class MotionNoise(Section):
     """Sigma of position slip, m / sqrt(m)."""
     slip_position_per_sqrt_rad: Noise = 2e-3
     """Sigma of position slip, m / sqrt(rad)."""
-    slip_heading_per_sqrt_m: Noise = math.radians(0.5)
+    slip_heading_per_sqrt_m: Annotated[float, Range(0.0, 100.0, unit="rad/√m")] = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(m)."""
-    slip_heading_per_sqrt_rad: Noise = math.radians(0.5)
+    slip_heading_per_sqrt_rad: Annotated[float, Range(0.0, 100.0, unit="rad/√rad")] = math.radians(0.5)
     """Sigma of heading slip, rad / sqrt(rad)."""
 
 
@@ -38,7 +38,7 @@ class LaserNoise(Section):
     """Of both parts."""
     range_m: Noise = 0.01
     """Of a range: sigma, or the half-width if uniform."""
-    bearing_rad: Noise = 0.0
+    bearing_rad: AngularNoise = 0.0
     """Of a beam's direction: sigma, or the half-width if uniform."""
 
 
@@ -50,7 +50,7 @@ class WorldConfig(Section):
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
     """True distance and turn are (1 + this) times those the wheels report."""
-    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0, unit="rad/m")] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
 
 
@@ -62,7 +62,7 @@ class WheelsConfig(Section):
     """Of the scale error that distance and turn have in common: of the wheels' radii."""
     track_sigma: Noise = 0.02
     """Of the scale error that turns have besides: of the effective distance between the wheels."""
-    drift_sigma_rad_per_m: Noise = 0.03
+    drift_sigma_rad_per_m: Annotated[float, Range(0.0, 100.0, unit="rad/m")] = 0.03
     """Of the drift: a pair of wheels on a track of 0.4 m that differs by 1 % has 0.025."""
     latency_sigma_s: Noise = 0.0
     """Of the age of odometry at its stamp."""
@@ -76,15 +76,15 @@ class AssumedConfig(Section):
     laser: LaserNoise = field(default_factory=LaserNoise)
     wheel_scale_error: Annotated[float, Range(-0.5, 0.5)] = 0.0
     """True distance and turn are (1 + this) times those the wheels report; corrected before use."""
-    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0)] = 0.0
+    drift_rad_per_m: Annotated[float, Range(-10.0, 10.0, unit="rad/m")] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven; corrected before use."""
     landmark_floor_m: Noise = 0.0
     """Sigma added to every observation, for the deviation of real walls from straight lines."""
-    wall_floor_rad: Noise = 0.0
+    wall_floor_rad: AngularNoise = 0.0
     """The same for the direction of a wall."""
     floor_m: Noise = 1e-4
     """Sigma of position added over the motion between two keyframes, so that the covariance has full rank."""
-    floor_rad: Noise = 1e-4
+    floor_rad: AngularNoise = 1e-4
     """The same for the heading."""
     wheels: WheelsConfig = field(default_factory=WheelsConfig)
 
@@ -117,7 +117,7 @@ class LaserConfig(Section):
 
     beams: Annotated[int, Range(2, 100_000)] = 360
     """Beams per scan; a full circle is closed, the first beam follows the last."""
-    fov: Annotated[float, Range(0.0, 2 * math.pi, open_low=True)] = 2 * math.pi
+    fov: Annotated[float, Range(0.0, 2 * math.pi, open_low=True, unit="rad")] = 2 * math.pi
     """Field of view, rad, centred on the mount's x axis."""
     max_range: Annotated[float, Range(0.0, 1000.0, open_low=True)] = 10.0
     """m; a beam that hits nothing nearer returns inf."""

@@ -7,7 +7,7 @@ from typing import Any
 
 from sixthsense.config.removed import REMOVED_PRESETS
 from sixthsense.config.section import ConfigError, merge, shown
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.config.tree import Config
 
 _REPORT_MOTION = {
@@ -101,5 +101,5 @@ def preset(name: str = "default", **changes: Any) -> Config:
     if name in tuple(REMOVED_PRESETS):  # a file may hold a list there, which is not hashable
         raise ConfigError(f"preset: found {shown(name)}; was removed: {REMOVED_PRESETS[name]}; allowed: leave it out")
     if name not in tuple(PRESETS):
-        raise ConfigError(f"preset: found {shown(name)}, allowed: {', '.join(PRESETS)}{did_you_mean(name, PRESETS)}")
+        raise ConfigError(f"preset: found {shown(name)}, {allowed_names(PRESETS, nearest(name, PRESETS))}")
     return merge(merge(Config(preset=name), PRESETS[name]), changes)

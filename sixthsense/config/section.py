@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.names import Names
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 
 C = TypeVar("C", bound="Section")
 
@@ -65,6 +65,8 @@ class Range:
     low: float = -math.inf
     high: float = math.inf
     open_low: bool = False
+    unit: str = ""
+    """unit of an angle, such as rad or rad/m: a message about a number in degrees converts it"""
 
     def __contains__(self, value: float) -> bool:
         above = value > self.low if self.open_low else value >= self.low
@@ -74,6 +76,13 @@ class Range:
         if self.high < math.inf:
             return f"{'above ' if self.open_low else ''}{self.low:g} to {self.high:g}"
         return f"above {self.low:g}" if self.open_low else f"at least {self.low:g}"
+
+    def allowed(self, value: float) -> str:
+        """The end of the message about a number outside: the interval, after the radians of a number in degrees."""
+        radians = math.radians(value)
+        degrees = f"{value:g} {self.unit.replace('rad', 'degrees', 1)}"
+        meant = f"did you mean {radians:.4g} {self.unit} ({degrees})? " if self.unit and radians in self else ""
+        return f"{meant}allowed: {self} {self.unit}".rstrip()
 
 
 class Section:
@@ -99,14 +108,14 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         base, bounds = typing.get_args(hint)
         value = value if isinstance(bounds, Names) else _checked(name, base, value)
         if value not in bounds:
-            near = did_you_mean(value, bounds) if isinstance(bounds, Names) else ""
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: {bounds}{near}")
+            is_name = isinstance(bounds, Names)
+            allowed = allowed_names(bounds, nearest(value, bounds)) if is_name else bounds.allowed(value)
+            raise ConfigError(f"{name}: found {shown(value)}, {allowed}")
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
         if value not in choices:
-            near = did_you_mean(value, map(str, choices))
-            raise ConfigError(f"{name}: found {shown(value)}, allowed: {', '.join(map(str, choices))}{near}")
+            raise ConfigError(f"{name}: found {shown(value)}, {allowed_names(choices, nearest(value, choices))}")
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
@@ -149,8 +158,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
     for key, value in base.completed(table).items():
         name = key.replace("-", "_")
         if name not in known:
-            near = did_you_mean(name, known)
-            raise ConfigError(f"{path}{shown_name(key)}: no such field, allowed: {', '.join(known)}{near}")
+            raise ConfigError(f"{path}{shown_name(key)}: no such field, {allowed_names(known, nearest(name, known))}")
         current = getattr(base, name)
         if isinstance(current, Section):
             if not isinstance(value, Mapping):

@@ -79,8 +79,15 @@ class Config(Section):
     keyscans = OldName("keyscans", "keyframes")
 
     def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The front end that a named estimator can use, and an estimator that a named front end can use."""
+        """What follows from named fields.
+
+        A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front
+        end an estimator that can use it.
+        """
         table = with_current_names(table)
+        for name, other in (("goal", "tour"), ("tour", "goal")):
+            if table.get(name) is not None and other not in table:
+                table[other] = None
         estimator, front_end = (
             table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
         )
@@ -92,6 +99,8 @@ class Config(Section):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.goal is not None and self.tour is not None:
+            raise ConfigError("goal: found beside a tour, allowed: one of the two")
         if self.front_end == "scan-matching" and self.estimator in FILTERS:
             raise ConfigError(f"front_end: found scan-matching with estimator {self.estimator}, {KEEP_POSES}")
         if self.calibrate_wheels and self.estimator in FILTERS[:-1]:

@@ -1,4 +1,4 @@
-"""One sentence about a run: what was done, how far off the pose was, and whether its covariance agrees with that."""
+"""What a run has come to, in a line each: outcome, way, accuracy, consistency and speed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sixthsense.evaluation.metrics import nees_band
 
 _OUTCOMES = {
     "explored": "the robot saw all that it could",
-    "explored in part": "the robot explored, but for the places it lists",
+    "explored in part": "some places are left unseen",
     "goal reached": "the robot reached its goal",
     "tour ended": "the robot drove its tour",
     "log ended": "the log was processed to its end",
@@ -22,38 +22,81 @@ _OUTCOMES = {
 }
 
 
-def judgement(metrics: Mapping[str, Any]) -> str:
-    """The sentence for the metrics of a run; it leaves out what was not measured.
+def summary(metrics: Mapping[str, Any]) -> dict[str, str]:
+    """The lines of a run's summary, label and text, from its metrics.
 
-    A single run's mean NEES says little, since its steps are correlated: only one outside the 95 % band of a single
-    draw is called inconsistent.
+    A run without truth has a line about its scans. A single run's mean NEES says little, since its steps are
+    correlated: only one outside the 95 % band of a single draw is called inconsistent.
     """
+    parts = {
+        "outcome": "; ".join(_outcome(metrics)),
+        "scans": "" if "ate_rmse_m" in metrics else "; ".join(_scans(metrics)),
+        "driven": ", ".join(_driven(metrics)),
+        "accuracy": "; ".join(_accuracy(metrics)) or "not measured: no truth, no relations",
+        "consistency": _consistency(metrics),
+        "speed": "; ".join(_speed(metrics)),
+    }
+    return {label: text for label, text in parts.items() if text}
+
+
+def _outcome(metrics: Mapping[str, Any]) -> Iterator[str]:
     outcome = str(metrics.get("outcome", "unknown"))
-    parts = [_OUTCOMES.get(outcome, f"the run ended: {outcome}"), *_on_accuracy(metrics), *_on_consistency(metrics)]
-    sentence = "; ".join(parts)
-    return f"{sentence[0].upper()}{sentence[1:]}."
-
-
-def _on_accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "coverage" in metrics and str(metrics.get("outcome")).startswith("explored"):
-        yield f"{100.0 * metrics['coverage']:.4g} % of the visible area was seen"
-    if "goal_error_m" in metrics and metrics.get("outcome") == "goal reached":
+    yield f"{outcome}: {_OUTCOMES[outcome]}" if outcome in _OUTCOMES else outcome
+    if "coverage" in metrics and outcome.startswith("explored"):
+        yield f"coverage {100.0 * metrics['coverage']:.4g} %"
+    if "goal_error_m" in metrics and outcome == "goal reached":
         yield f"it stands {_length(metrics['goal_error_m'])} from it"
+
+
+def _scans(metrics: Mapping[str, Any]) -> Iterator[str]:
+    if "scans" in metrics:
+        yield f"{metrics['scans']:,} used, {metrics['keyframes']:,} of them as keyframes"
+    if "largest_gap_s" in metrics:
+        yield f"largest gap {metrics['largest_gap_s']:.3g} s"
+
+
+def _driven(metrics: Mapping[str, Any]) -> Iterator[str]:
+    if "path_length_m" in metrics:
+        yield f"{metrics['path_length_m']:,.1f} m in {metrics['sim_time_s']:,.0f} s"
+    if "area_seen_m2" in metrics:
+        yield f"{metrics['area_seen_m2']:,.0f} m² seen"
+    if "loop_closures_found" in metrics:
+        yield f"{metrics['loop_closures_found']:,} loop closures"
+
+
+def _accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
     if "ate_rmse_m" in metrics:
-        odometry = metrics.get("dead_reckoning_ate_rmse_m")
-        alone = "" if odometry is None else f" (odometry alone: {_length(odometry)})"
-        yield f"position error {_length(metrics['ate_rmse_m'])} RMS{alone}"
+        yield f"position error {_length(metrics['ate_rmse_m'])} RMS"
+        if "dead_reckoning_ate_rmse_m" in metrics:
+            yield f"odometry alone {_length(metrics['dead_reckoning_ate_rmse_m'])}"
     if "relations_trans_m_mean" in metrics:
-        yield f"error against the relations {_length(metrics['relations_trans_m_mean'])} on average"
+        mean, turn = _length(metrics["relations_trans_m_mean"]), metrics["relations_rot_deg_mean"]
+        yield f"error against the relations {mean} and {turn:.2g}° on average"
 
 
-def _on_consistency(metrics: Mapping[str, Any]) -> Iterator[str]:
-    if "pose_nees_world_mean" not in metrics:
-        return
-    nees = metrics["pose_nees_world_mean"]
-    low, high = nees_band(1)
-    verdict = "overconfident" if nees > high else "cautious" if nees < low else "consistent"
-    yield f"covariance {verdict} (NEES {nees:.2g}; {low:.1f} to {high:.1f} is expected of one run)"
+def _consistency(metrics: Mapping[str, Any]) -> str:
+    if "pose_nees_world_mean" in metrics:
+        nees = metrics["pose_nees_world_mean"]
+        low, high = nees_band(1)
+        verdict, where = ("consistent", "within") if low <= nees <= high else ("overconfident", "above")
+        if nees < low:
+            verdict, where = "cautious", "below"
+        return f"{verdict}: NEES {nees:.2g}, {where} the {low:.1f} to {high:.1f} of a consistent run"
+    if "nis_mean_per_dof" in metrics:
+        return f"no truth; NIS {metrics['nis_mean_per_dof']:.2f} per degree of freedom, 1 is consistent"
+    return "not measured: no truth"
+
+
+def _speed(metrics: Mapping[str, Any]) -> Iterator[str]:
+    if "realtime_factor" in metrics:
+        yield f"{_two_digits(metrics['realtime_factor'])} times real time"
+    if "scan_ms_p50" in metrics:
+        median, high = (_two_digits(metrics[f"scan_ms_{name}"]) for name in ("p50", "p99"))
+        yield f"{median} ms a keyframe, {high} ms at the 99th percentile"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:,.0f}" if value >= 10.0 else f"{value:.2g}"
 
 
 def _length(metres: float) -> str:

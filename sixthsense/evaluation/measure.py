@@ -13,7 +13,7 @@ from sixthsense.evaluation.coverage import coverage, visible_area
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
-from sixthsense.record.stopwatch import SCAN_STAGES, STAGES
+from sixthsense.record.stopwatch import STAGES
 from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:
@@ -37,9 +37,11 @@ def measure(trace: Trace) -> Metrics:
             out |= _landmark_nees(trace, trace.scene)
     out |= _consistency(trace)
     out |= _relations(trace)
-    out["landmarks"] = len(trace.records)
-    out["landmarks_culled"] = trace.culled
-    out["walls_merged"] = trace.walls_merged
+    out |= _evidence(trace)
+    if trace.config.front_end == "landmarks":
+        out["landmarks"] = len(trace.records)
+        out["landmarks_culled"] = trace.culled
+        out["walls_merged"] = trace.walls_merged
     if trace.loop_closures is not None:
         out |= {f"loop_closures_{name}": count for name, count in trace.loop_closures._asdict().items()}
     if trace.wheels is not None:
@@ -48,7 +50,8 @@ def measure(trace: Trace) -> Metrics:
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
     out["path_length_m"] = trace.path_length_m
-    out["plans"] = len(trace.plans)
+    if trace.plans or trace.guard_stops is not None:
+        out["plans"] = len(trace.plans)
     if trace.plans_below_margin is not None and trace.guard_stops is not None:
         out["plans_below_margin"], out["guard_stops"] = trace.plans_below_margin, trace.guard_stops
     if trace.plans_by_astar is not None:
@@ -56,6 +59,16 @@ def measure(trace: Trace) -> Metrics:
     sim_time_s = 1e-9 * (trace.stamps_ns[-1] - trace.stamps_ns[0]) if trace.stamps_ns else 0.0
     out["sim_time_s"] = sim_time_s
     out |= _timing(trace, sim_time_s)
+    return out
+
+
+def _evidence(trace: Trace) -> dict[str, float]:
+    """What was used of the source, and how much of the area was seen."""
+    out: dict[str, float] = {"scans": len(trace.stamps_ns), "keyframes": len(trace.key_stamps_ns)}
+    if len(trace.stamps_ns) > 1:
+        out["largest_gap_s"] = 1e-9 * float(np.diff(trace.stamps_ns).max())
+    if trace.grid is not None and (area_m2 := trace.grid.seen_area_m2):
+        out["area_seen_m2"] = area_m2
     return out
 
 
@@ -180,6 +193,5 @@ def _timing(trace: Trace, sim_time_s: float) -> dict[str, float]:
     if rows:
         out |= metrics.scan_times(trace.stopwatch.keyframe_ms())
         totals = trace.stopwatch.totals
-        used = [stage for stage in STAGES if stage not in SCAN_STAGES or totals[stage] > 0.0]
-        out |= {f"stage_ms_mean.{stage}": totals[stage] / len(rows) for stage in used}
+        out |= {f"stage_ms_mean.{stage}": totals[stage] / len(rows) for stage in STAGES if totals[stage] > 0.0}
     return out

@@ -29,6 +29,11 @@ class Quantity:
     """one short phrase"""
 
 
+_SCANS = (
+    ("scans", "1", "scans processed"),
+    ("keyframes", "1", "scans of these that are keyframes"),
+    ("largest_gap_s", "s", "longest time between two successive scans"),
+)
 _WHEELS = (
     ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
     ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
@@ -81,7 +86,9 @@ def _quantities() -> dict[str, Quantity]:
             ("discarded_share", "1", "share of the observations that the gates discarded"),
         ],
         "Wheels": list(_WHEELS),
+        "Scans": list(_SCANS),
         "Map and path": [
+            ("area_seen_m2", "m²", "area of the cells that were seen"),
             ("landmarks", "1", "landmarks in the map at the end"),
             ("landmarks_culled", "1", "landmarks removed from the map"),
             ("walls_merged", "1", "walls merged into older duplicates"),
@@ -97,7 +104,7 @@ def _quantities() -> dict[str, Quantity]:
         "Time": [
             ("sim_time_s", "s", "duration by the clock of the source"),
             ("wall_time_s", "s", "computing time of the loop"),
-            ("realtime_factor", "1", "simulated time divided by computing time"),
+            ("realtime_factor", "1", "time of the source divided by computing time"),
             ("scan_ms_p50", "ms", "processing of a keyframe, median"),
             ("scan_ms_p99", "ms", "processing of a keyframe, 99th percentile"),
             ("scan_ms_max", "ms", "processing of a keyframe, maximum"),

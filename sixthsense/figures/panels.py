@@ -9,6 +9,7 @@ from typing import Any
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures.navigation import draw_exploration
@@ -54,7 +55,7 @@ def figure(what: str, runs: Sequence[MeasuredRun]) -> Picture:
     another number of runs.
     """
     if what not in KINDS:
-        raise FigureError(f"what: found {shown(what)}, allowed: {', '.join(KINDS)}")
+        raise FigureError(f"what: found {shown(what)}, {allowed_names(KINDS, nearest(what, KINDS))}")
     drawn = figure_if_any(what, runs)
     if drawn is not None:
         return drawn

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from sixthsense.config.section import shown
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
@@ -24,7 +25,7 @@ def as_form(text: str) -> Form:
     for form in forms:
         if text == form:
             return form
-    raise ReportError(f"--figures: found {shown(text)}, allowed: {', '.join(forms)}")
+    raise ReportError(f"--figures: found {shown(text)}, {allowed_names(forms, nearest(text, forms))}")
 
 
 def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:

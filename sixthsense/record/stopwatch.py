@@ -11,9 +11,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 
-SCAN_STAGES = ("track", "link", "loop_closure")
-"""stages of the front end of scans alone"""
-STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan", *SCAN_STAGES)
+STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan", "track", "link", "loop_closure")
 
 
 class Stopwatch:

@@ -103,9 +103,9 @@ class Progress:
 
 def _seen_area(trace: Trace) -> str:
     """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
-    if trace.grid is None or not trace.grid.seen.any():
+    area_m2 = 0.0 if trace.grid is None else trace.grid.seen_area_m2
+    if area_m2 == 0.0:
         return ""
-    area_m2 = float(trace.grid.seen.sum()) * trace.config.grid.cell_m**2
     region = trace.config.region or (trace.scene.region if trace.scene is not None else None)
     if region is None or trace.config.task != "explore":
         return f"{area_m2:.0f} m² seen"

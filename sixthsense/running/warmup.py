@@ -37,7 +37,7 @@ from sixthsense.sources.world import World
 WALLS = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[1, 0], [1, 1]], [[-2, 2], [-2, -2]]], dtype=np.float64)
 """of the room that the hot loops are compiled in"""
 
-COMPILING = "compiling the hot loops, once; this takes about half a minute ..."
+COMPILING = "compiling the hot loops, once; this takes about 40 s ..."
 
 
 def prepare(say: Callable[[str], object], config: Config | None = None, of_log: bool = False) -> None:

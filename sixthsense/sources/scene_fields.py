@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config.section import is_one_line, shown, shown_name
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.sources.scene_names import SceneError
 
 Point = tuple[float, float]
@@ -56,7 +57,7 @@ def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required
     """Raise SceneError for the first key of `table` that is unknown, or of `required` that is missing."""
     for key in table:
         if key not in known:
-            raise SceneError(f"{where}{shown_name(key)}: no such field, allowed: {', '.join(known)}")
+            raise SceneError(f"{where}{shown_name(key)}: no such field, {allowed_names(known, nearest(key, known))}")
     for key in required:
         if key not in table:
             raise SceneError(f"{where}{key}: missing, required are {', '.join(required)}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.suggestion import allowed_names, nearest
 
 SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 
@@ -28,8 +28,7 @@ def scene_file(name_or_file: str | Path) -> Path:
     shipped = shipped_scenes()
     path = shipped.get(str(name_or_file), Path(name_or_file))
     if path.suffix.lower() not in SUFFIXES:
-        raise SceneError(
-            f"scene: found {shown(str(name_or_file))}, allowed: {', '.join(shipped)}, or a file ending in "
-            f"{', '.join(SUFFIXES)}{did_you_mean(str(name_or_file), shipped)}"
-        )
+        found = str(name_or_file)
+        allowed = allowed_names(shipped, nearest(found, shipped), f", or a file ending in {', '.join(SUFFIXES)}")
+        raise SceneError(f"scene: found {shown(found)}, {allowed}")
     return path

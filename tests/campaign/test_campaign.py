@@ -302,10 +302,16 @@ def test_a_lost_scheduler_is_told_and_a_lost_worker_is_a_row():
         ("rectangle --seed 3 --out c", "--seed: found for a campaign, allowed: --seeds"),
         ("--seeds 0:2 --out c rectangle", "scene: found 'rectangle' after an option, allowed: before all"),
         ("rectangle nowhere --seeds 0:2 --out c", "found 'nowhere', allowed: apartment, block"),
-        ("rectangle --seeds 0:2 --out c --estimator ekf ukf", "--estimator: found 'ukf', allowed: ekf, ekf-fej"),
+        (
+            "rectangle --seeds 0:2 --out c --estimator ekf ukf",
+            "--estimator: found 'ukf', did you mean ekf? allowed: ekf, ekf-fej",
+        ),
         ("rectangle --seeds 0:2 --out c --preset best", "preset: found 'best', allowed: default, worn"),
         ("rectangle --seeds 0:2 --out c --planner prm", "--planner: found 'prm', allowed: astar"),
-        ("rectangle --seeds 0:2 --out c --laser.beam 3", "--laser.beam: no such option, allowed: --laser.beams"),
+        (
+            "rectangle --seeds 0:2 --out c --laser.beam 3",
+            "--laser.beam: no such option, did you mean --laser.beams? allowed: --laser.beams",
+        ),
         ("rectangle --seeds 0:2 --out c --laser.beams 1", "--laser.beams: found 1, allowed: 2 to 100000"),
         ("rectangle --seeds 0:2 --out c --goal 1 1 --task tour", "--goal: found with --task tour"),
         ("rectangle --seeds 0:2 --out c --goal 90 90", "goal: found (90, 90), outside the region"),

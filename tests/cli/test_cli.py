@@ -59,19 +59,19 @@ def metrics(folder: Path) -> dict[str, object]:
 BAD_LINES = [
     (
         "rn",
-        "command: found 'rn', allowed: run, replay, live, simulate, merge, calibrate, campaign, ",
+        "command: found 'rn', did you mean run? allowed: run, replay, live, simulate, merge, calibrate, campaign, ",
     ),
     (
         "--versions",
-        "command: found '--versions', allowed: run, replay, live, simulate, merge, calibrate, campaign, ",
+        "command: found '--versions', did you mean --version? allowed: run, replay, live, simulate, merge, calibrate, ",
     ),
     ("scenes extra", "scenes: found 'extra', allowed: no arguments"),
     ("run nowhere", "scene: found 'nowhere', allowed: apartment, block, campus, loop, office, rectangle, or a file"),
     ("run missing.toml", "missing.toml: cannot be read (No such file or directory)"),
     ("run missing.yaml", "missing.yaml: cannot be read (No such file or directory)"),
     ("run apartment office", "scene: found 'apartment' and 'office', allowed: one"),
-    ("run --estimator ekff", "--estimator: found 'ekff', allowed: ekf"),
-    ("run --planner rrt", "--planner: found 'rrt', allowed: astar, rrtstar"),
+    ("run --estimator ekff", "--estimator: found 'ekff', did you mean ekf? allowed: ekf"),
+    ("run --planner rrt", "--planner: found 'rrt', did you mean rrtstar? allowed: astar, rrtstar"),
     ("run --rrtstar.iterations 0", "--rrtstar.iterations: found 0, allowed: 1 to 1e+07"),
     ("run --rrtstar.iterations 99999999", "--rrtstar.iterations: found 99999999, allowed: 1 to 1e+07"),
     ("run --rrtstar.range-m nan", "--rrtstar.range-m: found nan, allowed: a finite number"),
@@ -81,9 +81,12 @@ BAD_LINES = [
     ("run --task fly", "--task: found 'fly', allowed: explore, goal, tour"),
     ("run --preset no", "preset: found 'no', allowed: default, worn, noiseless, report, log"),
     ("run --bogus", "--bogus: no such option, allowed: --config, --out, --overwrite"),
-    ("run --relations x", "--relations: no such option, allowed: --config"),
+    ("run --relations x", "--relations: no such option, did you mean --region? allowed: --config"),
     ("run -x", "-x: no such option, allowed: --config"),
-    ("run --laser.beems 3", "--laser.beems: no such option, allowed: --laser.beams, --laser.fov"),
+    (
+        "run --laser.beems 3",
+        "--laser.beems: no such option, did you mean --laser.beams? allowed: --laser.beams, --laser.fov",
+    ),
     ("run --laser 3", "--laser: no such option, allowed: --laser.beams, --laser.fov"),
     ("run --features.lines.x 3", "--features.lines.x: no such option, allowed: --features.lines.ransac"),
     ("run --laser.beams many", "--laser.beams: found 'many', allowed: a whole number"),
@@ -143,7 +146,12 @@ def test_a_bad_command_line_ends_in_one_line_that_names_what_was_found_and_what_
 BAD_FILES = [
     ("[laser]\nmax_range = nan", "bad.toml: laser.max_range: found nan, allowed: a finite number"),
     ("[laser]\nbeams = 'many'", "bad.toml: laser.beams: found 'many', allowed: a whole number"),
-    ("[laser]\nbeems = 3", "bad.toml: laser.beems: no such field, allowed: beams, fov"),
+    ("[laser]\nbeems = 3", "bad.toml: laser.beems: no such field, did you mean beams? allowed: beams, fov"),
+    (
+        "[laser]\nfov = 270",
+        "bad.toml: laser.fov: found 270.0, did you mean 4.712 rad (270 degrees)? allowed: above 0 to",
+    ),
+    ("goal = [0, 0]\ntour = [[1, 1]]", "bad.toml: goal: found beside a tour, allowed: one of the two"),
     ("[features.split]\nepsilon_m = 0", "bad.toml: features.split.epsilon_m: found 0.0, allowed: above 0"),
     ("preset = 'nope'", "bad.toml: preset: found 'nope', allowed: default, worn"),
     ("hello", "bad.toml: is not TOML"),
@@ -244,7 +252,9 @@ def test_a_replay_with_relations_measures_them(here: Path, capsys: pytest.Captur
     assert cli.main(["replay", "some.log", "--relations", "some.relations", *SHORT_LOG]) == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert out.endswith("written to runs/some-isam2-1/\n")
+    assert out.endswith("written to runs/some-isam2-1/\n") and out.count("\n") <= 10
+    assert re.search(r"\naccuracy +error against the relations \S+ mm and \S+° on average\n", out)
+    assert re.search(r"\nscans +5 used, \d of them as keyframes; largest gap 1 s\n", out)
     values = metrics(here / "runs" / "some-isam2-1")
     assert values["outcome"] == "log ended"
     assert values["relations_trans_m_mean"] == pytest.approx(0.0, abs=0.02)
@@ -363,12 +373,12 @@ def test_a_bad_command_line_is_exit_code_2_without_a_traceback_for_the_shell(her
     assert entries(here) == []
 
 
-def test_a_run_as_a_program_prints_its_table_and_the_folder(here: Path) -> None:
+def test_a_run_as_a_program_prints_its_summary_and_the_folder(here: Path) -> None:
     command = [sys.executable, "-m", "sixthsense.cli", "run", "rectangle", "--out", "some/run"]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("Outcome\n  outcome")
-    assert done.stdout.endswith("written to some/run/\n")
+    assert done.stdout.startswith("outcome      explored: the robot saw all that it could; coverage ")
+    assert done.stdout.endswith("written to some/run/\n") and done.stdout.count("\n") <= 10
     assert entries(here / "some") == sorted(["run", *(f"run/{name}" for name in entries(here / "some" / "run"))])
 
 
@@ -405,11 +415,27 @@ def test_a_robot_that_reaches_its_goal_exits_with_0(here: Path, capsys: pytest.C
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     out, err = capsys.readouterr()
     assert err == ""
-    assert re.match(r"Outcome\n  outcome +goal reached\n", out)
-    assert re.search(r"\n\nThe robot reached its goal; .* of one\srun\)\.\nwritten to", out, re.DOTALL)
+    assert re.match(r"outcome +goal reached: the robot reached its goal; it stands \S+ \w+ from it\n", out)
+    assert "\nmap          runs/rectangle-ekf-invariant-1/figures/map.png, " in out
+    assert "\nreport       sixthsense report runs/rectangle-ekf-invariant-1 writes figures/report.html\n" in out
     assert out.endswith("written to runs/rectangle-ekf-invariant-1/\n")
     assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
     assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-invariant-2/\n")
+
+
+def test_verbose_prints_all_metrics_but_only_those_of_the_active_front_end(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("rectangle", "--task", "tour", "--max-time", "3", "--out", "landmarks", "--verbose") == cli.DONE
+    out = capsys.readouterr().out
+    assert out.startswith("Outcome\n  outcome") and "\n\noutcome      tour ended: " in out
+    assert "\n  stage_ms_mean.extract " in out and "\n  walls_merged " in out
+    assert not re.search(r"\n  (loop_closures_|stage_ms_mean.track)", out)
+    assert set(re.findall(r"^  (\S+) ", out, re.MULTILINE)) == set(metrics(here / "landmarks"))
+    assert cli.main(["replay", "landmarks", "--front-end", "scan-matching", "--out", "scans", "--verbose"]) == cli.DONE
+    out = capsys.readouterr().out
+    assert "\n  loop_closures_found " in out and "\n  stage_ms_mean.track " in out
+    assert not re.search(r"\n  (landmark|walls_|discarded_|stage_ms_mean.(extract|associate))", out)
 
 
 def test_a_robot_that_runs_out_of_time_exits_with_1_and_leaves_its_folder(here: Path) -> None:
@@ -469,6 +495,7 @@ def test_a_replays_configuration_is_refused_by_run_and_taken_by_replay(
     [
         ("run rectangle --scene block", "--scene: found beside 'rectangle'"),
         ("run rectangle --goal 0 0 --task tour", "--goal: found with --task tour"),
+        ("run rectangle --goal 0 0 --tour 1 1", "--goal: found beside a tour, allowed: one of the two"),
         ("run rectangle --grid.min-hits 11", "--grid.min-hits: found 11, allowed: at most max_hits, 10"),
         ("run rectangle --follow.distance-slack-m 0.2", "--follow.distance-slack-m: found 0.2, allowed: at most goal"),
         ("run rectangle --assumed.motion.speed 1e200", "--assumed.motion.speed: found 1e+200, allowed: 0 to 100"),

@@ -1,5 +1,8 @@
 import dataclasses
 import math
+import re
+import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +13,7 @@ from sixthsense.config import (
     Config,
     ConfigError,
     LaserConfig,
+    Range,
     Section,
     as_table,
     load_config,
@@ -17,6 +21,7 @@ from sixthsense.config import (
     preset,
     save_config,
 )
+from sixthsense.config.field_texts import field_texts
 from sixthsense.sources.scene import SceneError, load_scene
 
 
@@ -184,6 +189,43 @@ def test_values_from_code_are_validated_as_those_of_files() -> None:
         dataclasses.replace(Config(), seed=0.5)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=r"^laser: found 3, allowed: a table of LaserConfig$"):
         Config(laser=3)  # type: ignore[arg-type]
+
+
+def bounded_angles(section: type[Section], path: str = "") -> Iterator[tuple[str, Range]]:
+    """Fields with an upper bound whose names or texts say that they are in radians."""
+    texts = field_texts(section)
+    for name, hint in typing.get_type_hints(section, include_extras=True).items():
+        if isinstance(hint, type) and issubclass(hint, Section):
+            yield from bounded_angles(hint, f"{path}{name}.")
+        bounds = next((note for note in getattr(hint, "__metadata__", ()) if isinstance(note, Range)), Range())
+        measured = name.partition("_per_")[0]
+        in_radians = re.search(r"_rad$|heading", measured) or re.search(r", rad[,.;]", texts.get(name, ""))
+        if in_radians and bounds.high < math.inf:
+            yield path + name, bounds
+
+
+def test_a_number_in_degrees_beyond_the_range_of_an_angle_is_converted() -> None:
+    angles = dict(bounded_angles(Config))
+    assert {"laser.fov", "features.points.min_angle_rad", "world.drift_rad_per_m"} <= set(angles)
+    for name, bounds in angles.items():
+        degrees = math.degrees(0.75 * bounds.high)
+        table: dict[str, Any] = {name.rpartition(".")[2]: degrees}
+        for part in reversed(name.split(".")[:-1]):
+            table = {part: table}
+        with pytest.raises(ConfigError, match=rf"did you mean {0.75 * bounds.high:.4g} rad.*\? allowed: "):
+            merge(Config(), table)
+    with pytest.raises(ConfigError, match=r"^laser\.fov: found -1\.0, allowed: above 0 to 6\.28319 rad$"):
+        merge(Config(), {"laser": {"fov": -1.0}})
+
+
+def test_a_goal_and_a_tour_go_not_together_and_the_later_one_replaces_the_other(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^goal: found beside a tour, allowed: one of the two$"):
+        Config(goal=(0.0, 0.0), tour=((1.0, 1.0),))
+    tour = merge(Config(), {"tour": [[1, 1]]})
+    assert (merge(tour, {"goal": [2, 2]}).goal, merge(tour, {"goal": [2, 2]}).tour) == ((2.0, 2.0), None)
+    assert merge(Config(goal=(2.0, 2.0)), {"tour": [[1, 1]]}) == tour
+    saved = written(tmp_path, 'task = "tour"\ngoal = [2, 2]\ntour = [[1, 1]]\n[versions]\nsixthsense = "0.1.0"')
+    assert load_config(saved).tour == tour.tour  # of a version that took both
 
 
 def test_a_configuration_cannot_be_changed() -> None:

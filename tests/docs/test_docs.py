@@ -13,6 +13,7 @@ import matplotlib
 import pytest
 
 import sixthsense as ss
+from sixthsense.cli.options import config_flags
 from sixthsense.config import Section
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -86,6 +87,17 @@ def test_every_field_of_the_configuration_has_a_row_with_its_meaning():
 
     assert set(fields(ss.Config)) <= set(rows)
     assert all(rows.values())
+
+
+def test_every_field_that_a_page_names_as_an_option_exists():
+    flags = {flag for flag, _ in config_flags(ss.Config)}
+    sections = {flag.rpartition(".")[0] for flag in flags}
+    pages = [DOCS.parent / "README.md", DOCS.parent / "benchmarks" / "RESULTS.md", *DOCS.rglob("*.md")]
+    named = {
+        flag for page in pages for flag in re.findall(r"(?<![\w-])--[a-z0-9]+\.[\w.-]*\w", page.read_text("utf-8"))
+    }
+    assert len(named) > 20
+    assert {flag for flag in named if flag.replace("_", "-").replace(".no-", ".") not in flags | sections} == set()
 
 
 def test_every_command_has_a_part_with_its_options():

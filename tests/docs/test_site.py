@@ -1,9 +1,11 @@
 """Pages of the site that other files must agree with; `make docs` builds the site and checks its links."""
 
+import json
 import re
 import sys
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -36,6 +38,59 @@ def test_every_picture_of_a_page_is_there_and_has_a_text_for_who_cannot_see_it(p
     found = re.findall(r"!\[(.*?)\]\((.*?)\)", (DOCS / page).read_text(encoding="utf-8"))
     assert found
     assert all((DOCS / file).is_file() and len(text) > 20 for text, file in found)
+
+
+WORDS = (
+    "keyframe", "observation", "loop closure", "scan matching", "odometry", "innovation", "gate", "NIS", "NEES",
+    "frontier", "viewpoint", "inflation", "clearance", "submap", "link", "landmark", "pose graph",
+)  # fmt: skip
+
+
+def test_the_glossary_explains_the_words_of_the_field_and_names_the_older_ones() -> None:
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    explained = re.findall(r"^- \*\*(.+?)\*\*( \(.+?\))?: ", text, re.MULTILINE | re.DOTALL)
+    words = [word for word, _ in explained]
+    assert set(WORDS) <= set(words) and len(words) == len(set(words)) == text.count("\n- ")
+    older = " ".join(note for _, note in explained)
+    assert all(f"*{word}*" in older for word in ("key scan", "sighting", "revisit", "aligned scans"))
+
+
+def test_every_page_but_the_glossary_ends_with_a_link_to_it() -> None:
+    pytest.importorskip("mkdocs")
+    import glossary
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import File, Files
+
+    names = ("glossary.md", "index.md", "howto/live.md")
+    files = Files([File(name, "docs", "site", use_directory_urls=False) for name in names])
+
+    def made(name: str) -> str:
+        page = SimpleNamespace(file=files.get_file_from_path(name))
+        return glossary.on_page_content("<p>text</p>", page, files=files, config=MkDocsConfig())
+
+    assert [re.findall('href="(.*?)"', made(name)) for name in names] == [[], ["glossary.html"], ["../glossary.html"]]
+    settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert "\n  - docs/hooks/glossary.py\n" in settings and "\n  - Glossary: glossary.md\n" in settings
+
+
+def test_the_figures_beside_others_are_those_of_the_evidence() -> None:
+    rows = json.loads((ROOT / "benchmarks" / "evidence.json").read_text())["rows"]
+    page = (DOCS / "comparison.md").read_text(encoding="utf-8")
+    for key, log in (("intel", "Intel Research Lab"), ("fr079", "Freiburg 079")):
+        values = {name: value for name, (value,) in rows[f"relations.{key}"]["values"].items()}
+        error = f"**{values['trans_m_mean']:.3f} ± {values['trans_m_std']:.3f}**"
+        assert f"| {log}, translation, m | {error} |" in page
+        assert f"| {log}, rotation, ° | **{values['rot_deg_mean']:.2f}** |" in page
+        name = "the Intel log" if key == "intel" else log
+        assert f"| replay of {name}, scan matching | {values['times_real_time']:.0f} times real time |" in page
+
+
+def test_no_page_denies_what_a_command_does() -> None:
+    pages = [ROOT / "README.md", *DOCS.rglob("*.md")]
+    lines = [line for page in pages for line in page.read_text(encoding="utf-8").splitlines()]
+    denials = [line for line in lines if re.search(r"not here|there is no |no ROS node|not live", line, re.IGNORECASE)]
+    assert denials
+    assert [line for line in denials if re.search(r"merg|lifelong|trajector|live topic|ROS node", line)] == []
 
 
 def test_search_needs_no_other_server() -> None:

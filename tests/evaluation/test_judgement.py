@@ -1,31 +1,60 @@
 import pytest
 
-from sixthsense.evaluation.judgement import judgement
+from sixthsense.evaluation.judgement import summary
 from sixthsense.evaluation.results import Metrics
 
 EXPLORED = {
     "outcome": "explored", "coverage": 0.998, "ate_rmse_m": 0.0123, "dead_reckoning_ate_rmse_m": 1.5,
-    "pose_nees_world_mean": 2.9,
+    "pose_nees_world_mean": 2.9, "path_length_m": 74.12, "sim_time_s": 251.0, "area_seen_m2": 117.6, "scans": 2510,
+    "keyframes": 400, "realtime_factor": 44.6, "scan_ms_p50": 6.91, "scan_ms_p99": 20.4,
+}  # fmt: skip
+LOG = {
+    "outcome": "log ended", "scans": 13631, "keyframes": 2100, "largest_gap_s": 3.214, "path_length_m": 1508.26,
+    "sim_time_s": 2691.0, "area_seen_m2": 811.6, "loop_closures_found": 23,
 }  # fmt: skip
 
 
-def test_the_judgement_is_one_sentence_on_task_accuracy_and_consistency():
-    assert judgement(EXPLORED) == (
-        "The robot saw all that it could; 99.8 % of the visible area was seen; position error 1.2 cm RMS "
-        "(odometry alone: 1.50 m); covariance consistent (NEES 2.9; 0.2 to 9.3 is expected of one run)."
-    )
+def test_a_run_with_truth_is_told_in_five_lines():
+    assert summary(EXPLORED) == {
+        "outcome": "explored: the robot saw all that it could; coverage 99.8 %",
+        "driven": "74.1 m in 251 s, 118 m² seen",
+        "accuracy": "position error 1.2 cm RMS; odometry alone 1.50 m",
+        "consistency": "consistent: NEES 2.9, within the 0.2 to 9.3 of a consistent run",
+        "speed": "45 times real time; 6.9 ms a keyframe, 20 ms at the 99th percentile",
+    }
 
 
-@pytest.mark.parametrize(("nees", "word"), [(12.0, "overconfident"), (3.0, "consistent"), (0.1, "cautious")])
-def test_the_covariance_is_judged_by_the_band_of_a_single_run(nees, word):
-    assert f"covariance {word} (" in judgement(EXPLORED | {"pose_nees_world_mean": nees})
+def test_a_log_without_truth_tells_its_scans_the_way_the_area_the_loop_closures_and_the_largest_gap():
+    assert summary(LOG) == {
+        "outcome": "log ended: the log was processed to its end",
+        "scans": "13,631 used, 2,100 of them as keyframes; largest gap 3.21 s",
+        "driven": "1,508.3 m in 2,691 s, 812 m² seen, 23 loop closures",
+        "accuracy": "not measured: no truth, no relations",
+        "consistency": "not measured: no truth",
+    }
+    told = summary(LOG | {"relations_trans_m_mean": 0.026, "relations_rot_deg_mean": 0.451, "nis_mean_per_dof": 1.02})
+    assert told["accuracy"] == "error against the relations 2.6 cm and 0.45° on average"
+    assert told["consistency"] == "no truth; NIS 1.02 per degree of freedom, 1 is consistent"
 
 
-def test_what_was_not_measured_is_not_judged():
-    assert judgement({"outcome": "log ended"}) == "The log was processed to its end."
-    assert judgement({"outcome": "something else"}) == "The run ended: something else."
-    assert "relations 2.6 cm" in judgement({"outcome": "log ended", "relations_trans_m_mean": 0.026})
-    assert "stands 4.0 mm from it" in judgement({"outcome": "goal reached", "goal_error_m": 0.004})
+@pytest.mark.parametrize(
+    ("nees", "told"),
+    [(12.0, "overconfident: NEES 12, above"), (3.0, "consistent: NEES 3, within"), (0.1, "cautious: NEES 0.1, below")],
+)
+def test_the_covariance_is_judged_by_the_band_of_a_single_run(nees, told):
+    assert summary(EXPLORED | {"pose_nees_world_mean": nees})["consistency"].startswith(told)
+
+
+def test_an_outcome_that_is_not_known_is_told_as_it_is():
+    assert summary({"outcome": "something else"})["outcome"] == "something else"
+    assert "it stands 4.0 mm from it" in summary({"outcome": "goal reached", "goal_error_m": 0.004})["outcome"]
+
+
+def test_every_line_fits_on_a_screen_of_80_columns():
+    outcomes = ("explored in part", "goal reached", "log ended", "something else")
+    large = {key: 10 * value for key, value in LOG.items() if key != "outcome"} | {"goal_error_m": 0.02}
+    rows = [summary({**EXPLORED, **large, "outcome": outcome, "coverage": 0.98765}) for outcome in outcomes]
+    assert max(len(text) for lines in (*rows, summary(LOG)) for text in lines.values()) <= 80 - 13
 
 
 def test_paths_with_less_than_the_margin_are_said_to_be_usual_where_there_are_any():

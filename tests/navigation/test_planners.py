@@ -249,7 +249,7 @@ def test_a_start_or_goal_that_is_no_point_is_refused_by_name(planner: Planner, b
 
 
 def test_an_unknown_planner_lists_the_known_ones() -> None:
-    with pytest.raises(ValueError, match="found 'dstar', allowed: astar, rrtstar"):
+    with pytest.raises(ValueError, match=r"found 'dstar', did you mean astar\? allowed: astar, rrtstar"):
         make_planner("dstar")
 
 

@@ -56,7 +56,7 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
     partial = kills[-1].partial
     assert cli.main(["replay", str(partial), "--out", str(tmp_path / "again")]) == cli.DONE
     out, err = capsys.readouterr()
-    assert "ate_rmse_m" in out
+    assert "\naccuracy     position error " in out
     assert "the recording is incomplete" in err and err.count("\n") == 1
     save_map(load(partial), tmp_path / "map.png", "a killed run")
     assert (tmp_path / "map.png").is_file()

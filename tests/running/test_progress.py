@@ -2,8 +2,6 @@ import io
 from contextlib import redirect_stderr
 from types import SimpleNamespace
 
-import numpy as np
-
 from sixthsense.config import preset
 from sixthsense.record.trace import Trace
 from sixthsense.running.progress import Progress, _seen_area
@@ -44,12 +42,10 @@ def test_nothing_is_written_where_no_terminal_is():
 
 
 def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
-    seen = np.zeros((10, 10), dtype=bool)
-    trace = SimpleNamespace(
-        grid=SimpleNamespace(seen=seen), scene=None, config=preset(region=(0.0, 0.0, 4.0, 3.0), grid={"cell_m": 0.5})
-    )
+    grid = SimpleNamespace(seen_area_m2=0.0)
+    trace = SimpleNamespace(grid=grid, scene=None, config=preset(region=(0.0, 0.0, 4.0, 3.0)))
     assert _seen_area(trace) == ""
-    seen[:4, :4] = True
+    grid.seen_area_m2 = 4.0
     assert _seen_area(trace) == "4 of at most 12 m² seen"
-    trace.config = preset(task="tour", grid={"cell_m": 0.5})
+    trace.config = preset(task="tour")
     assert _seen_area(trace) == "4 m² seen"

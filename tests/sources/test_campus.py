@@ -67,7 +67,7 @@ def test_the_shipped_campus_has_three_hundred_metres_and_a_thousand_rooms():
             "campus.block_m, campus.corridor_m: found 5, 3, allowed: at least 20 and 1",
         ),
         ("halls = 0.3", "halls = 2", "campus.halls, campus.furniture: found 2, 1, allowed: 0 to 1, 0 to 3"),
-        ("halls = 0.3", "hall = 0.3", "campus.hall: no such field, allowed: blocks, block_m"),
+        ("halls = 0.3", "hall = 0.3", "campus.hall: no such field, did you mean halls? allowed: blocks, block_m"),
         ("seed = 4", "", "campus.seed: missing, required are blocks"),
         ("[campus]", "campus = 3\n[other]", "other: no such field"),
     ],

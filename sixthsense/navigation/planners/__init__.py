@@ -8,6 +8,7 @@ import numpy as np
 
 from sixthsense.config import RRTStarConfig
 from sixthsense.config.names import PLANNERS as NAMES
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.navigation.planners.base import Plan, Planner
 
 __all__ = ["PLANNERS", "Plan", "Planner", "PlannerFactory", "make_planner", "register_planner"]
@@ -44,4 +45,4 @@ def make_planner(name: str, rrtstar: RRTStarConfig | None = None, rng: np.random
         from sixthsense.navigation.planners.rrtstar import RRTStar
 
         return RRTStar(rrtstar or RRTStarConfig(), rng or np.random.default_rng(0))
-    raise ValueError(f"planner: found {name!r}, allowed: {NAMES}")
+    raise ValueError(f"planner: found {name!r}, {allowed_names(NAMES, nearest(name, NAMES))}")

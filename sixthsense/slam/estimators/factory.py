@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from sixthsense.config import ISAM2Config
 from sixthsense.config.names import ESTIMATORS as NAMES
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.slam.estimators.base import Estimator
 
@@ -55,4 +56,4 @@ def make_estimator(name: str, start: Pose, start_cov: Array, isam2: ISAM2Config 
         from sixthsense.slam.estimators.isam2 import ISAM2
 
         return ISAM2(start, start_cov, isam2 or ISAM2Config())
-    raise ValueError(f"estimator: found {name!r}, allowed: {NAMES}")
+    raise ValueError(f"estimator: found {name!r}, {allowed_names(NAMES, nearest(name, NAMES))}")

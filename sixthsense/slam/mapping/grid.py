@@ -232,6 +232,11 @@ class Grid:
         return self._whole("seen")
 
     @property
+    def seen_area_m2(self) -> float:
+        """Area of the cells that are seen."""
+        return int(np.count_nonzero(self._counted().seen)) * self._config.cell_m**2
+
+    @property
     def obstacles(self) -> Bools:
         """(H, W) cells whose evidence says occupied; not inflated."""
         return self._whole("obstacles")

@@ -16,6 +16,7 @@ import numpy as np
 from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown_name
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
@@ -159,9 +160,10 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str]) -> dict[str, s
                 f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else f"{topic!r}, no topic of {path}"
             )
             offered = sorted(itertools.chain(*fitting.values()))
-            raise LogError(
-                f"--topic: found {found}, allowed: {', '.join(map(shown_name, offered)) or 'none in this bag'}"
+            allowed = (
+                allowed_names(map(shown_name, offered), nearest(topic, offered)) if offered else "allowed: none here"
             )
+            raise LogError(f"--topic: found {found}, {allowed}")
     chosen = {}
     for kind, names in fitting.items():
         short = kind.rpartition("/")[2]

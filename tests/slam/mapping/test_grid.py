@@ -139,6 +139,7 @@ def test_the_compiled_grid_counts_as_plain_python_does(seed: int) -> None:
     assert cells_by_world(grid, grid.hits) == plain.hits
     assert cells_by_world(grid, grid.passes) == plain.passes
     assert set(cells_by_world(grid, grid.seen)) == plain.seen
+    assert grid.seen_area_m2 == pytest.approx(len(plain.seen) * CONFIG.cell_m**2)
     assert set(cells_by_world(grid, grid.obstacles)) == plain.obstacles
 
 
