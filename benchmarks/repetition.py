@@ -71,11 +71,11 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
         spent_s = time.process_time() - began
         loop_closures = slam._front_end.loop_closures  # type: ignore[union-attr]
         graph, closings = loop_closures._graph, loop_closures.closings
+        old_links = [(a.target, a.source, a.pose, np.linalg.inv(a.cov)) for a in closings.links]
         return {
-            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
-            "refused": loop_closures.counts.refused,
-            "accepted": closings.accepted, "undone": closings.undone,
-            **judged(slam.trajectory(), np.array(truths), closings.links, graph.store),
+            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s, "refused":
+            loop_closures.counts.refused, "accepted": closings.accepted, "undone": closings.undone,
+            **judged(slam.trajectory(), np.array(truths), old_links, graph.store),
         }  # fmt: skip
 
 

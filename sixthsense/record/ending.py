@@ -23,6 +23,7 @@ from sixthsense.record.writing import whole
 from sixthsense.slam.association.crookedness import MeanShape
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.relations import Relations
@@ -47,6 +48,8 @@ def write_arrays(folder: Path, trace: Trace) -> None:
     }
     if trace.relations is not None:
         arrays |= {"relation_stamps": trace.relations.stamps, "relation_poses": trace.relations.poses}
+    if trace.links is not None:
+        arrays |= {f"link_{name}": values for name, values in trace.links._asdict().items()}
     with whole(folder / END_FILE) as file:
         np.savez_compressed(file, **arrays)
 
@@ -65,6 +68,13 @@ def read_arrays(file: Path, trace: Trace) -> None:
         trace.trajectory = trajectory
         if "since_key" in arrays:  # not in older records
             trace.since_key = list(_floats(arrays, "since_key", (len(trace.stamps_ns), 3)))
+        if "link_ends" in arrays:
+            ends = arrays["link_ends"].astype(np.int64).reshape(-1, 2)
+            count = len(ends)
+            motions, covs = _floats(arrays, "link_motions", (count, 3)), _floats(arrays, "link_covs", (count, 3, 3))
+            if count and not 0 <= ends.min() <= ends.max() < len(trajectory):
+                raise ValueError(f"link_ends {ends.min()} to {ends.max()} of {len(trajectory)} keyframes")
+            trace.links = PoseLinks(ends, motions, covs)
         if "relation_stamps" in arrays:
             stamps = _floats(arrays, "relation_stamps", (-1, 2))
             trace.relations = Relations(stamps, _floats(arrays, "relation_poses", (len(stamps), 3)))

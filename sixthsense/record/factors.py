@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
+from sixthsense.slam.front_end import PoseLinks
 
+NO_LINKS = PoseLinks(np.zeros((0, 2), np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 _MIN_SIGMA = 1e-6  # smallest sigma of a motion, m and rad: the information matrix must be finite
 
 
@@ -83,6 +85,13 @@ def factor_graph(trace: Trace) -> FactorGraph:
     )
 
 
+def links_of(trace: Trace) -> PoseLinks:
+    """The links by scan matching of a finished run, with covariances in the axes of the second frame."""
+    found = trace.links or NO_LINKS
+    links = [Odometry(Pose.from_array(motion), cov) for motion, cov in zip(found.motions, found.covs, strict=True)]
+    return found._replace(covs=np.array([_regularized_cov(link) for link in links]).reshape(-1, 3, 3))
+
+
 def _observations_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int, Observation]]:
     """Observations of the landmarks `ids`: index of the keyframe, index of the landmark, observation."""
     column = {i: k for k, i in enumerate(ids)}
@@ -98,10 +107,11 @@ def _regularized_cov(odometry: Odometry) -> Array:
     return odometry.cov_after() + _MIN_SIGMA**2 * np.eye(3)
 
 
-def write_graph(folder: Path, graph: FactorGraph) -> None:
+def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -> None:
     """Write `graph.g2o`, which GTSAM's `readG2o` reads, and `graph.npz`, which also contains the walls.
 
-    In the g2o file a pose is VERTEX_SE2, odometry EDGE_SE2 with its information matrix, a landmark VERTEX_XY, and an
+    In the g2o file a pose is VERTEX_SE2, odometry and links by scan matching EDGE_SE2 with
+    their information matrices, a landmark VERTEX_XY, and an
     observation `BR pose landmark bearing range sigma_bearing sigma_range`, without the correlation of bearing and
     range. The first pose is the start of the run; the format has no tag for a prior. Poses are numbered first, then
     landmarks.
@@ -112,13 +122,16 @@ def write_graph(folder: Path, graph: FactorGraph) -> None:
     upper = np.triu_indices(3)
     for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
         lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
+    for (k, j), motion, cov in zip(*links, strict=True):
+        lines.append(f"EDGE_SE2 {k} {j} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
     rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), polar, cov in rows:
         lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
     with whole(folder / "graph.g2o") as file:
         file.write_text("\n".join(lines) + "\n", encoding="utf-8")
     with whole(folder / "graph.npz") as file:
-        np.savez(file, **{name: getattr(graph, name) for name in FactorGraph.__slots__})
+        of_links = {f"link_{name}": values for name, values in links._asdict().items()}
+        np.savez(file, **{name: getattr(graph, name) for name in FactorGraph.__slots__}, **of_links)
 
 
 def _row(values: Array) -> str:

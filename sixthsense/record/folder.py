@@ -20,7 +20,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
 from sixthsense.record.contents import foreign_entries, has_record, reason_not_a_run, reason_not_started
 from sixthsense.record.ending import write_arrays, write_grid
-from sixthsense.record.factors import factor_graph, write_graph
+from sixthsense.record.factors import factor_graph, links_of, write_graph
 from sixthsense.record.folder_lock import FolderError, FolderLock
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
@@ -142,7 +142,7 @@ class RunFolder:
         if trace.truths:
             write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
         write_landmarks(self.partial, trace)
-        write_graph(self.partial, factor_graph(trace))
+        write_graph(self.partial, factor_graph(trace), links_of(trace))
         write_arrays(self.partial, trace)
         if trace.grid is not None:
             write_grid(self.partial, trace.grid)

@@ -48,7 +48,7 @@ class Recorder:
         trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
         trace.records = dict(result.landmark_records)
         trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds
-        trace.loop_closures = result.loop_closures
+        trace.loop_closures, trace.links = result.loop_closures, result.links
         if result.wheels is not None:
             trace.wheels = result.wheels.with_sigmas()
         if result.since_key is not None:

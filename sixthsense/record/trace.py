@@ -20,7 +20,7 @@ from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.front_end import LoopClosureCounts
+from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step
 from sixthsense.sources.logs.relations import Relations
@@ -101,6 +101,8 @@ class Trace:
     """number of walls merged into older duplicates"""
     loop_closures: LoopClosureCounts | None = None
     """what the search for old places has come to; None without one"""
+    links: PoseLinks | None = None
+    """links between keyframes by scan matching; None without them"""
     wheels: Array | None = None
     """(2, 4) the wheels' parameters at the end, in the order of `core.wheels.Wheels`, and their sigmas; if estimated"""
     relations: Relations | None = None

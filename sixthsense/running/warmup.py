@@ -128,10 +128,10 @@ def warm_up_scans() -> None:
     """Compile the hot loops of scan matching, or load them compiled: tracking, links and loop closures."""
     # Here, so that runs with landmarks do not load them.
     from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
-    from sixthsense.slam.scans.evidence import explained
     from sixthsense.slam.scans.scan_store import ScanStore
     from sixthsense.slam.scans.submap import pyramid, submap_points
     from sixthsense.slam.scans.uncertainty import UncertaintyGraph
+    from sixthsense.slam.scans.visibility import explained
 
     config = merge(Config(), {"front_end": "scan-matching"})
     source, store = World(WALLS, Pose(), 0.2, config, np.random.default_rng(0)), ScanStore(config.scans.max_range_m)

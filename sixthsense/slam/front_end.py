@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
@@ -53,6 +54,17 @@ class LoopClosureCounts(NamedTuple):
     """loop closures taken back, since later scans contradicted them"""
 
 
+class PoseLinks(NamedTuple):
+    """Measured relative poses of keyframes."""
+
+    ends: NDArray[np.int64]
+    """(m, 2) keyframes at which each begins and ends"""
+    motions: Array
+    """(m, 3) pose of the second keyframe in the frame of the first, robot's frames"""
+    covs: Array
+    """(m, 3, 3) of their errors, axes of the first frame"""
+
+
 class FrontEnd(Protocol):
     """From ticks to what the estimator is given."""
 
@@ -73,6 +85,10 @@ class FrontEnd(Protocol):
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None for a front end that does not search."""
+        ...
+
+    def links(self) -> PoseLinks | None:
+        """The links between keyframes that the estimator has; None for a front end that makes none."""
         ...
 
     def finish(self) -> Array | None:

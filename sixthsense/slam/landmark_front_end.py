@@ -15,7 +15,7 @@ from sixthsense.slam.association.records import Association
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
-from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
 from sixthsense.slam.keyframes import Keyframes
 
 
@@ -75,6 +75,10 @@ class LandmarkFrontEnd:
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:
         """None: old places are found by their landmarks alone."""
+        return None
+
+    def links(self) -> PoseLinks | None:
+        """None: landmarks make no links."""
         return None
 
     def finish(self) -> Array | None:

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,12 @@ from sixthsense.config.names import CALIBRATE_WHEELS, KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
@@ -33,58 +30,9 @@ from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.prior_map import PriorMap, begin_with
+from sixthsense.slam.result import SlamResult, Step
 
 __all__ = ["Keyframe", "Slam", "SlamResult", "Step", "Timed", "untimed"]
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What `Slam.take` made of a tick."""
-
-    stamp_ns: int
-    """of the tick"""
-    pose: Pose
-    """`T_world_robot`: the last estimate, and the odometry since"""
-    dead_reckoned: Pose
-    """`T_world_robot` by odometry alone"""
-    increment: Odometry | None
-    """motion since the last tick; None at the first"""
-    since_keyframe: Pose
-    """motion since the last keyframe"""
-    scan: Scan | None
-    """de-skewed"""
-    keyframe: Keyframe | None
-    """None where the tick brought no keyframe"""
-    grid: Grid
-    """the map as it is now; the next keyframe changes it"""
-    key_scan = OldName("key_scan", "keyframe")
-
-
-@dataclass(frozen=True, slots=True)
-class SlamResult:
-    """What is known after the last tick."""
-
-    estimate: Estimate
-    """at the last tick"""
-    joint_cov: Array
-    """(3 + 2n, 3 + 2n) of pose and landmarks, world frame"""
-    trajectory: Array
-    """(K, 3) final pose at each keyframe"""
-    landmark_records: Mapping[LandmarkId, Record]
-    """observations, kind and extent of each landmark of the estimate"""
-    culled: int
-    """landmarks removed"""
-    walls_merged: int
-    """walls merged into older duplicates"""
-    rebuilds: int
-    """times the grid was drawn again because key poses had moved"""
-    since_key: Array | None = None
-    """(S, 3) motion from the last keyframe to each scan, if it is known better now than when the scan was taken"""
-    loop_closures: LoopClosureCounts | None = None
-    """of a front end that searches for old places"""
-    wheels: WheelEstimate | None = None
-    """the wheels' parameters, if they are estimated"""
-    revisits = OldName("revisits", "loop_closures")
 
 
 def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -226,6 +174,7 @@ class Slam:
                 since_key,
                 self.loop_closures,
                 self.wheels(),
+                self._front_end.links(),
             )
         return self._result
 

@@ -6,11 +6,13 @@ import gtsam
 import numpy as np
 import pytest
 
+import sixthsense as ss
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.loop import replay, run
-from sixthsense.record.factors import FactorGraph, factor_graph, write_graph
+from sixthsense.record.factors import FactorGraph, factor_graph, links_of, write_graph
 from sixthsense.record.trace import Trace
+from sixthsense.slam.scans.poses import between
 from sixthsense.sources.logs import open_log
 
 KEEP = {"culling": False}  # a culled landmark's observations are in the solver's past, and not in the graph
@@ -85,3 +87,22 @@ def test_a_run_without_a_landmark_has_a_graph_of_odometry_alone(tmp_path: Path) 
     write_graph(tmp_path, graph)
     factors, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))
     assert factors.size() == len(graph.motions) > 2 and len(graph.observations) == 0
+
+
+def test_the_links_of_scan_matching_are_edges_that_gtsam_reads(tmp_path):
+    made = run(preset(scene="rectangle", front_end="scan-matching", estimator="isam2", task="tour", max_time=12.0))
+    links = links_of(made)
+    write_graph(tmp_path, factor_graph(made), links)
+    graph, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))
+    assert len(links.ends) > 10 and graph.size() == len(made.key_odometry) - 1 + len(links.ends)
+    assert len(np.load(tmp_path / "graph.npz")["link_ends"]) == len(links.ends)
+    apart = between(made.trajectory[links.ends[:, 0]], made.trajectory[links.ends[:, 1]]) - links.motions
+    assert np.abs(apart[:, :2]).max() < 0.02
+
+
+def test_links_are_read_back_from_a_folder(tmp_path):
+    fields = {"front_end": "scan-matching", "estimator": "isam2", "task": "tour", "max_time": 8.0}
+    made = ss.run("rectangle", out=tmp_path / "run", **fields)
+    loaded = ss.load(tmp_path / "run")
+    for before, after in zip(made.trace.links, loaded.trace.links, strict=True):
+        assert np.array_equal(before, after)

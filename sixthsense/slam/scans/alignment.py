@@ -24,7 +24,6 @@ _SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
 NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 
-_LINE_GATE_M, _LINE_SCALE_M = 0.12, 0.05  # of the distance of a point that lies on a line
 SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
 _SCALE_M = 0.05  # of the Cauchy loss on that distance
 _NARROWEST_M, _NARROWER = 0.12, 0.8  # the last gate, and the ratio of one gate to the one before
@@ -34,7 +33,7 @@ _STEP_M, _STEP_RAD = 3e-4, 1e-4  # a smaller step ends the iteration
 
 HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = 0, 6, 9, 10, 11, 12, 18
 """Places in the sums: upper triangle of the Hessian (6), gradient (3), sum of weights, number of partners, weighted sum
-of squared residuals, and the part of the Hessian that the noise of the normals feigns (6)."""
+of squared residuals, part of the Hessian by the noise of the normals (6)."""
 
 
 class Prior(NamedTuple):
@@ -121,8 +120,7 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
     moved, turned_normals = returns.points[source], returns.normals[source]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     # Numbers instead of rows of `sums`: a compiler keeps them in registers.
-    xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = 0.0
-    fxx = fxy = fxt = fyy = fyt = ftt = 0.0
+    xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
     for k in range(0, bearings.beams, bearings.stride):
         if moved[k, 2] == 0.0:
             continue
@@ -155,25 +153,6 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
     found = (xx, xy, xt, yy, yt, tt, gx, gy, gt, weights, hits, squares, fxx, fxy, fxt, fyy, fyt, ftt)
     for i in range(SUMS):
         sums[i] += found[i]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
-    """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
-    points, normals = returns.points, returns.normals
-    q = partner(returns, target, x, y, _LINE_GATE_M)
-    if q < 0:
-        return 0.0
-    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
-    nx, ny, mx, my = normals[target, q, 0], normals[target, q, 1], normals[source, k, 0], normals[source, k, 1]
-    if nx == 0.0 and ny == 0.0:
-        r = math.hypot(dx, dy)
-    else:
-        c, s = math.cos(turn), math.sin(turn)
-        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
-            return 0.0
-        r = abs(nx * dx + ny * dy)
-    return 1.0 / (1.0 + (r / _LINE_SCALE_M) ** 2) if r < _LINE_GATE_M else 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")

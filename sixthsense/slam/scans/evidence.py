@@ -8,21 +8,18 @@ explained at one place has little explained at all places that look alike.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import HITS, inverse, on_line
-from sixthsense.slam.scans.bearings import cell_of
+from sixthsense.slam.scans.alignment import HITS, inverse
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import WIDE_GATE_M, align_pairs
 from sixthsense.slam.scans.poses import between, compose
-from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.visibility import explained
 
 _BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
 _PARTNERS = 2  # old keyframes that each is compared with
@@ -31,7 +28,6 @@ _LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or t
 _LEAST_HITS = 20.0
 _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
 _SHIFT_RAD = 0.1
-_HIDDEN_M = 0.3  # a point this far behind a return is hidden
 _LEAST_SCANS = 3  # that tell about two places which are compared
 _CLEARLY = 0.25  # scans' worth of points that a place must explain beyond another one
 _SCANS_BEYOND = 6  # or this many scans more that tell about it
@@ -112,31 +108,3 @@ def _compared(graph: ScanGraph, key: int, at: Array, old: NDArray[np.int64], mos
             best, there = found[0], compose(poses[target], pair)
     share = float(total[0] / total[1]) if total[1] >= max(_LEAST_SEEN * total[2], 1.0) else np.nan
     return share, there
-
-
-@numba.njit(cache=True, error_model="numpy")
-def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
-    """(3,) points of `source`, at `pose` (3,), that lie on lines of `target`, that `target` must see, and all.
-
-    The first is a sum of weights. A point well behind a return is hidden from the target. One a little behind it, or
-    before it, is contradicted.
-    """
-    points, bearings = returns.points, returns.bearings
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    total = np.zeros(3)
-    for k in range(0, bearings.beams, bearings.stride):
-        if points[source, k, 2] == 0.0:
-            continue
-        total[2] += 1.0
-        x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
-        y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
-        weight = on_line(returns, target, source, k, pose[2], x, y)
-        centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
-        farthest = 0.0
-        for beam in range(centre - 1, centre + 2):
-            if bearings.closed or 0 <= beam < bearings.beams:
-                farthest = max(farthest, points[target, beam % bearings.beams, 2])
-        if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + _HIDDEN_M):
-            total[0] += weight
-            total[1] += 1.0
-    return total

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import NamedTuple
 
@@ -17,8 +18,9 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
-from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
 from sixthsense.slam.scans.alignment import Prior, Views
+from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.loop_closures import LoopClosures
@@ -134,6 +136,10 @@ class ScanFrontEnd:
             return None
         return refined(self._store, self._graph.poses, self._scans, self._mount)
 
+    def links(self) -> PoseLinks:
+        """The links between keyframes that the estimator has."""
+        return self._graph.robot_links()
+
     @property
     def newest(self) -> int:
         """Index of the newest keyframe."""
@@ -236,9 +242,17 @@ class ScanFrontEnd:
         if self._config.scans.loop_closures:
             self.loop_closures.look(key)
 
+    def _reported(self, estimate: Estimate) -> Estimate:
+        """An estimate at the newest keyframe, with the private errors of its scan and of the first one."""
+        if not self.newest:
+            return estimate
+        returns, poses, sigma_m = self._store.returns, self._graph.poses, self._config.assumed.laser.range_m
+        own, first = (private_covariance(returns, key, sigma_m) for key in (self.newest, 0))
+        return dataclasses.replace(estimate, pose_cov=reported(estimate.pose_cov, poses[-1], own, first, poses[0]))
+
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
-        estimate, self._wheels = self._estimator.estimate(), self._wheel_estimate()
+        estimate, self._wheels = self._reported(self._estimator.estimate()), self._wheel_estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))

@@ -1,4 +1,4 @@
-"""The graph of keyframes: their poses, and the links between them."""
+"""The graph of keyframes: their poses, and each link once, as the estimator was given it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator, takes_out_poses
+from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.alignment import SUMS
 from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 
+RECENT_GROUP = -2
+"""the group of links between keyframes of one pass"""
 RECENT = 4  # keyframes before a keyframe that it is linked to
 _OLD = 4  # most links of a keyframe to old ones
 _OLD_AGE = 20  # keyframes; nearer ones are of the same pass
@@ -27,16 +30,20 @@ _RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits an
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
 _JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
-_RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
+_RECENT_LOSS, OLD_LOSS = 10.0, 6.0  # scales of the Cauchy loss, in whitened error
 
 
-class OldLinks(NamedTuple):
-    """Links between scans of different passes."""
+class KeyframeLink(NamedTuple):
+    """The relative pose of two keyframes, as it was given to the estimator."""
 
-    ids: list[int]
-    """of the estimator's links"""
-    rows: list[tuple[Alignments, int]]
-    """of the alignments that they are"""
+    target: int
+    source: int
+    pose: Array
+    """(3,) of the source's laser in the frame of the target's"""
+    cov: Array
+    """(3, 3) of its error, axes of the target's laser"""
+    group: int
+    """the loop closure that it follows from; `RECENT_GROUP` between keyframes of one pass"""
 
 
 class ScanGraph:
@@ -50,10 +57,10 @@ class ScanGraph:
         self._centres = np.zeros((64, 3))
         """middle of what each keyframe sees, in its frame, as poses without a turn"""
         self.mount = Mount(Pose())
+        self.links: dict[int, KeyframeLink] = {}
+        """by the estimator's id"""
         self.old_links: dict[int, list[int]] = {}
-        """of a keyframe: the older ones of another pass that it is linked to"""
-        self._links = np.zeros(64, dtype=np.int64)
-        """links of each keyframe to earlier ones"""
+        """of a keyframe: the older ones of another pass that it is linked to; follows from `links`"""
         self._is_kept = np.ones(64, dtype=np.bool_)
         self.count = 0
         self.first = 0
@@ -77,7 +84,6 @@ class ScanGraph:
         """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-            self._links = np.concatenate([self._links, np.zeros_like(self._links)])
             self._is_kept = np.concatenate([self._is_kept, np.ones_like(self._is_kept)])
             self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[self.count], self.mount = pose, mount
@@ -90,67 +96,105 @@ class ScanGraph:
         self._rows[: self.count] = self.mount.laser_poses(self.estimator.trajectory())
         self._refreshed = self.count
 
-    def _refresh_near(self, rows: list[tuple[Alignments, int]]) -> None:
+    def _refresh_near(self, targets: list[int]) -> None:
         """Take the newest poses and those that links lead to; all of them from time to time, and after a jump."""
         newest = range(max(0, self.count - _NEWEST), self.count)
-        keys = sorted({*newest, *(int(found.targets[k]) for found, k in rows)})
+        keys = sorted({*newest, *targets})
         poses = self.mount.laser_poses(self.estimator.poses_at(keys))
         shift = np.hypot(*(poses[:, :2] - self._rows[keys, :2]).T)
         self._rows[keys] = poses
         if self.count - self._refreshed >= _REFRESH_PERIOD or shift.max() > _JUMP_M:
             self.refresh()
 
-    def link(self, key: int, old: NDArray[np.int64]) -> OldLinks:
-        """Link a new keyframe to those just before it, and to old ones near it; the links to old ones."""
+    def link(self, key: int, old: NDArray[np.int64], group: int) -> list[int]:
+        """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones."""
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
         good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
         self._waiting = [(recent, int(k)) for k in good]
-        return self.link_old(key, old)
+        return self.link_old(key, old, group)
 
-    def link_old(self, key: int, targets: NDArray[np.int64]) -> OldLinks:
-        """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres."""
+    def link_old(self, key: int, targets: NDArray[np.int64], group: int) -> list[int]:
+        """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres; their ids."""
         found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
         good = np.flatnonzero(found.agree(self.store.returns, OLD_AGREEMENT) & near)
-        rows = [(found, int(k)) for k in good]
-        return OldLinks(self.give(rows, OLD_LOSS), rows)
+        return self.give([(found, int(k)) for k in good], OLD_LOSS, group)
 
     def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
         """Align a keyframe with others, from the present poses."""
         starts = between(self.poses[targets], self.poses[key])
         return align_pairs(self.store.returns, targets, np.full(len(targets), key), starts, gate_m)
 
-    def give(self, rows: list[tuple[Alignments, int]], loss_scale: float) -> list[int]:
+    def give(self, rows: list[tuple[Alignments, int]], loss_scale: float, group: int) -> list[int]:
         """Give the estimator links between scans of different passes, rows of alignments; their ids."""
-        for found, k in rows:
-            self.old_links.setdefault(int(found.sources[k]), []).append(int(found.targets[k]))
         recent, self._waiting = self._waiting, []
-        for found, k in (*recent, *rows):
-            self._links[found.sources[k]] += 1
         given = [*recent, *rows]
+        sums = np.array([found.sums[k] for found, k in given]).reshape(-1, SUMS)
+        covs = covariances(sums, self.store.returns.bearings.stride, self._sigma_m)
+        links = [
+            KeyframeLink(
+                int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, RECENT_GROUP if n < len(recent) else group
+            )
+            for n, ((f, k), cov) in enumerate(zip(given, covs, strict=True))
+        ]
         losses = [_RECENT_LOSS] * len(recent) + [loss_scale] * len(rows)
-        covs = self.covariances(given)
-        links = [self._link(found, k, cov, loss) for (found, k), cov, loss in zip(given, covs, losses, strict=True)]
-        ids = self.estimator.link(links)[len(recent) :]
+        ids = self._add(links, losses)
         if links:
-            self._refresh_near(rows)
-        return ids
+            self._refresh_near([int(found.targets[k]) for found, k in rows])
+        return ids[len(recent) :]
+
+    def with_loss(self, ids: list[int], loss_scale: float) -> list[int]:
+        """Replace links by the same ones with another loss; their new ids."""
+        links = [self.links[i] for i in ids]
+        new = self._add(links, [loss_scale] * len(links))
+        self.estimator.unlink(ids)
+        self._drop(ids)
+        self.refresh()
+        return new
+
+    def remove(self, ids: list[int]) -> None:
+        """Take links back."""
+        self.estimator.unlink(ids)
+        self._drop(ids)
+        self.refresh()
 
     def take_out(self, keys: list[int]) -> None:
-        """Take keyframes out of the estimator's graph: nothing is linked to them any more."""
+        """Take keyframes out of the estimator's graph, with their links."""
         assert takes_out_poses(self.estimator)
-        self.estimator.take_out(keys)
+        self._drop(self.estimator.take_out(keys))
         self._is_kept[keys] = False
         self.refresh()
 
-    def forget(self, pairs: list[tuple[int, int]]) -> None:
-        """Forget that these pairs (target, source) are linked."""
-        for target, source in pairs:
-            self._links[source] -= 1
-            self.old_links[source].remove(target)
-            if not self.old_links[source]:
-                del self.old_links[source]
+    def _add(self, links: list[KeyframeLink], losses: list[float]) -> list[int]:
+        relative = [self._of_robot(link) for link in links]
+        ids = self.estimator.link(
+            [Link(a.target, a.source, motion, loss) for a, motion, loss in zip(links, relative, losses, strict=True)]
+        )
+        for i, link in zip(ids, links, strict=True):
+            self.links[i] = link
+            if link.group != RECENT_GROUP:
+                self.old_links.setdefault(link.source, []).append(link.target)
+        return ids
+
+    def _drop(self, ids: list[int]) -> None:
+        for i in ids:
+            link = self.links.pop(i)
+            if link.group != RECENT_GROUP:
+                self.old_links[link.source].remove(link.target)
+                if not self.old_links[link.source]:
+                    del self.old_links[link.source]
+
+    def robot_links(self) -> PoseLinks:
+        """All links, between poses of the robot."""
+        links = list(self.links.values())
+        motions = [self._of_robot(link) for link in links]
+        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
+        poses = np.array([motion.motion.array() for motion in motions]).reshape(-1, 3)
+        return PoseLinks(ends, poses, np.array([motion.cov for motion in motions]).reshape(-1, 3, 3))
+
+    def _of_robot(self, link: KeyframeLink) -> Odometry:
+        return self.mount.robot_odometry(Odometry(Pose.from_array(link.pose), link.cov))
 
     def near_linked(self, key: int) -> NDArray[np.int64]:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
@@ -192,15 +236,3 @@ class ScanGraph:
     def linked_old(self, key: int) -> NDArray[np.int64]:
         """Old keyframes that a keyframe is linked to."""
         return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
-
-    def covariances(self, rows: list[tuple[Alignments, int]]) -> Array:
-        """(m, 3, 3) of the errors of aligned pairs, rows of alignments, axes of the targets' lasers."""
-        # The links of a scan are together worth its alignment with a map of that many scans: each return counts once.
-        sums = np.array([found.sums[k] for found, k in rows]).reshape(-1, SUMS)
-        sources = np.array([found.sources[k] for found, k in rows], dtype=np.int64)
-        return covariances(sums, 1.0 + self._links[sources].astype(np.float64), self._sigma_m)
-
-    def _link(self, found: Alignments, k: int, cov: Array, loss_scale: float) -> Link:
-        """The link of an aligned pair, in the robot's frames."""
-        of_laser = Odometry(Pose.from_array(found.poses[k]), cov)
-        return Link(int(found.targets[k]), int(found.sources[k]), self.mount.robot_odometry(of_laser), loss_scale)

@@ -39,7 +39,6 @@ class Thinning:
             self._next = k + 1
         if len(self._spare) >= _BATCH:
             self._graph.take_out(self._spare)
-            self._closings.take_out(self._spare)
             self._uncertainty.take_out(self._spare)
             self._spare = []
 

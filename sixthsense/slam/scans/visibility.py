@@ -13,11 +13,13 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import Views
+from sixthsense.slam.scans.alignment import NORMALS_AGREE, Views, partner
 from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
 _TOLERANCE_M = 0.12  # between returns of one surface
+_HIDDEN_M = 0.3  # a point this far behind a return is hidden
+_LINE_GATE_M, _LINE_SCALE_M = 0.12, 0.05  # of the distance of a point that lies on a line
 _LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
 
 UNSEEN, THROUGH, SURFACE = 0, 1, 2
@@ -110,3 +112,50 @@ def compare_views(returns: Returns, target: int, source: int, pose: Array) -> tu
         hits += saw == SURFACE
         violations += saw == THROUGH
     return hits, violations, count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
+    """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
+    points, normals = returns.points, returns.normals
+    q = partner(returns, target, x, y, _LINE_GATE_M)
+    if q < 0:
+        return 0.0
+    dx, dy = x - points[target, q, 0], y - points[target, q, 1]
+    nx, ny, mx, my = normals[target, q, 0], normals[target, q, 1], normals[source, k, 0], normals[source, k, 1]
+    if nx == 0.0 and ny == 0.0:
+        r = math.hypot(dx, dy)
+    else:
+        c, s = math.cos(turn), math.sin(turn)
+        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
+            return 0.0
+        r = abs(nx * dx + ny * dy)
+    return 1.0 / (1.0 + (r / _LINE_SCALE_M) ** 2) if r < _LINE_GATE_M else 0.0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
+    """(3,) points of `source`, at `pose` (3,), that lie on lines of `target`, that `target` must see, and all.
+
+    The first is a sum of weights. A point well behind a return is hidden from the target. One a little behind it, or
+    before it, is contradicted.
+    """
+    points, bearings = returns.points, returns.bearings
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    total = np.zeros(3)
+    for k in range(0, bearings.beams, bearings.stride):
+        if points[source, k, 2] == 0.0:
+            continue
+        total[2] += 1.0
+        x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
+        y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
+        weight = on_line(returns, target, source, k, pose[2], x, y)
+        centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
+        farthest = 0.0
+        for beam in range(centre - 1, centre + 2):
+            if bearings.closed or 0 <= beam < bearings.beams:
+                farthest = max(farthest, points[target, beam % bearings.beams, 2])
+        if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + _HIDDEN_M):
+            total[0] += weight
+            total[1] += 1.0
+    return total

@@ -24,6 +24,7 @@ from sixthsense.slam.scans.alignment import (
     solved,
     turned,
 )
+from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.bearings import direction
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances
 from sixthsense.slam.scans.visibility import compare_views
@@ -147,6 +148,16 @@ def test_normals_point_to_the_laser_and_are_those_of_the_walls():
     assert np.mean(np.abs(wrap_angle(4 * world)) < 0.05) > 0.9  # all walls are parallel to an axis
 
 
+def link_covariance(found, returns, sigma_m=0.01):
+    return covariances(found.sums, returns.bearings.stride, sigma_m)[0]
+
+
+def covariance_of_truth(found, returns):
+    """(3, 3) of an aligned pair's error: of the link between apparent poses, and the private errors of both scans."""
+    link, own = link_covariance(found, returns), [private_covariance(returns, k, 0.01) for k in (0, 1)]
+    return reported(link, found.poses[0], own[1], own[0], np.zeros(3))
+
+
 @LASERS
 def test_alignment_finds_the_motion_within_its_covariance(laser):
     squared, rng = [], np.random.default_rng(3)
@@ -160,7 +171,7 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
             continue
         off = found.poses[0] - true
         off[2] = wrap_angle(float(off[2]))
-        squared.append(off @ np.linalg.solve(found.covariance(0, 2.0, 0.01), off))
+        squared.append(off @ np.linalg.solve(covariance_of_truth(found, returns), off))
     assert len(squared) > 40
     assert np.sum(squared) < chi2.ppf(0.999, 3 * len(squared))  # not overconfident
     assert np.mean(squared) > 0.3  # nor worthless
@@ -172,7 +183,7 @@ def test_a_direction_of_which_few_returns_tell_is_not_observed(along, is_observe
     # Both ways each return counts twice.
     sums[0, HESSIAN : HESSIAN + 6] = 2.0 * np.array([along, 0.0, 0.0, 200.0, 0.0, 800.0])
     sums[0, WEIGHT], sums[0, SQUARES] = 400.0, 400.0 * 2.0 * 0.01**2
-    cov = covariances(sums, np.array([2.0]), 0.01)[0]
+    cov = covariances(sums, 1, 0.01)[0]
     assert cov[1, 1] < 0.002**2
     assert cov[0, 0] < 0.01**2 if is_observed else cov[0, 0] > 1.0
 
@@ -181,16 +192,28 @@ def test_along_a_corridor_the_covariance_claims_nothing():
     rng = np.random.default_rng(4)
     returns, true = pair(HALF, rng, Pose(0.0, 0.2, 0.1), Pose(0.5, 0.25, 0.05), CORRIDOR)
     found = align_pairs(returns, np.array([0]), np.array([1]), true[None] + [0.02, 0.01, 0.01], NEAR_GATE_M)
-    values, axes = np.linalg.eigh(found.covariance(0, 2.0, 0.01)[:2, :2])
+    values, axes = np.linalg.eigh(link_covariance(found, returns)[:2, :2])
     assert np.sqrt(values[1]) > 0.5 and np.sqrt(values[0]) < 0.02
     assert abs(axes[:, 1] @ [math.cos(0.1), -math.sin(0.1)]) > 0.999
 
 
-def test_more_scans_of_one_surface_make_each_link_less_certain():
-    returns, true = pair(ROUND, np.random.default_rng(5))
-    found = align_pairs(returns, np.array([0]), np.array([1]), true[None], NEAR_GATE_M)
-    two, ten = (found.covariance(0, n, 0.01) for n in (2.0, 10.0))
-    assert np.linalg.eigvalsh(ten - two).min() > 0
+def test_a_scan_says_nothing_of_a_private_error_along_a_corridor():
+    returns, _ = pair(HALF, np.random.default_rng(5), Pose(), Pose(0.5, 0.0, 0.0), CORRIDOR)
+    own = private_covariance(returns, 0, 0.01)
+    values, axes = np.linalg.eigh(own[:2, :2])
+    assert values[0] == pytest.approx(0.0, abs=1e-12) and abs(axes[0, 0]) > 0.999 and 0.0 < own[1, 1] < 0.005**2
+
+
+def test_private_errors_are_those_of_the_laser_and_vanish_with_its_noise():
+    returns, _ = pair(ROUND, np.random.default_rng(5))
+    two, one, none = (private_covariance(returns, 0, sigma) for sigma in (0.02, 0.01, 0.0))
+    assert np.allclose(two, 4.0 * one) and np.linalg.eigvalsh(one)[0] > 0.0 and not none.any()
+
+
+def test_the_first_scans_error_turns_all_that_follows():
+    first = np.diag([0.0, 0.0, 0.01**2])
+    far = reported(np.zeros((3, 3)), np.array([0.0, 10.0, 1.0]), np.zeros((3, 3)), first, np.zeros(3))
+    assert math.sqrt(far[0, 0]) == pytest.approx(0.1) and far[1, 1] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_scan_that_looks_through_a_wall_is_rejected():

@@ -9,12 +9,13 @@ from test_front_end import drive, ticks
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.slam.scans.evidence import Evidence, evidence_of, explained, followed_back
+from sixthsense.slam.scans.evidence import Evidence, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.verification import verified
+from sixthsense.slam.scans.visibility import explained
 from sixthsense.slam.slam import Slam
 
 PITCH = 3.0
@@ -172,9 +173,9 @@ def test_in_a_corridor_of_equal_doors_no_wrong_door_is_taken_and_the_scans_are_l
             if slam.take(tick).keyframe is not None:
                 truths.append(pose.array())
     links, truths = slam._front_end.loop_closures.closings.links, np.array(truths)
-    wrong = [np.hypot(*(between(truths[i], truths[j]) - found)[:2]) for i, j, found, _ in links]
+    wrong = [np.hypot(*(between(truths[a.target], truths[a.source]) - a.pose)[:2]) for a in links]
     assert max(wrong) < 0.3
     third = [k for k, truth in enumerate(truths) if k > 0.7 * len(truths) and truth[0] > 3.0]
-    linked = [j for _, j, _, _ in links]
+    linked = [link.source for link in links]
     near = [min(abs(k - j) for j in linked) <= 6 for k in third]
     assert np.mean(near) > 0.95

@@ -1,7 +1,6 @@
 """Uncertainty along the graph, submaps, branch and bound."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +8,8 @@ from rooms import scan_at, stored
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.scans import place_search
 from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Apart, Window, peaks
-from sixthsense.slam.scans.evidence import Evidence
 from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, pyramid, submap_points
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
@@ -142,20 +138,3 @@ def test_the_bias_of_wheels_adds_up_along_a_path():
         graph.add(k, k + 1, 1e-4, 0.0, bias_m=0.02)
     sigma_m, _ = graph.sigmas(0, np.zeros((11, 3)))
     assert sigma_m[10] ** 2 == pytest.approx(10 * 1e-4 + (10 * 0.02) ** 2)
-
-
-@pytest.mark.parametrize(
-    ("mean_share", "is_expected", "is_found"), [(0.5, False, False), (0.5, True, True), (0.6, False, True)]
-)
-def test_a_place_that_an_earlier_hypothesis_said_needs_less_evidence(monkeypatch, mean_share, is_expected, is_found):
-    graph = SimpleNamespace(poses=np.zeros((80, 3)))
-    search = place_search.PlaceSearch(ScansConfig(), graph)
-    place, travelled = np.array([2.0, 1.0, 0.3]), np.arange(80.0)
-    submap = place_search._Submap(20, np.arange(15, 25), None)
-    monkeypatch.setattr(place_search, "evidence_of", lambda *_: [Evidence(place, np.full(8, mean_share))])
-    expected = [graph.poses[79], *([place + 0.1] if is_expected else [])]
-    found = search._judged(79, np.arange(50), [place_search._Candidate(submap, place, 0.8)], travelled, expected)
-    assert (found is not None) == is_found
-    if found is not None:
-        # Not only the keyframes of the submap: those further along the same pass may see more of the same.
-        assert not found.is_ambiguous and found.old.min() == 0 and found.old.max() == 40
