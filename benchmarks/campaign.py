@@ -17,7 +17,7 @@ import pandas as pd
 import psutil
 from harness import Figures, arguments, print_figures, write_json
 
-from sixthsense.campaign import load_campaign
+from sixthsense.campaigns import load_campaign
 from sixthsense.running.warmup import warm_up
 
 RUNS = 40

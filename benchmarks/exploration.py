@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
 
-from sixthsense.campaign import CampaignError, load_campaign
-from sixthsense.campaign.folder import read_folder
+from sixthsense.campaigns import CampaignError, load_campaign
+from sixthsense.campaigns.folder import read_folder
 from sixthsense.config import Config, ExploreConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area

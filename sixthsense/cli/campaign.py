@@ -14,7 +14,7 @@ from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
 from sixthsense.config.section import shown
 
 if TYPE_CHECKING:
-    from sixthsense.campaign import Campaign
+    from sixthsense.campaigns import Campaign
 
 USAGE = """\
 usage: sixthsense campaign [SCENE ...] --seeds FIRST:LAST ... --out DIR [options]
@@ -52,8 +52,8 @@ def command(args: list[str]) -> int:
     lists, rest = split_lists(args)
     given, table = parse(rest, OWN, "scene")
     _check(given, table, lists)
-    from sixthsense.campaign import Campaign
-    from sixthsense.campaign.plan import AXES, resolve_scenes, seed_range, shared_fields
+    from sixthsense.campaigns import Campaign
+    from sixthsense.campaigns.plan import AXES, resolve_scenes, seed_range, shared_fields
     from sixthsense.record.folder_lock import FolderLock
 
     file = _read_config_table(given.get("config"), lists.get("preset", []))
@@ -74,10 +74,10 @@ def command(args: list[str]) -> int:
 
 def _complete(campaign: Campaign, given: dict[str, Any]) -> int:
     """Make the runs that are missing in the campaign's folder, and print its table; returns the exit code."""
-    from sixthsense.campaign import Rows
-    from sixthsense.campaign.folder import check_folder, check_rows, save_folder
-    from sixthsense.campaign.plan import plan
-    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+    from sixthsense.campaigns import Rows
+    from sixthsense.campaigns.folder import check_folder, check_rows, save_folder
+    from sixthsense.campaigns.plan import plan
+    from sixthsense.campaigns.worker import FAILED as FAILED_RUN
 
     out: Path = given["out"]
     runs = plan(campaign)
@@ -105,9 +105,9 @@ def _execute(
 ) -> None:
     from tqdm import tqdm
 
-    from sixthsense.campaign import connect, execute
-    from sixthsense.campaign.cluster import check_workers
-    from sixthsense.campaign.folder import save_folder
+    from sixthsense.campaigns import connect, execute
+    from sixthsense.campaigns.cluster import check_workers
+    from sixthsense.campaigns.folder import save_folder
     from sixthsense.running.warmup import COMPILING, is_compiled
 
     if not is_compiled():
@@ -127,8 +127,8 @@ def _execute(
 
 
 def _finish(rows: Any, out: Path, requested: set[str], interrupted: bool) -> int:
-    from sixthsense.campaign.summary import columns, summary
-    from sixthsense.campaign.worker import FAILED as FAILED_RUN
+    from sixthsense.campaigns.summary import columns, summary
+    from sixthsense.campaigns.worker import FAILED as FAILED_RUN
 
     frame = rows.frame()
     if len(frame):

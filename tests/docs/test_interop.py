@@ -248,8 +248,8 @@ def test_pandas_reads_metrics_and_landmarks(recorded):
 def test_pandas_reads_a_campaigns_rows_with_the_same_numbers(recorded, tmp_path):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from sixthsense.campaign.rows import Rows
-    from sixthsense.campaign.worker import row_of
+    from sixthsense.campaigns.rows import Rows
+    from sixthsense.campaigns.worker import row_of
 
     metrics = json.loads((recorded[0] / "metrics.json").read_text())
     Rows(tmp_path).add(row_of(CONFIG) | metrics)

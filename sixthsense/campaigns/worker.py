@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from sixthsense.campaign.plan import config_hash, scene_digest
+from sixthsense.campaigns.plan import config_hash, scene_digest
 from sixthsense.config import Config
 from sixthsense.config.version import __version__
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError, import_extra
-from sixthsense.campaign.plan import PlannedRun, scene_digest
-from sixthsense.campaign.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
+from sixthsense.campaigns.errors import CampaignError, import_extra
+from sixthsense.campaigns.plan import PlannedRun, scene_digest
+from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import deferred_interrupt

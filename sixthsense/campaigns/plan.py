@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError
+from sixthsense.campaigns.errors import CampaignError
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sixthsense.campaign.errors import CampaignError, import_extra
-from sixthsense.campaign.folder import read_folder
-from sixthsense.campaign.plan import AXES
+from sixthsense.campaigns.errors import CampaignError, import_extra
+from sixthsense.campaigns.folder import read_folder
+from sixthsense.campaigns.plan import AXES
 from sixthsense.record.writing import whole
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.campaign import Campaign, CampaignError, Rows, cluster, folder, worker
-from sixthsense.campaign.plan import config_hash, plan, ranges, seed_range, shared_fields
-from sixthsense.campaign.summary import mean_band, mean_interval, summary
+from sixthsense.campaigns import Campaign, CampaignError, Rows, cluster, folder, worker
+from sixthsense.campaigns.plan import config_hash, plan, ranges, seed_range, shared_fields
+from sixthsense.campaigns.summary import mean_band, mean_interval, summary
 from sixthsense.record import writing
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -40,7 +40,7 @@ def nearby(monkeypatch):
         with distributed.Client(**options) as client:
             yield client
 
-    monkeypatch.setattr("sixthsense.campaign.connect", connect)
+    monkeypatch.setattr("sixthsense.campaigns.connect", connect)
 
 
 def campaign_of(**changes):
@@ -111,7 +111,7 @@ def test_the_hash_tells_every_field_apart_and_is_that_of_another_process():
     config = ss.preset(scene="rectangle", seed=3)
     changes = [{"seed": 4}, {"max_time": 10.0}, {"laser": {"beams": 90}}, {"goal": [1.0, 0.0]}, {"preset": "worn"}]
     assert len({config_hash(c) for c in (config, *(ss.merge(config, change) for change in changes))}) == 6
-    code = "import sixthsense as ss; from sixthsense.campaign.plan import config_hash as h; "
+    code = "import sixthsense as ss; from sixthsense.campaigns.plan import config_hash as h; "
     code += "print(h(ss.preset(scene='rectangle', seed=3)))"
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)
@@ -516,7 +516,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
 @pytest.mark.slow
 def test_a_run_that_kills_every_worker_is_a_row_and_takes_no_other_down(here):
     patch = """
-import sixthsense.campaign.worker as worker, os
+import sixthsense.campaigns.worker as worker, os
 whole = worker._metrics
 worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(config)
 """

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.campaign.plan import AXES
+from sixthsense.campaigns.plan import AXES
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import nees_band
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError
-from sixthsense.campaign.plan import AXES, Campaign, PlannedRun, ranges, scene_digest, seed_range
+from sixthsense.campaigns.errors import CampaignError
+from sixthsense.campaigns.plan import AXES, Campaign, PlannedRun, ranges, scene_digest, seed_range
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
