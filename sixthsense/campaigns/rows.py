@@ -83,7 +83,7 @@ class Rows:
 
     def curves(self) -> dict[str, Curves]:
         """The errors along each run, by hash; none for a run that failed, or was made by an earlier version."""
-        if not self._curves.is_dir():
+        if not any(self._curves.glob("run-*.parquet")):
             return {}
         table = self._read(lambda: self._table(None, self._curves)).to_pandas()
         names = [field.name for field in dataclasses.fields(Curves)]

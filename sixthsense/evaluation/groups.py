@@ -88,7 +88,7 @@ def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> list[Group]:
 
     Raises GroupError for a field that no run has, with the nearest name, and for more than 12 groups.
     """
-    names = (by,) if isinstance(by, str) else tuple(by)
+    names = tuple(by) if isinstance(by, (list, tuple)) else (by,)
     tables = [sample.fields() for sample in samples]
     known = list(dict.fromkeys(name for table in tables for name in table))
     for name in names or ("",):

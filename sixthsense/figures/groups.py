@@ -32,6 +32,7 @@ _SPREAD = {
     "rpe": ": median of the runs, and 10 to 90 % of them",
     "nees": ", averaged over the runs",
 }
+_KEPT = "campaigns of this version"
 _OVER = {"time": "time", "distance": "distance travelled"}
 _LOW, _HIGH = 10.0, 90.0  # per cent of the runs, limits of the bands
 
@@ -125,7 +126,7 @@ def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], 
     check_over(what, over, GROUP_KINDS)
     found, canvas = grouped(samples, by), Canvas(what, ax)
     if not _DRAW_GROUPS[what](found, canvas, over):
-        raise FigureError(f"{what}: found no run with the truth, allowed: runs that have it")
+        raise FigureError(f"{what}: found no run whose errors are known, allowed: runs with truth, {_KEPT}")
     spread = _SPREAD[what] if len(found) < len(samples) else ""
     title = _TITLES[what].format(over=_OVER[over]) + spread
     canvas.entitle(title, differences([sample.fields() for sample in samples]))

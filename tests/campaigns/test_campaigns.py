@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,20 +26,6 @@ pytestmark = pytest.mark.usefixtures("compiled", "here")
 SHORT = ("--task", "tour", "--max-time", "4")
 FIELDS = {"task": "tour", "max_time": 4.0}
 IDENTITY = ["scene", "estimator", "front_end", "preset", "planner", "seed"]
-
-
-@pytest.fixture
-def nearby(monkeypatch):
-    """Two workers that are threads of this process, so that a campaign takes a second to begin."""
-    distributed = pytest.importorskip("distributed")
-
-    @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[object]:
-        options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": "127.0.0.1:0"}
-        with distributed.Client(**options) as client:
-            yield client
-
-    monkeypatch.setattr("sixthsense.campaigns.completion.connect", connect)
 
 
 def campaign_of(**changes):
