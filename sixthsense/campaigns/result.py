@@ -74,7 +74,7 @@ class Campaign(Sampled):
         return len(self._rows.summaries())
 
     def __repr__(self) -> str:
-        return "\n".join([f"<Campaign {self.folder}: {len(self)} runs>", text_table(self.summary())])
+        return "\n".join([f"<Campaign {self.name}: {len(self)} runs>", text_table(self.summary())])
 
     def _repr_html_(self) -> str:
         head, *rows = self.summary() or [["no run yet"]]

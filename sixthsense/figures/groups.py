@@ -90,7 +90,7 @@ def _scale_nees(ax: Any, means: Sequence[Array], runs: int) -> None:
 
     low, high = nees_band(runs)
     ax.set_yscale("log")
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
     ax.yaxis.set_minor_locator(NullLocator())
     ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     bottom = min(float(np.percentile(mean, 5.0)) for mean in means)

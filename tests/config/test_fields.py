@@ -14,7 +14,12 @@ import pytest
 import sixthsense as ss
 from sixthsense.config import Section, fields, section_fields
 
-CALLS = {ss.run: fields.RunFields, ss.replay: fields.ReplayFields, ss.merge_runs: fields.MergeFields}
+CALLS = {
+    ss.run: fields.RunFields,
+    ss.replay: fields.ReplayFields,
+    ss.merge_runs: fields.MergeFields,
+    ss.campaign: fields.CampaignFields,
+}
 
 
 def argument(hint: Any) -> Any:
@@ -65,10 +70,13 @@ def test_a_type_checker_rejects_a_misspelt_field(tmp_path: Path) -> None:
         'ss.replay("a.log", robot=3, front_end="landmarks")',
         'ss.replay("a.log", seed="3")',
         'ss.preset("worn", estimatr="ekf")',
+        'ss.campaign("apartment", seeds=range(3), out="c", estimator=["ekf", "isam2"])',
+        'ss.campaign("apartment", seeds=range(3), out="c", estimatr=["ekf", "isam2"])',
+        'ss.run("apartment").plot("error", over="distance").savefig("a.png")',
     ]
     (tmp_path / "snippet.py").write_text("\n".join(lines))
     command = [sys.executable, "-m", "mypy", "--cache-dir", str(tmp_path / "cache"), "snippet.py"]
     said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
     found = [line.split(":")[1] for line in said.splitlines() if ": error: " in line]
-    assert found == ["3", "4", "6", "7"], said
+    assert found == ["3", "4", "6", "7", "9"], said
     assert 'Unexpected keyword argument "estimatr" for "run"; did you mean "estimator"?' in said
