@@ -72,7 +72,7 @@ def _by_scene(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
 
 def _axes(samples: Sequence[Sample]) -> list[str]:
     """The axes that differ in these runs, without the last ones where all would make too many groups."""
-    fields = [sample.fields() for sample in samples]
+    fields = [sample.fields for sample in samples]
     by = differing(fields, ["estimator", "front_end", "preset", "planner"]) or ["estimator"]
     while len(by) > 1 and len({tuple(one[name] for name in by) for one in fields}) > MOST_GROUPS:
         by.pop()

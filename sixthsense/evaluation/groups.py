@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ class GroupError(InputError):
     """Runs that cannot be grouped as asked, in one line."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Sample:
     """One of the runs that are compared."""
 
@@ -47,8 +48,9 @@ class Sample:
     curves: Callable[[], Curves | None]
     """returns its errors along its way, if they are known"""
 
+    @cached_property
     def fields(self) -> Fields:
-        """As `fields_of`."""
+        """As `fields_of` has them."""
         return fields_of(self.name, self.config)
 
 
@@ -89,7 +91,7 @@ def grouped(samples: Sequence[Sample], by: str | Sequence[str]) -> list[Group]:
     Raises GroupError for a field that no run has, with the nearest name, and for more than 12 groups.
     """
     names = tuple(by) if isinstance(by, (list, tuple)) else (by,)
-    tables = [sample.fields() for sample in samples]
+    tables = [sample.fields for sample in samples]
     known = list(dict.fromkeys(name for table in tables for name in table))
     for name in names or ("",):
         if name not in known:

@@ -99,11 +99,11 @@ class Comparison:
         """
         if by is None and len(self.runs) == len(self.samples):
             return figure(what, self.runs, over, ax)
-        columns = usual_grouping([sample.fields() for sample in self.samples]) if by is None else by
+        columns = usual_grouping([sample.fields for sample in self.samples]) if by is None else by
         return group_figure(what, self.samples, columns, over, ax)
 
     def _summary(self) -> list[list[str]]:
-        by = usual_grouping([sample.fields() for sample in self.samples])
+        by = usual_grouping([sample.fields for sample in self.samples])
         return summary(self.frame().reset_index(), by)
 
     def __len__(self) -> int:

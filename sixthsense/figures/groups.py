@@ -129,7 +129,7 @@ def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], 
         raise FigureError(f"{what}: found no run whose errors are known, allowed: runs with truth, {_KEPT}")
     spread = _SPREAD[what] if len(found) < len(samples) else ""
     title = _TITLES[what].format(over=_OVER[over]) + spread
-    canvas.entitle(title, differences([sample.fields() for sample in samples]))
+    canvas.entitle(title, differences([sample.fields for sample in samples]))
     return canvas.picture
 
 
