@@ -119,6 +119,11 @@ def usual_grouping(runs: Sequence[Fields]) -> list[str]:
 def differences(runs: Sequence[Fields]) -> str:
     """What differs between the runs and what they have in common, for the title of a figure."""
     apart = [name for name in differing(runs) if name != RUN]
+    if "preset" in apart:  # without the fields that each preset sets
+        presets = dict.fromkeys(fields["preset"] for fields in runs)
+        by_preset = [[fields for fields in runs if fields["preset"] == preset] for preset in presets]
+        apart = [name for name in apart if name in LABELS or any(differing(alike, [name]) for alike in by_preset)]
+    apart.sort(key=lambda name: name not in LABELS)
     counts = [f"{name} ({len({repr(fields.get(name)) for fields in runs})})" for name in apart[:_MOST_NAMED]]
     counts += [f"{len(apart) - _MOST_NAMED} more"] if len(apart) > _MOST_NAMED else []
     shared = [name for name in (*_PLAIN, "seed", "max_time") if name not in apart and runs[0].get(name) is not None]

@@ -68,6 +68,15 @@ class Canvas:
         columns = max(1, min(4, 120 // (max(map(len, names)) + 8)))
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, borderaxespad=0.2)
 
+    def label_below(self, panels: list[Any]) -> None:
+        """Add one legend for all panels: below them in a picture, inside the first of the caller's axes."""
+        if self.picture is None:
+            self.label(panels[0])
+            return
+        entries = {name: handle for ax in panels for handle, name in zip(*ax.get_legend_handles_labels(), strict=True)}
+        columns = max(1, min(5, 130 // (max(map(len, entries), default=0) + 8)))
+        self.picture.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False)
+
 
 def check_over(what: str, over: str, kinds: Sequence[str]) -> None:
     """Raise FigureError for a figure that is not of these kinds, and for an axis that it is not drawn over."""

@@ -55,7 +55,6 @@ def draw_spread(ax: Any, group: Group, quantity: str, over: Over, k: int = 0) ->
     if len(found) > 1:
         ax.fill_between(places, low, high, color=style_of(k)["color"], alpha=0.18, linewidth=0.0)
     ax.set(xlabel=AXIS_LABELS[over], ylabel=label)
-    ax.set_ylim(bottom=0.0)
     ax.margins(x=0.0)
 
 
@@ -143,6 +142,7 @@ def errors(groups: Sequence[Group], canvas: Canvas, over: Over) -> bool:
     for ax, quantity in zip(panels, quantities, strict=True):
         for k, group in enumerate(known):
             draw_spread(ax, group, quantity, over, k)
+        ax.set_ylim(bottom=0.0)
     if canvas.given is None:
         panels[0].set_xlabel("")
     canvas.label(panels[0])
@@ -170,7 +170,7 @@ def relative_errors(groups: Sequence[Group], canvas: Canvas, over: Over = "time"
     for ax, part in zip(panels, parts, strict=True):
         draw_relative_errors(ax, known, part)
     if any(group.name for group in known):
-        canvas.label(panels[0])
+        canvas.label_below(panels)
     return True
 
 

@@ -143,8 +143,7 @@ def _panel_per_run(
         ax.set_axis_off()
     heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]
     canvas.picture.set_size_inches(width, rows * max(heights) + (0.6 if len(runs) > 1 else 0.0))
-    entries = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    canvas.picture.legend(entries.values(), entries, loc="outside lower center", ncols=5, frameon=False)
+    canvas.label_below(panels)
 
 
 def _errors(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, over: Over) -> bool:

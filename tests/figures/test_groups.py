@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 import sixthsense as ss
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Curves, curves
-from sixthsense.evaluation.groups import Group, Sample, grouped, resampled
+from sixthsense.evaluation.groups import Group, Sample, differences, fields_of, grouped, resampled
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures import groups
 from sixthsense.figures.comparison import Comparison
@@ -66,6 +66,14 @@ def test_the_median_and_the_band_are_those_of_the_runs_of_a_group(ax, samples) -
     bands = [band.get_paths()[0].vertices[:, 1] for band in ax.collections]
     assert [(band.min(), band.max()) for band in bands] == [pytest.approx((1.4, 4.6)), pytest.approx((11.4, 14.6))]
     assert len({line.get_color() for line in ax.get_lines()}) == 2
+
+
+def test_all_groups_are_inside_the_axes(samples) -> None:
+    for what in groups.GROUP_KINDS:
+        for ax in Comparison(samples).plot(what, by="estimator").axes:
+            low, high = ax.get_ylim()
+            drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
+            assert low <= np.nanmin(drawn) and np.nanmax(drawn) <= high
 
 
 def test_one_run_has_no_band(ax, samples) -> None:
@@ -138,6 +146,13 @@ def test_titles_say_what_differs_and_what_is_common(samples) -> None:
         .get_suptitle()
         .startswith("Relative pose error by length of path\n")
     )
+
+
+def test_the_fields_that_a_preset_sets_do_not_differ_besides_it() -> None:
+    both = [fields_of("a", ss.preset(name, seed=seed)) for name in ("default", "worn") for seed in (1, 2)]
+    assert differences(both).startswith("differs: preset (2), seed (2) — same: apartment, ekf-invariant")
+    both[0] = fields_of("a", ss.preset("default", laser={"beams": 90}))
+    assert "laser.beams (2)" in differences(both)
 
 
 def test_runs_without_errors_are_told() -> None:
