@@ -54,7 +54,7 @@ class Campaign(Sampled):
         for row in frame.to_dict("records"):
             config = merge(self._setting(tuple(row[axis] for axis in AXES)), {"seed": row["seed"]})
             metrics = {key: value for key, value in row.items() if key not in LABELS and value == value}
-            found.append(Sample(name, config, metrics, partial(curves.get, row["config_hash"])))
+            found.append(Sample(name, config, partial(dict, metrics), partial(curves.get, row["config_hash"])))
         return found
 
     def summary(self) -> list[list[str]]:

@@ -43,10 +43,15 @@ class Sample:
     """of the run, or of the campaign that it is of"""
     config: Config
     """its configuration"""
-    metrics: Mapping[str, Any]
-    """its metrics"""
+    measure: Callable[[], Mapping[str, Any]]
+    """returns its metrics"""
     curves: Callable[[], Curves | None]
     """returns its errors along its way, if they are known"""
+
+    @cached_property
+    def metrics(self) -> Mapping[str, Any]:
+        """Its metrics, measured when they are first asked for."""
+        return self.measure()
 
     @cached_property
     def fields(self) -> Fields:

@@ -137,6 +137,7 @@ def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a
     for folder in map(Path, folders):
         if not (folder / "config.toml").is_file():
             found = "no config.toml in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
+            found = "the folder of a campaign" if (folder / "campaign.toml").is_file() else found
             raise ReportError(f"{folder}: found {found}, allowed: {allowed}{_near(folder)}")
 
 

@@ -151,6 +151,8 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comp
         For no run, for an object that is not a run, and for a folder that is not a run folder.
 
     """
+    if isinstance(runs, (str, Path)):
+        _refuse_campaign(runs)
     if isinstance(runs, (Run, Trace, str, Path)):
         raise ComparisonError(f"runs: found {shown(runs)}, allowed: a list of runs or folders, or a mapping of them")
     if isinstance(runs, Sampled):
@@ -176,14 +178,18 @@ def _with_name(name: str, run: Compared) -> Run:
     if isinstance(run, Trace):
         return Run(name or run.name or "run", run)
     if isinstance(run, (str, Path)):
-        if (Path(run) / "campaign.toml").is_file():
-            raise ComparisonError(
-                f"runs: found the folder of a campaign, {run}, allowed: ss.load_campaign({str(run)!r})"
-            )
+        _refuse_campaign(run)
         run = load(run)
     if not isinstance(run, Run):
         raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, folders of runs, or campaigns")
     return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
+
+
+def _refuse_campaign(folder: str | Path) -> None:
+    """Raise ComparisonError, with the call that loads it, for the folder of a campaign."""
+    if (Path(folder) / "campaign.toml").is_file():
+        allowed = f"allowed: ss.load_campaign({str(folder)!r})"
+        raise ComparisonError(f"runs: found the folder of a campaign, {folder}, {allowed}")
 
 
 def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:

@@ -104,6 +104,10 @@ def test_a_campaign_is_compared_in_groups_over_its_seeds(done):
 def test_a_campaigns_folder_is_no_run(done):
     with pytest.raises(ss.InputError, match=r"found the folder of a campaign, mc, allowed: ss.load_campaign\('mc'\)"):
         ss.compare(["mc"])
+    with pytest.raises(ss.InputError, match=r"found the folder of a campaign, mc, allowed: ss\.load_campaign"):
+        ss.compare("mc")
+    with pytest.raises(ss.InputError, match="mc: found the folder of a campaign, allowed: the folder of a run"):
+        ss.load("mc")
 
 
 def test_a_campaign_of_an_earlier_version_has_its_front_end_and_no_curves(done):

@@ -25,7 +25,7 @@ def curve(values: Array, step_s: float = 1.0, nees: Array | None = None) -> Curv
 def sample(errors: Array, **fields) -> Sample:
     metrics = {"outcome": "tour ended", "ate_rmse_m": float(errors.mean())}
     metrics |= {f"rpe_{part}_{m}m": float(errors[0]) * m for part in ("trans_m", "rot_deg") for m in (1, 2, 5, 10)}
-    return Sample("study", ss.preset(scene="block", **fields), metrics, lambda: curve(errors))
+    return Sample("study", ss.preset(scene="block", **fields), lambda: metrics, lambda: curve(errors))
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_one_run_has_no_band(ax, samples) -> None:
 def test_the_averaged_nees_of_consistent_runs_lies_in_its_band_95_times_of_100(ax) -> None:
     rng = np.random.default_rng(0)
     draws = [curve(np.zeros(3000), nees=rng.chisquare(3, 3000)) for _ in range(10)]
-    runs = tuple(Sample("", ss.preset(seed=k), {}, lambda one=one: one) for k, one in enumerate(draws))
+    runs = tuple(Sample("", ss.preset(seed=k), dict, lambda one=one: one) for k, one in enumerate(draws))
     groups.draw_mean_nees(ax, [Group("ekf", runs)], "time")
     edges = ax.collections[0].get_paths()[0].vertices[:, 1]
     low, high = edges.min(), edges.max()
@@ -156,7 +156,7 @@ def test_the_fields_that_a_preset_sets_do_not_differ_besides_it() -> None:
 
 
 def test_runs_without_errors_are_told() -> None:
-    blind = [Sample("old", ss.preset(), {"outcome": "tour ended"}, lambda: None)]
+    blind = [Sample("old", ss.preset(), lambda: {"outcome": "tour ended"}, lambda: None)]
     for what in groups.GROUP_KINDS:
         with pytest.raises(
             ss.InputError, match=f"{what}: found no run whose errors are known, allowed: runs with truth"
