@@ -17,7 +17,7 @@ import pandas as pd
 import psutil
 from harness import Figures, arguments, print_figures, write_json
 
-from sixthsense.campaign import load_campaign
+from sixthsense.campaigns import load_campaign
 from sixthsense.running.warmup import warm_up
 
 RUNS = 40
@@ -57,7 +57,7 @@ def speed(name: str, workers: int, out: Path, max_time: float, *options: str) ->
     began = time.perf_counter()
     end(start(out, max_time, *options))
     elapsed_s = time.perf_counter() - began
-    busy = load_campaign(out)["run_time_s"].sum() / (workers * elapsed_s)
+    busy = load_campaign(out).frame()["run_time_s"].sum() / (workers * elapsed_s)
     return {f"{name}.{workers}.runs_per_hour": 3600.0 * RUNS / elapsed_s, f"{name}.{workers}.busy": busy}
 
 
@@ -88,7 +88,7 @@ def kill_one(programs: list[psutil.Process], out: Path) -> None:
 
 
 def rows(out: Path, name: str) -> Figures:
-    frame = load_campaign(out)
+    frame = load_campaign(out).frame()
     twice = len(frame) - frame[["scene", "estimator", "preset", "planner", "seed"]].drop_duplicates().shape[0]
     errors = (frame["outcome"] == "error").sum()
     return {f"{name}.rows": len(frame), f"{name}.twice": twice, f"{name}.errors": int(errors)}
@@ -96,7 +96,7 @@ def rows(out: Path, name: str) -> Figures:
 
 def measured(out: Path) -> pd.DataFrame:
     """The table without measured times: all else is reproducible on any worker."""
-    frame = load_campaign(out)
+    frame = load_campaign(out).frame()
     return frame[[name for name in frame.columns if not name.startswith(TIMED)]]
 
 

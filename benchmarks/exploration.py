@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
 
-from sixthsense.campaign import CampaignError, load_campaign
-from sixthsense.campaign.folder import read_folder
+from sixthsense.campaigns import CampaignError, load_campaign
+from sixthsense.campaigns.folder import read_folder
 from sixthsense.config import Config, ExploreConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
@@ -152,7 +152,7 @@ def campaign_runs(folder: str) -> dict[str, list[dict[str, Any]]]:
     """The metrics of a campaign's runs by scene, estimator, planner, method and preset, without missing values."""
     runs: dict[str, list[dict[str, Any]]] = {}
     method = read_folder(Path(folder))["fields"].get("explore", {}).get("method", ExploreConfig().method)
-    for row in load_campaign(folder).to_dict("records"):
+    for row in load_campaign(folder).frame().to_dict("records"):
         name = f"{row['scene']}.{row['estimator']}.{row['planner']}.{method}.{row['preset']}"
         runs.setdefault(name, []).append({key: value for key, value in row.items() if value == value})
     return runs

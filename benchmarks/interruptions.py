@@ -117,9 +117,9 @@ def check(case: Case, out: Path, earlier: dict[str, bytes]) -> str:
     with FolderLock(out):
         pass
     if case.kind == "campaign":
-        from sixthsense.campaign import load_campaign
+        from sixthsense.campaigns import load_campaign
 
-        rows = load_campaign(out) if (out / "campaign.toml").exists() else []
+        rows = load_campaign(out).frame() if (out / "campaign.toml").exists() else []
         assert len(rows) <= 6 and (not len(rows) or set(rows["outcome"]) == {"tour ended"})
         assert len(rows) >= (2 if case.onto_earlier else 0), "rows are lost"
         return f"{len(rows)} rows"

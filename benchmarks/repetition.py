@@ -31,7 +31,7 @@ from harness import Figures, arguments, check_at_least, machine, pooled, print_t
 from numpy.typing import NDArray
 from repetition_scenes import SCENES, log_of
 
-from sixthsense.campaign.plan import config_hash
+from sixthsense.campaigns.plan import config_hash
 from sixthsense.config import Config, merge, preset
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.running.warmup import warm_up_scans

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from harness import check_at_least, pooled, run
 
-from sixthsense.campaign.plan import config_hash
+from sixthsense.campaigns.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array

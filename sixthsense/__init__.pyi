@@ -2,7 +2,9 @@ from .config.version import __version__ as __version__
 from .api import merge_runs as merge_runs
 from .api import replay as replay
 from .api import run as run
-from .campaign import load_campaign as load_campaign
+from .campaigns.call import campaign as campaign
+from .campaigns.result import Campaign as Campaign
+from .campaigns.result import load_campaign as load_campaign
 from .figures.comparison import Comparison as Comparison
 from .figures.comparison import compare as compare
 from .config import Config as Config

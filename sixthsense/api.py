@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 from sixthsense.config import Config, ConfigError, merge, preset
+from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 from sixthsense.running.runs import Watch, replay_log, reserved, simulate
@@ -30,7 +31,7 @@ def run(
     out: str | Path | None = None,
     overwrite: bool = False,
     prior_map: str | Path | None = None,
-    **fields: Any,
+    **fields: Unpack[RunFields],
 ) -> Run:
     """Simulate a robot in a scene unknown to it; the robot explores the scene or drives to goals.
 
@@ -94,7 +95,7 @@ def replay(
     out: str | Path | None = None,
     overwrite: bool = False,
     prior_map: str | Path | None = None,
-    **fields: Any,
+    **fields: Unpack[ReplayFields],
 ) -> Run:
     """Process a recorded log with the same loop as `ss.run`.
 
@@ -148,7 +149,7 @@ def merge_runs(
     progress: bool | None = None,
     out: str | Path | None = None,
     overwrite: bool = False,
-    **fields: Any,
+    **fields: Unpack[MergeFields],
 ) -> Run:
     """Map two runs in one building together: scans of both are aligned, in the frame of the first.
 

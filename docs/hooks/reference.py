@@ -36,7 +36,9 @@ _GROUP_NOTES = {
     ],
     "Accuracy": [
         "Trajectories are not aligned, because the start is known. `ate_rmse_m` is computed from `estimate.tum`, the",
-        "causal estimate at each scan. The relation errors (Kümmerle et al. 2009) are those of the final trajectory.",
+        "causal estimate at each scan, and so are the relative pose errors `rpe_*`: those of the motion over every",
+        "sub-trajectory of that length (KITTI; `evo_rpe` with `--delta_unit m --all_pairs --pairs_from_reference`).",
+        "The relation errors (Kümmerle et al. 2009) are those of the final trajectory.",
     ],
     "Consistency": ["See [Consistency](../concepts/consistency.md) for their meaning and interpretation."],
     "Map and path": [

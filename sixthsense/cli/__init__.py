@@ -27,7 +27,7 @@ COMMANDS = {
     "merge": ("RUN_A RUN_B", "map two runs in one building together"),
     "calibrate": ("SCENE", "measure the robot's noise, for `run --config`"),
     "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),
-    "report": ("RUN_DIR ...", "figures of one run, or of several side by side"),
+    "report": ("RUN_DIR ...", "figures of runs, or of a campaign"),
     "scenes": ("", "list the shipped scenes"),
     "completion": ("SHELL", "print a completion script for bash, zsh or fish"),
 }

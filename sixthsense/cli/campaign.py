@@ -5,16 +5,13 @@ from __future__ import annotations
 import sys
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sixthsense.cli.common import announce, wants_help
 from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import Table, UsageError, parse
 from sixthsense.config import is_of_replay, load_config, preset, prior_map_of
 from sixthsense.config.section import shown
-
-if TYPE_CHECKING:
-    from sixthsense.campaign import Campaign
 
 USAGE = """\
 usage: sixthsense campaign [SCENE ...] --seeds FIRST:LAST ... --out DIR [options]
@@ -29,7 +26,8 @@ The same command resumes a campaign that was stopped. With more scenes, seeds, .
   --preset NAME ...     presets
   --planner NAME ...    path planners
   --config FILE         TOML file, partial or complete, that overrides each preset
-  --out DIR             folder to write: campaign.toml, and rows/, a Parquet folder; ss.load_campaign(DIR) reads it
+  --out DIR             folder to write: campaign.toml, and rows/ and curves/, Parquet folders; ss.load_campaign(DIR)
+                        reads it
   --retry-failed        repeat the runs with the outcome "error"; without it they count as done
   --workers N           processes of the local cluster; by default one per processor
   --scheduler ADDRESS   run on the workers of a `dask scheduler` instead, such as tcp://127.0.0.1:8786
@@ -52,15 +50,14 @@ def command(args: list[str]) -> int:
     lists, rest = split_lists(args)
     given, table = parse(rest, OWN, "scene")
     _check(given, table, lists)
-    from sixthsense.campaign import Campaign
-    from sixthsense.campaign.plan import AXES, resolve_scenes, seed_range, shared_fields
-    from sixthsense.record.folder_lock import FolderLock
+    from sixthsense.campaigns import CampaignPlan, Execution, complete
+    from sixthsense.campaigns.plan import AXES, plan, resolve_scenes, seed_range, shared_fields
 
     file = _read_config_table(given.get("config"), lists.get("preset", []))
     default = preset()
     values = {axis: tuple(dict.fromkeys(lists.get(axis) or [file.get(axis, getattr(default, axis))])) for axis in AXES}
     task = {"task": "goal"} if table.get("goal") is not None else {}
-    campaign = Campaign(
+    campaign = CampaignPlan(
         scenes=resolve_scenes(values["scene"]),
         estimators=values["estimator"],
         presets=values["preset"],
@@ -68,71 +65,26 @@ def command(args: list[str]) -> int:
         seeds=tuple(dict.fromkeys(seed for text in lists["seeds"] for seed in seed_range(text))),
         fields=shared_fields(file, task, table),
     )
-    with FolderLock(given["out"]):
-        return _complete(campaign, given)
-
-
-def _complete(campaign: Campaign, given: dict[str, Any]) -> int:
-    """Make the runs that are missing in the campaign's folder, and print its table; returns the exit code."""
-    from sixthsense.campaign import Rows
-    from sixthsense.campaign.folder import check_folder, check_rows, save_folder
-    from sixthsense.campaign.plan import plan
-    from sixthsense.campaign.worker import FAILED as FAILED_RUN
-
-    out: Path = given["out"]
     runs = plan(campaign)
-    saved = check_folder(out, campaign)
-    rows = Rows(out)
-    known = rows.summaries()
-    check_rows(out, runs, known)
-    retry = given.get("retry_failed", False)
-    done = {row["config_hash"] for row in known if not (retry and row["outcome"] == FAILED_RUN)}
-    missing = {key: run for key, run in runs.items() if key not in done}
+    execution = Execution(given.get("workers"), given.get("scheduler"), given.get("retry_failed", False), say=announce)
     interrupted = False
-    if missing:
-        try:
-            _execute(campaign, saved, out, rows, missing, len(runs), given)
-        except KeyboardInterrupt:
-            interrupted = True
-    else:
-        save_folder(out, campaign, saved)
-        print(f"all {len(runs)} runs are already in {out}/", file=sys.stderr)
-    return _finish(rows, out, set(runs), interrupted)
+    try:
+        complete(campaign, runs, given["out"], execution)
+    except KeyboardInterrupt:
+        interrupted = True
+    return _finish(given["out"], set(runs), interrupted)
 
 
-def _execute(
-    campaign: Any, saved: Any, out: Path, rows: Any, missing: dict[str, Any], total: int, given: dict[str, Any]
-) -> None:
-    from tqdm import tqdm
+def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
+    from sixthsense.campaigns import Rows
+    from sixthsense.campaigns.plan import AXES
+    from sixthsense.campaigns.worker import FAILED as FAILED_RUN
+    from sixthsense.evaluation.summary import summary
+    from sixthsense.evaluation.tables import text_table
 
-    from sixthsense.campaign import connect, execute
-    from sixthsense.campaign.cluster import check_workers
-    from sixthsense.campaign.folder import save_folder
-    from sixthsense.running.warmup import COMPILING, is_compiled
-
-    if not is_compiled():
-        announce(COMPILING)
-    with connect(given.get("scheduler"), given.get("workers")) as client:
-        workers = check_workers(client, campaign.scenes)
-        save_folder(out, campaign, saved)
-        existing = f", {total - len(missing)} already in {out}/" if len(missing) < total else ""
-        print(f"{total} runs{existing}; {workers} workers; dashboard {client.dashboard_link}", file=sys.stderr)
-        with tqdm(total=len(missing), desc="campaign", unit=" runs", disable=None, leave=False) as bar:
-
-            def on_row(row: dict[str, Any]) -> None:
-                rows.add(row)
-                bar.update()
-
-            execute(client, missing, on_row)
-
-
-def _finish(rows: Any, out: Path, requested: set[str], interrupted: bool) -> int:
-    from sixthsense.campaign.summary import columns, summary
-    from sixthsense.campaign.worker import FAILED as FAILED_RUN
-
-    frame = rows.frame()
+    frame = Rows(out).frame()
     if len(frame):
-        print(columns(summary(frame)))
+        print(text_table(summary(frame, AXES)))
     finished = frame[frame["config_hash"].isin(requested)]
     failed = finished[finished["outcome"] == FAILED_RUN]
     if len(failed):

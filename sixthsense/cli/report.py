@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sixthsense.cli.common import announce, numbered, wants_help
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 
 if TYPE_CHECKING:
+    from sixthsense.figures.report import Form
     from sixthsense.figures.run import Run
 
 USAGE = """\
@@ -20,8 +21,9 @@ Draw the figures of finished or killed runs, and write report.html, a page with 
 configuration and the command that repeats the run. A killed run is shown up to its last record.
 
 The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of metrics.
+Of a campaign there are medians and bands over its runs, errors over time and distance, and the averaged NEES.
 
-  RUN_DIR          folder of a run
+  RUN_DIR          folder of a run, or of a campaign
   --out DIR        folder to write; for several runs by default a new one under runs/
   --overwrite      write into DIR if it exists
   --figures FORM   svg or pdf: each figure as vector graphics, too; png (the default): bitmaps only
@@ -44,7 +46,7 @@ def command(args: list[str]) -> int:
     film = OptionalValue(None, _is_film, "FILE.mp4 or FILE.gif")
     folders, given = parse_positionals(args, {**OWN, "animate": film})
     if not folders:
-        raise UsageError("run: found nothing, allowed: one or more folders of runs")
+        raise UsageError("run: found nothing, allowed: folders of runs, or of a campaign")
     out: Path | None = given.get("out")
     if out is not None and out.exists() and not given.get("overwrite", False):
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
@@ -54,11 +56,13 @@ def command(args: list[str]) -> int:
     from sixthsense.figures.run import load
 
     form = as_form(given.get("figures", "png"))
+    if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
+        return _report_campaign(folders, out, form, given)
     if "animate" in given:
         check_film(_FILM if given["animate"] is None else given["animate"])
         if len(folders) > 1:
             raise UsageError(f"--animate: found {len(folders)} runs, allowed: one run")
-    check_folders(folders)
+    check_folders(folders, "the folder of a run or of a campaign")
     runs = [load(folder) for folder in folders]
     if out is None:
         out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
@@ -72,6 +76,23 @@ def command(args: list[str]) -> int:
         file = out / _FILM if given["animate"] is None else Path(given["animate"])
         _animate(runs[0], folders[0], file)
         print(f"written: {file}")
+    return DONE
+
+
+def _report_campaign(folders: list[str], out: Path | None, form: Form, given: dict[str, Any]) -> int:
+    """Draw the figures of one campaign."""
+    if len(folders) > 1:
+        raise UsageError(f"run: found a campaign among {len(folders)} folders, allowed: one campaign alone, or runs")
+    if "animate" in given:
+        raise UsageError("--animate: found with a campaign, allowed: with one run")
+    from sixthsense.campaigns import Campaign
+    from sixthsense.campaigns.report import report_campaign
+    from sixthsense.evaluation.tables import text_table
+
+    out = Path(folders[0]) / "figures" if out is None else out
+    files = report_campaign(folders[0], out, form)
+    print(text_table(Campaign(folders[0]).summary()))
+    print(f"written to {out}/: {', '.join(file.name for file in files)}")
     return DONE
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Unpack
 
+from sixthsense.config.fields import Fields
 from sixthsense.config.removed import REMOVED_PRESETS
 from sixthsense.config.section import ConfigError, merge, shown
 from sixthsense.config.suggestion import allowed_names, nearest
@@ -93,7 +94,7 @@ PRESETS: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-def preset(name: str = "default", **changes: Any) -> Config:
+def preset(name: str = "default", **changes: Unpack[Fields]) -> Config:
     """The named preset's Config, with the fields in `changes` (nested tables for sections) replaced.
 
     Raises ConfigError that lists the known names for any other, or names the field with a wrong value.

@@ -98,7 +98,12 @@ class Section:
 
 
 def _hints(cls: type) -> dict[str, Any]:
-    return typing.get_type_hints(cls, include_extras=True)
+    if cls not in _known_hints:
+        _known_hints[cls] = typing.get_type_hints(cls, include_extras=True)
+    return _known_hints[cls]
+
+
+_known_hints: dict[type, dict[str, Any]] = {}  # reading them takes most of a section's creation
 
 
 def _checked(name: str, hint: Any, value: Any) -> Any:

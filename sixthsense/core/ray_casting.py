@@ -9,8 +9,9 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 
 _JOIN = 1e-9
@@ -126,15 +127,24 @@ def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) ->
     return ranges
 
 
-def cast_rays(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
+def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_range: float) -> Array:
     """Distances from the laser to the nearest wall along each bearing.
 
     `bearings` (N,) radians in the laser's frame, `walls` (M, 2, 2) segments in the world's, metres. Returns (N,)
-    metres, inf where no wall is nearer than `max_range`.
+    metres, inf where no wall is nearer than `max_range`. Raises ValueError that names the argument for other shapes,
+    and for numbers that are not finite.
     """
+    segments = as_array("walls", walls, ("M", 2, 2)).reshape(-1, 4)
+    return cast_among(
+        as_pose("T_world_laser", T_world_laser), as_array("bearings", bearings, ("N",)), segments, max_range
+    )
+
+
+def cast_among(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
+    """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them, and without checks."""
     angles = bearings + T_world_laser.theta
     ranges = np.empty(len(angles))
-    flat = np.ascontiguousarray(walls.reshape(-1, 4))
+    flat = np.ascontiguousarray(walls)
     _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
     return ranges
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.ray_casting import NearWalls, cast_rays
+from sixthsense.core.ray_casting import NearWalls, cast_among
 
 Mask = NDArray[np.bool_]
 
@@ -218,7 +218,7 @@ def _sweep(
 ) -> None:
     """Mark the cells on a scan's beams in `seen`."""
     near = walls.at(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_rays(T_world_laser, bearings, near, max_range), max_range) / cell_m
+    lengths = np.minimum(cast_among(T_world_laser, bearings, near, max_range), max_range) / cell_m
     angles = bearings + T_world_laser.theta
     x, y = (T_world_laser.position - origin) / cell_m
     _mark(x, y, np.cos(angles), np.sin(angles), lengths, seen)

@@ -128,11 +128,23 @@ def _errors(trace: Trace) -> dict[str, float]:
         "dead_reckoning_ate_rmse_m": dead_reckoning,
         "heading_rmse_rad": metrics.heading_rmse(estimate, truth),
     }
+    out |= relative_errors(trace)
     if trace.scene is not None and not trace.final.walls.all():
         corners = metrics.true_landmarks(trace.scene.walls)
         rmse, matched = metrics.match_landmarks(trace.final.landmarks[~trace.final.walls], corners, 0.5)
         if matched:
             out["landmark_rmse_m"] = rmse
+    return out
+
+
+def relative_errors(trace: Trace) -> dict[str, float]:
+    """The relative pose error over each length that the robot has driven; the trace must have truth."""
+    out: dict[str, float] = {}
+    for length_m in metrics.RPE_LENGTHS_M:
+        translation, angle = metrics.relative_pose_errors(np.array(trace.estimates), np.array(trace.truths), length_m)
+        if len(angle):
+            out[f"rpe_trans_m_{length_m}m"] = float(np.sqrt(np.mean(translation**2)))
+            out[f"rpe_rot_deg_{length_m}m"] = float(np.degrees(np.sqrt(np.mean(angle**2))))
     return out
 
 

@@ -9,6 +9,8 @@ from typing import Self
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
+from sixthsense.config.suggestion import did_you_mean
+from sixthsense.evaluation.frames import Landmarks, Trajectory
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.results import Metrics
 from sixthsense.record.load import RecordPart, load_record
@@ -61,6 +63,16 @@ class MeasuredRun:
         if self.trace.outcome:
             self._metrics = measured
         return Metrics(measured)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The poses at keyframes; `trajectory.frame()` is their table."""
+        return Trajectory(self.trace)
+
+    @property
+    def landmarks(self) -> Landmarks:
+        """The landmarks of the final map; `landmarks.frame()` is their table."""
+        return Landmarks(self.trace)
 
     @property
     def title(self) -> str:
@@ -118,14 +130,26 @@ def _read_metrics(file: Path) -> Metrics:
     return Metrics(metrics)
 
 
-def check_folders(folders: Sequence[Path | str]) -> None:
+def check_folders(folders: Sequence[Path | str], allowed: str = "the folder of a run") -> None:
     """Raise ReportError for a folder that is not a run folder, for no folder and for more than `MAX_RUNS`."""
     if not 1 <= len(folders) <= MAX_RUNS:
         raise ReportError(f"runs: found {len(folders)}, allowed: 1 to {MAX_RUNS}")
     for folder in map(Path, folders):
         if not (folder / "config.toml").is_file():
-            found = "no config.toml in it" if folder.is_dir() else "no such folder"
-            raise ReportError(f"{folder}: found {found}, allowed: the folder of a run")
+            found = "no config.toml in it" if folder.is_dir() else "a file" if folder.exists() else "no such folder"
+            found = "the folder of a campaign" if (folder / "campaign.toml").is_file() else found
+            raise ReportError(f"{folder}: found {found}, allowed: {allowed}{_near(folder)}")
+
+
+def _near(folder: Path) -> str:
+    """The end of a message about a folder that is not there: the one beside it with the nearest name."""
+    if folder.exists():
+        return ""
+    try:
+        beside = [str(other) for other in folder.parent.iterdir() if other.is_dir()]
+    except OSError:
+        return ""
+    return did_you_mean(str(folder), beside)
 
 
 def numbered_names(runs: Sequence[MeasuredRun]) -> list[str]:

@@ -30,6 +30,31 @@ def heading_rmse(estimate: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean(wrap_angle(estimate[:, 2] - truth[:, 2]) ** 2)))
 
 
+RPE_LENGTHS_M = (1, 2, 5, 10)
+"""lengths of path over which the relative pose error is measured"""
+_RPE_TOLERANCE = 0.1  # a pair may be this share of the length longer or shorter, as in evo
+
+
+def relative_pose_errors(estimate: Array, truth: Array, length_m: float) -> tuple[Array, Array]:
+    """Errors of the motion over every sub-trajectory of a length: translations (P,), m, and rotations (P,), rad.
+
+    `estimate`, `truth` (N, 3) at the same instants. From each pose on it is the sub-trajectory to the pose whose
+    distance along the true path comes nearest to `length_m`, and none if that is off by more than a tenth. Both errors
+    are magnitudes, of inverse(true motion) ∘ (estimated motion). Geiger et al., CVPR 2012 (KITTI); evo's RPE with all
+    pairs, taken from the reference.
+    """
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
+    first = np.arange(len(truth) - 1)
+    beyond = np.clip(np.searchsorted(along, along[:-1] + length_m), first + 1, len(truth) - 1)
+    # Of the poses at which the robot stands still, the first.
+    short_of = np.maximum(np.searchsorted(along, along[beyond - 1]), first + 1)
+    off = np.abs(along[[short_of, beyond]] - along[:-1] - length_m)
+    last, off = np.where(off[0] <= off[1], short_of, beyond), off.min(axis=0)
+    first, last = first[off <= _RPE_TOLERANCE * length_m], last[off <= _RPE_TOLERANCE * length_m]
+    error = _between(_between(truth[first], truth[last]), _between(estimate[first], estimate[last]))
+    return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+
+
 def nees_world(error: Array, cov: Array) -> Array:
     """Normalised estimation error squared in world coordinates, (K,): 3 on average for a consistent filter.
 

@@ -10,6 +10,7 @@ from sixthsense.config.extras import pandas
 from sixthsense.config.removed import note_renamed
 from sixthsense.config.suggestion import did_you_mean
 from sixthsense.evaluation import tables
+from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.record.stopwatch import STAGES
 
@@ -69,6 +70,8 @@ def _quantities() -> dict[str, Quantity]:
             ("ate_max_m", "m", "maximum error of the causal position"),
             ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
             ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
+            *((f"rpe_trans_m_{m}m", "m", f"RMSE of the translation over {m} m of path") for m in RPE_LENGTHS_M),
+            *((f"rpe_rot_deg_{m}m", "°", f"RMSE of the rotation over {m} m of path") for m in RPE_LENGTHS_M),
             ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
             ("relations_trans_m_mean", "m", "mean translation error against the relations"),
             ("relations_trans_m_std", "m", "standard deviation of the translation error"),

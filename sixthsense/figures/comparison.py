@@ -1,19 +1,22 @@
-"""Several runs side by side: a table of their metrics, and their figures."""
+"""Several runs side by side or in groups: a table of their metrics, and their figures."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, overload
 
-from sixthsense.config import Config, as_table
 from sixthsense.config.errors import InputError
 from sixthsense.config.extras import pandas
 from sixthsense.config.section import shown
+from sixthsense.evaluation.groups import LABELS, RUN, Sample, Sampled, differing, fields_of, labelled, usual_grouping
 from sixthsense.evaluation.measured_run import numbered_names
 from sixthsense.evaluation.results import metrics_table
-from sixthsense.evaluation.tables import digits, text_table
+from sixthsense.evaluation.samples import sample_of
+from sixthsense.evaluation.summary import summary
+from sixthsense.evaluation.tables import digits, html_table, text_table
+from sixthsense.figures.groups import group_figure
 from sixthsense.figures.panels import figure
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
@@ -21,10 +24,14 @@ from sixthsense.record.trace import Trace
 if TYPE_CHECKING:
     import pandas as pd
 
+    from sixthsense.evaluation.curves import Over
+    from sixthsense.figures.canvas import OnAxes
     from sixthsense.figures.picture import Picture
 
-Compared = Run | Trace | str | Path
-"""a run, its record, or its folder"""
+    By = str | Sequence[str] | None
+
+Compared = Run | Trace | str | Path | Sampled
+"""a run, its record, or its folder; a campaign"""
 
 _KEYS = ("outcome", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "coverage")
 
@@ -34,30 +41,80 @@ class ComparisonError(InputError):
 
 
 class Comparison:
-    """Several runs for comparison, as returned by `ss.compare`."""
+    """Several runs for comparison, as returned by `ss.compare`: their table, and their figures.
 
-    def __init__(self, runs: Sequence[Run]) -> None:
-        """Wrap at least one run; tables and figures keep the order."""
+    A run keeps its record, so that all its figures can be drawn. Of the runs of a campaign there are metrics and the
+    errors at keyframes.
+    """
+
+    def __init__(self, samples: Sequence[Sample], runs: Sequence[Run] = ()) -> None:
+        """Wrap at least one sample; `runs` are those of them that have a record. The order is kept."""
+        self.samples = tuple(samples)
+        """all runs compared: name, configuration, metrics"""
         self.runs = tuple(runs)
-        self.names = numbered_names(self.runs)
+        """those with a record"""
+        self.names = [sample.name for sample in samples]
 
     def frame(self) -> pd.DataFrame:
-        """A row per run with index `run`, a column per metric, NaN where a run lacks it; ExtraError without pandas."""
-        frame = pandas().DataFrame([dict(run.metrics) for run in self.runs], index=self.names)
-        frame.index.name = "run"
-        return frame
+        """A row per run with index `run`: scene, estimator, front_end, preset, planner, seed, and a column per metric.
 
-    def plot(self, what: str = "map") -> Picture:
-        """A figure of at most 12 runs side by side; names and errors as of `Run.plot`."""
-        return figure(what, self.runs)
+        NaN where a run lacks the metric; ExtraError without pandas.
+        """
+        rows = [
+            {name: getattr(sample.config, name) for name in LABELS} | dict(sample.metrics) for sample in self.samples
+        ]
+        return pandas().DataFrame(rows, index=pandas().Index(self.names, name=RUN))
+
+    @overload
+    def plot(self, what: str = ..., by: By = ..., *, over: Over = ..., ax: None = ...) -> Picture: ...
+    @overload
+    def plot(self, what: str = ..., by: By = ..., *, over: Over = ..., ax: OnAxes) -> None: ...
+    def plot(
+        self, what: str = "map", by: By = None, *, over: Over = "time", ax: OnAxes | None = None
+    ) -> Picture | None:
+        """A figure of at most 12 runs side by side, or of groups of any number of runs.
+
+            ss.compare(runs).plot("error", by="estimator", over="distance")
+
+        Parameters
+        ----------
+        what
+            Side by side the name of a figure as of `Run.plot`. Of groups "error", the median over the runs of a group
+            and the band of 10 to 90 %; "nees", averaged over them, with the 95 % band of such an average; "rpe", the
+            relative pose error over 1, 2, 5 and 10 m of path.
+        by
+            Column of `frame()`, or any field of the configuration such as "laser.beams", or several of them: runs with
+            equal values are a group and have a colour. "run" groups by name. Runs of campaigns are always grouped, by
+            default by the columns that differ.
+        over
+            "time" or "distance" travelled, for "error" and "nees".
+        ax
+            As of `Run.plot`.
+
+        Raises
+        ------
+        InputError
+            For an unknown name or column, with the nearest one, and as of `Run.plot`.
+
+        """
+        if by is None and len(self.runs) == len(self.samples):
+            return figure(what, self.runs, over, ax)
+        columns = usual_grouping([sample.fields for sample in self.samples]) if by is None else by
+        return group_figure(what, self.samples, columns, over, ax)
+
+    def _summary(self) -> list[list[str]]:
+        by = usual_grouping([sample.fields for sample in self.samples])
+        return summary(self.frame().reset_index(), by)
 
     def __len__(self) -> int:
-        return len(self.runs)
+        return len(self.samples)
 
     def __iter__(self) -> Iterator[Run]:
         return iter(self.runs)
 
     def __repr__(self) -> str:
+        if len(self.runs) < len(self.samples):
+            return text_table(self._summary())
         rows = [["run", *_KEYS]]
         rows += [
             [name, *(digits(run.metrics.get(key, "")) for key in _KEYS)]
@@ -66,22 +123,27 @@ class Comparison:
         return text_table(rows)
 
     def _repr_html_(self) -> str:
-        title = f"<b>{len(self.runs)} run{'s' * (len(self.runs) > 1)}</b>"
+        title = f"<b>{len(self.samples)} run{'s' * (len(self.samples) > 1)}</b>"
+        if len(self.runs) < len(self.samples):
+            head, *rows = self._summary()
+            return f"<div>{title}{html_table(head, rows)}</div>"
         titles = "".join(f"<div>{html.escape(run.title)}</div>" for run in self.runs)
         table = metrics_table(["metric", *self.names], [run.metrics for run in self.runs])
         return f"<div>{title}<details><summary>titles</summary>{titles}</details>{table}</div>"
 
 
-def compare(runs: Iterable[Compared] | Mapping[str, Compared]) -> Comparison:
-    """Compare runs, also of different scenes: a table (`.frame()`) and figures (`.plot("error")`).
+def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comparison:
+    """Compare runs and campaigns, also of different scenes: a table (`.frame()`) and figures (`.plot("error")`).
 
         ss.compare({name: ss.run("office", estimator=name) for name in ("ekf", "isam2")})
+        ss.compare(ss.load_campaign("mc")).plot("error", by="estimator")
 
     Parameters
     ----------
     runs
-        Runs or folders of runs, in order, or a mapping from names to them. Without a mapping, the name of a folder is
-        used, and for a run the fields of its configuration that differ from those of the other runs.
+        Runs, folders of runs, and campaigns: one campaign, several of them in order, or a mapping from names to them.
+        Without a mapping, the name of a folder is used, and for a run the fields of its configuration that differ from
+        those of the other runs.
 
     Raises
     ------
@@ -89,16 +151,26 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared]) -> Comparison:
         For no run, for an object that is not a run, and for a folder that is not a run folder.
 
     """
+    if isinstance(runs, (str, Path)):
+        _refuse_campaign(runs)
     if isinstance(runs, (Run, Trace, str, Path)):
         raise ComparisonError(f"runs: found {shown(runs)}, allowed: a list of runs or folders, or a mapping of them")
+    if isinstance(runs, Sampled):
+        runs = [runs]
     if isinstance(runs, Mapping):
         given = [(str(name), run) for name, run in runs.items()]
     else:
         found = list(runs)
         given = list(zip(_distinguishing_names(found), found, strict=True))
-    if not given:
+    opened = [(name, one) if isinstance(one, Sampled) else (name, _with_name(name, one)) for name, one in given]
+    with_record = [one for _, one in opened if isinstance(one, Run)]
+    names = iter(numbered_names(with_record))
+    samples: list[Sample] = []
+    for name, one in opened:
+        samples += [sample_of(next(names), one)] if isinstance(one, Run) else one.samples(name)
+    if not samples:
         raise ComparisonError("runs: found none, allowed: one or more")
-    return Comparison([_with_name(name, run) for name, run in given])
+    return Comparison(samples, with_record)
 
 
 def _with_name(name: str, run: Compared) -> Run:
@@ -106,42 +178,29 @@ def _with_name(name: str, run: Compared) -> Run:
     if isinstance(run, Trace):
         return Run(name or run.name or "run", run)
     if isinstance(run, (str, Path)):
+        _refuse_campaign(run)
         run = load(run)
     if not isinstance(run, Run):
-        raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, or folders of runs")
+        raise ComparisonError(f"runs: found {shown(run)}, allowed: runs, folders of runs, or campaigns")
     return Run(name or run.name or "run", run.trace, run.metrics, run.folder, run.missing)
 
 
+def _refuse_campaign(folder: str | Path) -> None:
+    """Raise ComparisonError, with the call that loads it, for the folder of a campaign."""
+    if (Path(folder) / "campaign.toml").is_file():
+        allowed = f"allowed: ss.load_campaign({str(folder)!r})"
+        raise ComparisonError(f"runs: found the folder of a campaign, {folder}, {allowed}")
+
+
 def _distinguishing_names(runs: Sequence[Compared]) -> list[str]:
-    """A name per run from the configuration fields that differ; empty for a folder, which has a name."""
+    """A name per run from the configuration fields that differ; a campaign's own, and empty for a folder."""
     traces = [run.trace if isinstance(run, Run) else run if isinstance(run, Trace) else None for run in runs]
-    tables = [_flatten(trace.config) | {"name": trace.name} if trace is not None else {} for trace in traces]
-    filled = [table for table in tables if table]
+    tables = [{} if trace is None else fields_of(trace.name, trace.config) for trace in traces]
     # The name already contains the scene.
-    keys = [key for key in dict.fromkeys(key for table in filled for key in table) if key != "scene"]
-    differing = [key for key in keys if len({repr(table.get(key)) for table in filled}) > 1]
-    labels = [
-        " · ".join(_field_label(key, table.get(key)) for key in differing[:4]) if table else "" for table in tables
-    ]
-    return [
-        label or (trace.name or "run" if trace is not None else "") for label, trace in zip(labels, traces, strict=True)
-    ]
-
-
-def _field_label(key: str, value: Any) -> str:
-    return str(value) if key in ("name", "estimator", "planner", "preset", "task") else f"{key} {value}"
-
-
-def _flatten(config: Config) -> dict[str, Any]:
-    """The fields of a configuration by their dotted names."""
-    found: dict[str, Any] = {}
-
-    def walk(table: Mapping[str, Any], path: str) -> None:
-        for key, value in table.items():
-            if isinstance(value, Mapping):
-                walk(value, f"{path}{key}.")
-            else:
-                found[f"{path}{key}"] = value
-
-    walk(as_table(config), "")
-    return found
+    apart = [name for name in differing([table for table in tables if table]) if name != "scene"][:4]
+    names = []
+    for run, trace, table in zip(runs, traces, tables, strict=True):
+        label = " · ".join(labelled(name, table.get(name)) for name in apart) if table else ""
+        own = run.name if isinstance(run, Sampled) else "" if trace is None else trace.name or "run"
+        names.append(label or own)
+    return names

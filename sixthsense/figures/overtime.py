@@ -9,10 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from sixthsense.core.chi_square import chi_square_quantile
-from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_over_time, visible_area
+from sixthsense.evaluation.curves import Over, key_distances, key_times
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.record.trace import Trace
@@ -35,18 +36,17 @@ class Component:
 COMPONENTS = (Component("x", "m", 1.0), Component("y", "m", 1.0), Component("heading", "°", float(np.degrees(1.0))))
 
 
-def key_times(trace: Trace) -> Array:
-    """(K,) seconds from the first scan to each keyframe."""
-    return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+AXIS_LABELS = {"time": "time [s]", "distance": "distance travelled [m]"}
+"""of the axes that curves are drawn over"""
 
 
-def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE) -> None:
+def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, over: Over = "time") -> None:
     """Draw the error of x, y or heading (component 0, 1, 2) at keyframes with the estimator's ±3σ bounds.
 
     The trace must have truth.
     """
     shown = COMPONENTS[component]
-    t = key_times(trace)
+    t = key_times(trace) if over == "time" else key_distances(trace)
     poses = np.array([estimate.pose.array() for estimate in trace.key_estimates]).reshape(-1, 3)
     error = (poses - np.array(trace.key_truths).reshape(-1, 3))[:, component]
     if component == 2:
@@ -56,7 +56,7 @@ def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE) -> 
     ax.fill_between(t, -bound, bound, label="±3σ", **_BAND)  # noqa: RUF001
     ax.axhline(0.0, color=TRUTH, linewidth=0.5)
     ax.plot(t, shown.scale * error, color=color, linewidth=1.0, label="error")
-    ax.set_xlabel("time [s]")
+    ax.set_xlabel(AXIS_LABELS[over])
     ax.set_ylabel(f"error of {shown.name} [{shown.unit}]")
     ax.margins(x=0.0)
 
@@ -68,6 +68,7 @@ def draw_nees(
     color: str = ESTIMATE,
     label: str | None = None,
     band: bool = True,
+    over: Over = "time",
 ) -> None:
     """Draw the pose's NEES at keyframes, in world or right-invariant coordinates, with the 95 % band of one run.
 
@@ -90,11 +91,12 @@ def draw_nees(
     if len(values):
         summary = f"mean {values.mean():.2f}, {100 * metrics.share_in_band(values, limits):.0f} % in band"
         label = summary if label is None else f"{label}: {summary}"
-        ax.plot(key_times(trace)[first:], values, color=color, linewidth=1.0, label=label)
+        t = key_times(trace) if over == "time" else key_distances(trace)
+        ax.plot(t[first:], values, color=color, linewidth=1.0, label=label)
     ax.set_yscale("log")
     # A NEES close to 0 must not determine the scale.
     _rise(ax, 0.03, max(30.0, 1.5 * values.max(initial=0.0)))
-    ax.set_xlabel("time [s]")
+    ax.set_xlabel(AXIS_LABELS[over])
     ax.set_ylabel(f"pose NEES, {frame} [1]")
     ax.margins(x=0.0)
 

@@ -185,10 +185,19 @@ def map_height(ax: Any, width_in: float) -> float:
     return float(min(max(width_in * (y1 - y0) / (x1 - x0), _LEAST_HEIGHT_IN), _MOST_HEIGHT_IN) + _FRAME_IN)
 
 
-def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = None) -> None:
-    """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made."""
+def save_map(run: MeasuredRun | Trace, file: Path | str, title: str | None = None, *, ax: Any = None) -> None:
+    """Write the map as a PNG whose height follows from the shape of the map; a missing folder is made.
+
+    On `ax`, an Axes of matplotlib, the map is drawn in place, and the figure that the axes are in is written.
+    """
     trace = run.trace if isinstance(run, MeasuredRun) else run
-    save(map_figure(trace, title if title is not None else trace.outcome), file)
+    title = title if title is not None else trace.outcome
+    if ax is None:
+        save(map_figure(trace, title), file)
+        return
+    draw_map(ax, trace)
+    ax.set_title(title)
+    save(ax.get_figure(root=True), file)
 
 
 def map_figure(trace: Trace, title: str, width_in: float = _WIDTH_IN, legend: bool = True) -> Picture:

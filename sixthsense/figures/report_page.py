@@ -22,6 +22,7 @@ from sixthsense.evaluation.tables import PAGE, digits, html_table
 _CAPTIONS = {
     "map": "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.",
     "error": "Error of the pose at keyframes, and the three-sigma bounds of the estimator.",
+    "rpe": "Relative pose error: that of the motion over every piece of path of a length, root mean square.",
     "nees": "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
     "nis": "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
     "stages": "Computing time of the stages of a keyframe.",
@@ -65,21 +66,27 @@ def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
     described = [_DescribedRun(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
     title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(run.name for run in described)}"
     first, rest = figures[:1], figures[1:]
+    captioned = {file: _CAPTIONS.get(file.stem, file.stem) for file in figures}
     sections = {"Metrics": _metrics(described)}
     if rest:
-        sections["Figures"] = "\n".join(_figure(file, title) for file in rest)
+        sections["Figures"] = "\n".join(figure_block(file, captioned[file], title) for file in rest)
     sections["Configuration"] = _configuration(described)
     sections["Reproduction"] = "\n".join(map(_reproduction, described))
-    parts = [f"<h1>{_text(title)}</h1>", *map(_outcome, described), _contents(figures, list(sections))]
-    parts += [_figure(file, title) for file in first]
-    parts += [f'<h2 id="{name.lower()}">{name}</h2>\n{content}' for name, content in sections.items()]
+    top = [figure_block(file, captioned[file], title) for file in first]
+    return document(title, [*map(_outcome, described), contents(figures, list(sections)), *top], sections)
+
+
+def document(title: str, top: Sequence[str], sections: Mapping[str, str]) -> str:
+    """A page of HTML with a title, what stands at its top, and sections by their headings."""
+    parts = [f"<h1>{escaped(title)}</h1>", *top]
+    parts += [f'<h2 id="{anchor(name)}">{escaped(name)}</h2>\n{content}' for name, content in sections.items()]
     body = "\n".join(part for part in parts if part)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{_text(title)}</title>
+<title>{escaped(title)}</title>
 <style>{_STYLE}</style>
 </head>
 <body>
@@ -109,79 +116,89 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
     return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
 
 
-def _text(value: Any) -> str:
+def escaped(value: Any) -> str:
+    """A value as text for HTML."""
     return html.escape(str(value))
 
 
 def _outcome(run: _DescribedRun) -> str:
-    name = f"{_text(run.name)}: " if run.is_named else ""
-    line = f'<p class="outcome">{name}<strong>{_text(run.outcome)}</strong></p>'
+    name = f"{escaped(run.name)}: " if run.is_named else ""
+    line = f'<p class="outcome">{name}<strong>{escaped(run.outcome)}</strong></p>'
     if run.is_killed:
         line += f'\n<p class="note">{name}the run was stopped before its end. The page shows the record up to then.</p>'
     if run.missing:
-        line += f'\n<p class="note">{name}the folder has no record of {_text("; ".join(run.missing))}.</p>'
+        line += f'\n<p class="note">{name}the folder has no record of {escaped("; ".join(run.missing))}.</p>'
     return line
 
 
-def _contents(figures: Sequence[Path], sections: Sequence[str]) -> str:
-    """Links to the figures and sections of the page."""
+def contents(figures: Sequence[Path], sections: Sequence[str]) -> str:
+    """Links to the figures and sections of a page."""
     links = [(f"figure-{file.stem}", f"{file.stem} (figure)") for file in figures]
-    links += [(name.lower(), name) for name in sections]
-    items = "".join(f'<li><a href="#{_text(at)}">{_text(name)}</a></li>' for at, name in links)
+    links += [(anchor(name), name) for name in sections]
+    items = "".join(f'<li><a href="#{escaped(at)}">{escaped(name)}</a></li>' for at, name in links)
     return f'<nav aria-label="Contents"><ul>{items}</ul></nav>'
 
 
-def _figure(file: Path, title: str) -> str:
-    kind = file.stem
+def anchor(name: str) -> str:
+    """The identifier of a section."""
+    return name.lower().replace(" ", "-")
+
+
+def figure_block(file: Path, caption: str, title: str) -> str:
+    """A PNG with its caption; the text for those who do not see it has the page's title, too."""
     data = base64.b64encode(file.read_bytes()).decode("ascii")
-    caption = _CAPTIONS.get(kind, kind)
     return (
-        f'<figure id="figure-{_text(kind)}"><div class="wide">'
-        f'<img alt="{_text(f"{caption} {title}")}" src="data:image/png;base64,{data}"></div>'
-        f"<figcaption>{_text(caption)}</figcaption></figure>"
+        f'<figure id="figure-{escaped(file.stem)}"><div class="wide">'
+        f'<img alt="{escaped(f"{caption} {title}")}" src="data:image/png;base64,{data}"></div>'
+        f"<figcaption>{escaped(caption)}</figcaption></figure>"
     )
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
     """A table that scrolls horizontally if it is too wide; `numbers` as in `html_table`."""
     return f'<div class="wide">{html_table(head, rows, numbers, PAGE)}</div>'
 
 
-def _metrics(runs: Sequence[_DescribedRun]) -> str:
-    """The metrics in groups, with a column per run."""
+def metrics_rows(runs: Sequence[Mapping[str, str]]) -> list[list[str]]:
+    """Metrics by key, as texts, in groups: a column per run or group of runs, the unit and the meaning."""
     rows: list[list[str]] = []
-    for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run.metrics)).groups():
+    for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run)).groups():
         rows.append([group])
         for key in keys:
             quantity = QUANTITIES.get(key)
-            values = [digits(run.metrics[key]) if key in run.metrics else "" for run in runs]
             unit, meaning = ("", "") if quantity is None else (quantity.unit.removesuffix("1"), quantity.meaning)
-            rows.append([key, *values, unit, meaning])
+            rows.append([key, *(run.get(key, "") for run in runs), unit, meaning])
+    return rows
+
+
+def _metrics(runs: Sequence[_DescribedRun]) -> str:
+    """The metrics in groups, with a column per run."""
+    rows = metrics_rows([{key: digits(value) for key, value in run.metrics.items()} for run in runs])
     head = ["metric", *([run.name for run in runs] if len(runs) > 1 else ["value"]), "unit", "meaning"]
-    return _table(head, rows, len(runs))
+    return table(head, rows, len(runs))
 
 
 def _configuration(runs: Sequence[_DescribedRun]) -> str:
     """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
-    settings = [_flat(as_table(run.config)) for run in runs]
-    default = _flat(as_table(Config()))
+    settings = [flat_texts(as_table(run.config)) for run in runs]
+    default = flat_texts(as_table(Config()))
     names = list(dict.fromkeys(name for fields in [*settings, default] for name in fields))
     others = [default] if len(runs) == 1 else settings[1:]
     changed = [name for name in names if any(settings[0].get(name) != other.get(name) for other in others)]
     if len(runs) == 1:
         rows = [[name, settings[0].get(name, "none"), default.get(name, "none")] for name in changed]
         parts = [
-            _table(["different field", "this run", "default"], rows)
+            table(["different field", "this run", "default"], rows)
             if rows
             else "<p>All fields have their default values.</p>"
         ]
     else:
         rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in changed]
         head = ["different field", *(run.name for run in runs)]
-        parts = [_table(head, rows) if rows else "<p>All runs have the same configuration.</p>"]
+        parts = [table(head, rows) if rows else "<p>All runs have the same configuration.</p>"]
     for run in runs:
-        of = f" of {_text(run.name)}" if len(runs) > 1 else ""
-        text = _text(_toml(run))
+        of = f" of {escaped(run.name)}" if len(runs) > 1 else ""
+        text = escaped(_toml(run))
         parts.append(f"<details><summary>Complete configuration{of} (config.toml)</summary><pre>{text}</pre></details>")
     return "\n".join(parts)
 
@@ -192,12 +209,12 @@ def _toml(run: _DescribedRun) -> str:
     return tomli_w.dumps({**as_table(run.config), **run.notes})
 
 
-def _flat(table: Mapping[str, Any], path: str = "") -> dict[str, str]:
+def flat_texts(table: Mapping[str, Any], path: str = "") -> dict[str, str]:
     """Nested settings by dotted names, with values as on the command line."""
     out: dict[str, str] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):
-            out |= _flat(value, f"{path}{name}.")
+            out |= flat_texts(value, f"{path}{name}.")
         else:
             out[path + name] = _value_text(value)
     return out
@@ -211,7 +228,7 @@ def _value_text(value: Any) -> str:
 
 def _reproduction(run: _DescribedRun) -> str:
     """The commands that repeat a run, and the versions that produced it."""
-    parts = [f"<p><strong>{_text(run.name)}</strong></p>" if run.is_named else ""]
+    parts = [f"<p><strong>{escaped(run.name)}</strong></p>" if run.is_named else ""]
     if run.folder is not None:
         config = shlex.quote(str(run.folder / "config.toml"))
         replayed = run.notes.get("replayed", {})
@@ -225,11 +242,11 @@ def _reproduction(run: _DescribedRun) -> str:
         with_map = _prior_map_options(run.notes.get("prior_map", {}))
         command += with_map
         again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
-        parts.append(f"<pre>{_text(command)}</pre>")
-        parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{_text(again)}</pre>")
+        parts.append(f"<pre>{escaped(command)}</pre>")
+        parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{escaped(again)}</pre>")
     versions = run.notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     words = ", ".join(f"{name} {version}" for name, version in versions.items())
-    parts.append(f'<p class="quiet">Run by {_text(words)}.</p>')
+    parts.append(f'<p class="quiet">Run by {escaped(words)}.</p>')
     return "\n".join(part for part in parts if part)
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 
 if TYPE_CHECKING:
+    from sixthsense.evaluation.curves import Over
+    from sixthsense.figures.canvas import OnAxes
     from sixthsense.figures.picture import Picture
 
 __all__ = ["Run", "Trace", "load"]
@@ -21,16 +23,23 @@ class Run(MeasuredRun):
     A notebook displays it as its map with the most important metrics.
     """
 
-    def plot(self, what: str = "map") -> Picture:
-        """A figure of the run: "map", "error", "nees", "nis", "stages", "coverage" or "exploration".
+    @overload
+    def plot(self, what: str = "map", *, over: Over = "time", ax: None = None) -> Picture: ...
+    @overload
+    def plot(self, what: str = "map", *, over: Over = "time", ax: OnAxes) -> None: ...
+    def plot(self, what: str = "map", *, over: Over = "time", ax: OnAxes | None = None) -> Picture | None:
+        """A figure of the run: "map", "error", "rpe", "nees", "nis", "stages", "coverage" or "exploration".
 
-        The result is a matplotlib figure, which a notebook displays, and which `.savefig(file)` writes. Raises
-        FigureError with the allowed names for any other name, and for a figure whose data the run lacks, such as errors
-        without truth.
+        The result is a matplotlib figure, which a notebook displays, and which `.savefig(file)` writes. "error" and
+        "nees" can be drawn `over` "distance" travelled. On `ax`, one Axes or as many as the figure has panels, it is
+        drawn in place and nothing is returned; on one Axes, "error", "nees" and "rpe" draw their main panel alone.
+
+        Raises FigureError with the allowed names for any other name, for another number of axes, and for a figure whose
+        data the run lacks, such as errors without truth.
         """
         from sixthsense.figures.panels import figure
 
-        return figure(what, [self])
+        return figure(what, [self], over, ax)
 
     def __getattr__(self, name: str) -> Any:
         """Attributes of the record, deprecated and kept for one version."""

@@ -19,7 +19,7 @@ FILES = frozenset(
     }
 )  # fmt: skip
 """files of a run and of its report, but for the figures"""
-FIGURES = frozenset({"map", "error", "nees", "nis", "stages", "coverage", "exploration"})
+FIGURES = frozenset({"map", "error", "rpe", "nees", "nis", "stages", "coverage", "exploration"})
 """names of the figures, without suffix"""
 
 _FORMS = (".png", ".svg", ".pdf")

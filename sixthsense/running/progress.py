@@ -53,14 +53,12 @@ class Progress:
 
         `shown` is by default whether the output is interactive.
         `area` is for runs whose map is read at every keyframe anyway: in a replay it would be drawn for the bar alone.
-        TQDM_DISABLE=1 in the environment hides all bars.
         """
         self._shows_area = area
         self._label = label
         self._total_s = total_s
         self._realtime = realtime
-        hidden = os.environ.get("TQDM_DISABLE", "") not in ("", "0")  # tqdm's notebook bars ignore it
-        self._is_shown = (is_interactive() if shown is None else shown) and not hidden
+        self._shown = shown
         self._first_ns: int | None = None
         self._shown_s = 0.0
         self._start = 0.0
@@ -68,7 +66,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         bar_format = _ENDLESS_FORMAT if self._total_s is None else _BAR_FORMAT
-        self._bar = _bar(self._is_shown, total=self._total_s, desc=self._label, leave=False, bar_format=bar_format)
+        self._bar = progress_bar(self._shown, total=self._total_s, desc=self._label, leave=False, bar_format=bar_format)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -92,7 +90,12 @@ class Progress:
             self._first_ns, self._start = tick.stamp_ns, now
         now_s = 1e-9 * (tick.stamp_ns - self._first_ns)
         if now_s - self._shown_s >= 0.1:
-            if self._is_shown and self._shows_area and now - self._area_updated >= 1.0 and trace.grid is not None:
+            if (
+                not self._bar.disable
+                and self._shows_area
+                and now - self._area_updated >= 1.0
+                and trace.grid is not None
+            ):
                 self._area_updated = now
                 self._bar.set_postfix_str(_seen_area(trace), refresh=False)
             self._draw(lambda: self._bar.update(now_s - self._shown_s))
@@ -113,9 +116,13 @@ def _seen_area(trace: Trace) -> str:
     return f"{area_m2:.0f} of at most {max(area_m2, (x1 - x0) * (y1 - y0)):.0f} m² seen"
 
 
-def _bar(shown: bool, **options: Any) -> Any:
-    """A bar for a terminal or notebook, or a disabled one that writes nothing."""
-    if not shown:
+def progress_bar(shown: bool | None, **options: Any) -> Any:
+    """A bar of tqdm for a terminal or notebook, or a disabled one that writes nothing; None: where someone sees it.
+
+    TQDM_DISABLE=1 in the environment hides all bars.
+    """
+    hidden = os.environ.get("TQDM_DISABLE", "") not in ("", "0")  # tqdm's notebook bars ignore it
+    if hidden or not (is_interactive() if shown is None else shown):
         from tqdm import tqdm
 
         return tqdm(disable=True, **options)

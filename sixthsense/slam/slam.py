@@ -16,6 +16,7 @@ from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import CALIBRATE_WHEELS, KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.removed import OldName
+from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
@@ -115,18 +116,16 @@ class Slam:
         """Process a scan of the configured laser, for callers without a `Tick`.
 
         `ranges` (beams,) metres, counter-clockwise from `-laser.fov / 2`, inf or NaN where nothing was met; `odometry`
-        is the robot's pose by its wheels, `T_odom_robot`, in any fixed frame; stamps ascend. Raises ValueError for
-        another number of ranges, and for a stamp that does not ascend.
+        is the robot's pose by its wheels, `T_odom_robot`, in any fixed frame; stamps ascend. Raises ValueError that
+        names the argument for ranges of another shape, a pose that is not finite and a stamp that does not ascend.
         """
         laser = self.config.laser
-        values = np.asarray(ranges, dtype=np.float64)
-        if values.shape != (laser.beams,):
-            raise ValueError(f"ranges: expected shape ({laser.beams},), got {values.shape}")
-        return self.take(self._checked(Tick(stamp_ns, odometry, Scan.from_config(values, laser))))
+        values = as_array("ranges", ranges, (laser.beams,), finite=False)
+        return self.take(self._tick(stamp_ns, odometry, Scan.from_config(values, laser)))
 
     def odometry(self, stamp_ns: int, odometry: Pose) -> Step:
         """Process the robot's pose by its wheels between two scans, `T_odom_robot`; ValueError as of `scan`."""
-        return self.take(self._checked(Tick(stamp_ns, odometry)))
+        return self.take(self._tick(stamp_ns, odometry))
 
     @property
     def pose(self) -> Pose:
@@ -178,10 +177,10 @@ class Slam:
             )
         return self._result
 
-    def _checked(self, tick: Tick) -> Tick:
-        if self._odometry is not None and tick.stamp_ns <= self._stamp_ns:
-            raise ValueError(f"stamp_ns: found {tick.stamp_ns} after {self._stamp_ns}, allowed: ascending stamps")
-        return tick
+    def _tick(self, stamp_ns: int, odometry: Pose, scan: Scan | None = None) -> Tick:
+        if self._odometry is not None and stamp_ns <= self._stamp_ns:
+            raise ValueError(f"stamp_ns: found {stamp_ns} after {self._stamp_ns}, allowed: ascending stamps")
+        return Tick(stamp_ns, as_pose("odometry", odometry), scan)
 
     def _fold_odometry(self, tick: Tick) -> tuple[Odometry | None, Scan | None]:
         """The motion since the last tick, folded into that since the last keyframe; the scan, de-skewed by it."""

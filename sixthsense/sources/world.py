@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw, rk4, slip_variances
 from sixthsense.core.pose_kernels import Triple, composed, driven
-from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
+from sixthsense.core.ray_casting import NearWalls, cast_among, cast_sweep
 from sixthsense.core.source import Command, Tick
 
 _MOVED_M = 1.0
@@ -153,7 +153,7 @@ class World:
         bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
         walls = self._visible.at(T_world_laser.x, T_world_laser.y)
         if laser.sweep_s == 0.0:
-            ranges = cast_rays(T_world_laser, bearings, walls, laser.max_range)
+            ranges = cast_among(T_world_laser, bearings, walls, laser.max_range)
         else:
             ranges = cast_sweep(self._sweep(), bearings, walls, laser.max_range)
         ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)

@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -6,7 +7,9 @@ import pytest
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import NearWalls, cast_rays, hit_walls
+from sixthsense.core.ray_casting import NearWalls, cast_among, cast_rays, hit_walls
+
+WALL = np.array([[[2.0, -1.0], [2.0, 1.0]]])
 
 
 def reference(pose, bearings, walls, max_range):
@@ -57,7 +60,7 @@ def test_near_walls_hold_all_that_is_in_reach_in_their_order():
         place = np.clip(place + rng.uniform(-1.5, 1.5, 2), -50, 50)
         pose = Pose(place[0], place[1], 0.3)
         found = near.at(*place)
-        assert np.array_equal(cast_rays(pose, bearings, found, 8.0), cast_rays(pose, bearings, walls, 8.0))
+        assert np.array_equal(cast_among(pose, bearings, found, 8.0), cast_rays(pose, bearings, walls, 8.0))
         rows = [walls.reshape(-1, 4).tolist().index(wall) for wall in found.tolist()]
         assert rows == sorted(rows) and len(rows) < 100
 
@@ -138,3 +141,27 @@ def test_the_mount_moves_the_points():
     scan = Scan.from_config(np.array([1.0, 1.0]), config)
     middle = scan.points_robot.mean(axis=0)
     assert middle == pytest.approx([0.2, 0.1 + math.cos(0.25)], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bearings", "walls", "found"),
+    [
+        (np.zeros((2, 3)), WALL, r"bearings: expected shape (N,), got (2, 3)"),
+        (0.5, WALL, r"bearings: expected shape (N,), got ()"),
+        ([0.0, math.nan], WALL, r"bearings: expected finite numbers, got nan at [1]"),
+        (["east"], WALL, r"bearings: expected numbers of shape (N,), got ['east']"),
+        ([0.0], np.zeros((3, 4)), r"walls: expected shape (M, 2, 2), got (3, 4)"),
+        ([0.0], [[[0, 1], [math.inf, 1]]], r"walls: expected finite numbers, got inf at [0, 1, 0]"),
+    ],
+)
+def test_a_wrong_array_is_named_with_what_was_expected(bearings, walls, found):
+    with pytest.raises(ValueError, match=re.escape(found)):
+        cast_rays(Pose(), bearings, walls, 10.0)
+
+
+def test_lists_are_arrays_and_a_laser_has_a_pose():
+    assert cast_rays(Pose(), [0], [[[2, -1], [2, 1]]], 10.0) == pytest.approx([2.0])
+    with pytest.raises(ValueError, match=re.escape("T_world_laser: expected a Pose(x, y, theta), got an array of sh")):
+        cast_rays(np.zeros(3), [0.0], WALL, 10.0)
+    with pytest.raises(ValueError, match="T_world_laser: expected finite numbers, got Pose"):
+        cast_rays(Pose(math.nan), [0.0], WALL, 10.0)

@@ -31,12 +31,14 @@ CONFIG = preset(task="tour", scene="apartment", estimator="isam2", max_time=30.0
 EVO = """
 import json
 import sys
+from copy import deepcopy as copy
 import matplotlib
 matplotlib.use("agg")
 from matplotlib import pyplot as plt
 from evo.core import sync
-from evo.core.metrics import PoseRelation
+from evo.core.metrics import PoseRelation, Unit
 from evo.main_ape import ape
+from evo.main_rpe import rpe
 from evo.tools import file_interface, plot
 
 truth, estimate = (file_interface.read_tum_trajectory_file(f"{sys.argv[1]}/{n}.tum") for n in ("truth", "estimate"))
@@ -44,6 +46,12 @@ poses = truth.num_poses, estimate.num_poses
 checks = truth.check()[0] and estimate.check()[0]
 truth, estimate = sync.associate_trajectories(truth, estimate)
 error = ape(truth, estimate, PoseRelation.translation_part)
+pairs = {"delta_unit": Unit.meters, "all_pairs": True, "pairs_from_reference": True}
+relative = {
+    f"rpe_{name}_{length}m": rpe(copy(truth), copy(estimate), relation, delta=float(length), **pairs).stats["rmse"]
+    for name, relation in (("trans_m", PoseRelation.translation_part), ("rot_deg", PoseRelation.rotation_angle_deg))
+    for length in (1, 2, 5, 10)
+}
 figure, axes = plt.subplots()
 plot.ros_map(axes, f"{sys.argv[1]}/map.yaml", plot.PlotMode.xy, mask_unknown_value=205)
 (image,) = axes.images
@@ -54,7 +62,8 @@ low, high = axes.transData.inverted().transform(
 pixels = image.get_array()
 print(json.dumps({
     "poses": poses, "matched": truth.num_poses, "checks": bool(checks), "rmse": error.stats["rmse"],
-    "known": int(pixels.count()), "shape": list(pixels.shape), "low": list(low), "high": list(high),
+    "relative": relative, "known": int(pixels.count()), "shape": list(pixels.shape), "low": list(low),
+    "high": list(high),
 }))
 """
 
@@ -113,6 +122,12 @@ def test_evo_finds_the_same_absolute_error_as_the_metrics(recorded, evo):
     assert ours > 1e-4
     assert evo["rmse"] == pytest.approx(ours, abs=1e-6)
     assert evo["poses"] == [len(trace.truths)] * 2 and evo["matched"] == len(trace.truths)
+
+
+def test_evo_finds_the_same_relative_errors_as_the_metrics(recorded, evo):
+    ours = json.loads((recorded[0] / "metrics.json").read_text())
+    assert evo["relative"] == pytest.approx({key: ours[key] for key in ours if key.startswith("rpe_")}, rel=1e-3)
+    assert len(evo["relative"]) == 8
 
 
 def test_evo_finds_nothing_wrong_with_the_trajectories(evo):
@@ -248,8 +263,8 @@ def test_pandas_reads_metrics_and_landmarks(recorded):
 def test_pandas_reads_a_campaigns_rows_with_the_same_numbers(recorded, tmp_path):
     pd = pytest.importorskip("pandas")
     pytest.importorskip("pyarrow")
-    from sixthsense.campaign.rows import Rows
-    from sixthsense.campaign.worker import row_of
+    from sixthsense.campaigns.rows import Rows
+    from sixthsense.campaigns.worker import row_of
 
     metrics = json.loads((recorded[0] / "metrics.json").read_text())
     Rows(tmp_path).add(row_of(CONFIG) | metrics)

@@ -16,6 +16,7 @@ from sixthsense.evaluation.metrics import (
     nees_invariant,
     nees_world,
     relations_error,
+    relative_pose_errors,
     scan_times,
     share_in_band,
     true_landmarks,
@@ -53,6 +54,32 @@ def to_world_error(p_hat: Array) -> Array:
 
 def moved(pose: Pose, poses: Array) -> Array:
     return np.array([(pose @ Pose.from_array(row)).array() for row in poses])
+
+
+def test_a_relative_pose_error_is_that_of_the_motion_over_so_much_path() -> None:
+    """An estimate that turns too far by 0.01 rad and drives 2 % too far in each metre, along a straight line."""
+    truth = np.column_stack([np.arange(0.0, 12.0, 0.1), np.zeros((120, 2))])
+    steps = [Pose(), *(119 * [Pose(0.102, 0.0, 0.001)])]
+    estimate = np.array([pose.array() for pose in itertools.accumulate(steps, lambda a, b: a @ b)])
+    for length in (1, 2, 5, 10):
+        translation, rotation = relative_pose_errors(estimate, truth, length)
+        whole = slice(0, 120 - 10 * length)  # those after it reach the end up to a tenth too early
+        assert rotation[whole] == pytest.approx(0.01 * length)
+        assert translation[whole] == pytest.approx(np.hypot(0.02 * length, 0.5 * 0.01 * length**2), rel=0.05)
+        assert len(rotation) <= 121 - 9 * length
+    assert all(len(errors) == 0 for errors in relative_pose_errors(estimate, truth, 20.0))
+    assert all(len(errors) == 0 for errors in relative_pose_errors(estimate[:1], truth[:1], 1.0))
+
+
+def test_a_relative_pose_error_does_not_depend_on_where_the_frames_lie() -> None:
+    rng = np.random.default_rng(4)
+    truth = np.column_stack([np.cumsum(rng.normal(0.0, 0.1, (300, 2)), axis=0), rng.uniform(-3.0, 3.0, 300)])
+    truth[50:70] = truth[50]  # the robot stands still
+    estimate = truth + rng.normal(0.0, 0.01, (300, 3))
+    expected = relative_pose_errors(estimate, truth, 2.0)
+    found = relative_pose_errors(moved(Pose(3.0, -1.0, 2.0), estimate), moved(Pose(-7.0, 4.0, 1.0), truth), 2.0)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert len(expected[0]) > 250 and not np.any(relative_pose_errors(truth, truth, 2.0)[0] > 1e-12)
 
 
 def test_the_trajectory_error_is_the_rms_and_the_worst_distance() -> None:

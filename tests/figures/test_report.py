@@ -130,9 +130,9 @@ def test_an_existing_folder_is_overwritten_only_on_request(folder, tmp_path, cap
 @pytest.mark.parametrize(
     ("args", "complaint"),
     [
-        (["report"], "run: found nothing, allowed: one or more folders of runs"),
-        (["report", "nowhere"], "nowhere: found no such folder, allowed: the folder of a run"),
-        (["report", "."], ".: found no config.toml in it, allowed: the folder of a run"),
+        (["report"], "run: found nothing, allowed: folders of runs, or of a campaign"),
+        (["report", "nowhere"], "nowhere: found no such folder, allowed: the folder of a run or of a campaign"),
+        (["report", "."], ".: found no config.toml in it, allowed: the folder of a run or of a campaign"),
         (["report", "x", "--beams", "3"], "--beams: no such option, allowed: --out, --overwrite, --figures, --animate"),
         (["report", "x", "--out"], "--out: found nothing, allowed: 1 value"),
     ],

@@ -103,6 +103,12 @@ def test_what_cannot_be_taken_is_refused() -> None:
         slam.scan(100, np.ones(360), Pose())
         with pytest.raises(ValueError, match=r"^ranges: expected shape \(360,\), got \(181,\)"):
             slam.scan(200, np.ones(181), Pose())
+        with pytest.raises(ValueError, match=r"^ranges: expected shape \(360,\), got \(2, 360\)"):
+            slam.scan(200, np.ones((2, 360)), Pose())
+        with pytest.raises(ValueError, match=r"^odometry: expected a Pose\(x, y, theta\), got an array of shape"):
+            slam.scan(200, np.ones(360), np.zeros(3))
+        with pytest.raises(ValueError, match=r"^odometry: expected finite numbers, got Pose\(x=nan"):
+            slam.odometry(200, Pose(np.nan))
         with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
             slam.odometry(100, Pose())
         slam.finish()

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError
-from sixthsense.campaign.plan import AXES, Campaign, PlannedRun, ranges, scene_digest, seed_range
+from sixthsense.campaigns.errors import CampaignError
+from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, ranges, scene_digest, seed_range
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
@@ -17,7 +17,7 @@ from sixthsense.record.writing import whole
 FILE = "campaign.toml"
 
 
-def check_folder(folder: Path, campaign: Campaign) -> Mapping[str, Any] | None:
+def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | None:
     """Check the output folder and return its `campaign.toml`, or None for a new or empty folder.
 
     Raises CampaignError for a file, for a folder that is not a campaign's, and for a campaign with other shared fields
@@ -58,7 +58,7 @@ def check_rows(folder: Path, runs: Mapping[str, PlannedRun], rows: list[dict[str
             )
 
 
-def save_folder(folder: Path, campaign: Campaign, saved: Mapping[str, Any] | None) -> None:
+def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] | None) -> None:
     """Write `campaign.toml` atomically, with the axes of `saved` extended by those of the campaign.
 
     Raises OSError that names the file.
@@ -112,7 +112,7 @@ def read_folder(folder: Path) -> Mapping[str, Any]:
     return table
 
 
-def _typed_fields(campaign: Campaign) -> dict[str, Any]:
+def _typed_fields(campaign: CampaignPlan) -> dict[str, Any]:
     """The shared fields with the types of the configuration: numbers of the field's type, lists for tuples."""
 
     def select(table: Mapping[str, Any], names: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,12 +9,14 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from sixthsense.campaign.plan import config_hash, scene_digest
+from sixthsense.campaigns.plan import config_hash, scene_digest
 from sixthsense.config import Config
 from sixthsense.config.version import __version__
 
 FAILED = "error"
 """the outcome of a run that raised"""
+CURVES = "curves"
+"""key of a row under which a worker returns the run's errors along its way"""
 
 # Runs limit BLAS to one thread for the whole process and measure wall time, so threads must not overlap.
 _run_lock = threading.Lock()
@@ -42,7 +44,7 @@ def describe(scenes: Sequence[str]) -> dict[str, Any]:
 
 def row_of(config: Config) -> dict[str, Any]:
     """The columns that are known before a run: the configuration's hash, the axes, the task and the seed."""
-    names = ("scene", "estimator", "preset", "planner", "task", "seed")
+    names = ("scene", "estimator", "front_end", "preset", "planner", "task", "seed")
     return {"config_hash": config_hash(config), **{name: getattr(config, name) for name in names}}
 
 
@@ -73,6 +75,9 @@ def one_line(error: BaseException) -> str:
 
 
 def _metrics(config: Config) -> dict[str, Any]:
+    """The metrics of a run, and its errors along its way."""
+    from sixthsense.evaluation.curves import curves
     from sixthsense.running.runs import simulate
 
-    return simulate(config).metrics
+    run = simulate(config)
+    return {**run.metrics, CURVES: curves(run.trace)}

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,30 +16,16 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.campaign import Campaign, CampaignError, Rows, cluster, folder, worker
-from sixthsense.campaign.plan import config_hash, plan, ranges, seed_range, shared_fields
-from sixthsense.campaign.summary import mean_band, mean_interval, summary
+from sixthsense.campaigns import CampaignError, CampaignPlan, Rows, cluster, folder, worker
+from sixthsense.campaigns.plan import AXES, config_hash, plan, ranges, seed_range, shared_fields
+from sixthsense.evaluation.summary import mean_band, mean_interval, summary
 from sixthsense.record import writing
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 SHORT = ("--task", "tour", "--max-time", "4")
 FIELDS = {"task": "tour", "max_time": 4.0}
-IDENTITY = ["scene", "estimator", "preset", "planner", "seed"]
-
-
-@pytest.fixture
-def nearby(monkeypatch):
-    """Two workers that are threads of this process, so that a campaign takes a second to begin."""
-    distributed = pytest.importorskip("distributed")
-
-    @contextlib.contextmanager
-    def connect(*_: object) -> Iterator[object]:
-        options = {"n_workers": 2, "threads_per_worker": 1, "processes": False, "dashboard_address": "127.0.0.1:0"}
-        with distributed.Client(**options) as client:
-            yield client
-
-    monkeypatch.setattr("sixthsense.campaign.connect", connect)
+IDENTITY = ["scene", "estimator", "front_end", "preset", "planner", "seed"]
 
 
 def campaign_of(**changes):
@@ -52,7 +37,7 @@ def campaign_of(**changes):
         "seeds": (0, 1),
         "fields": FIELDS,
     }
-    return Campaign(**{**axes, **changes})
+    return CampaignPlan(**{**axes, **changes})
 
 
 def row(key="a" * 16, seed=0, **more):
@@ -111,7 +96,7 @@ def test_the_hash_tells_every_field_apart_and_is_that_of_another_process():
     config = ss.preset(scene="rectangle", seed=3)
     changes = [{"seed": 4}, {"max_time": 10.0}, {"laser": {"beams": 90}}, {"goal": [1.0, 0.0]}, {"preset": "worn"}]
     assert len({config_hash(c) for c in (config, *(ss.merge(config, change) for change in changes))}) == 6
-    code = "import sixthsense as ss; from sixthsense.campaign.plan import config_hash as h; "
+    code = "import sixthsense as ss; from sixthsense.campaigns.plan import AXES, config_hash as h; "
     code += "print(h(ss.preset(scene='rectangle', seed=3)))"
     environment = {**os.environ, "PYTHONHASHSEED": "7"}
     found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)
@@ -196,7 +181,7 @@ def test_a_damaged_row_is_told_in_one_line(here):
     Rows(Path("c")).add(row())
     Path("c/rows/run-damaged.parquet").write_bytes(b"no parquet")
     with pytest.raises(ss.InputError, match=r"run-damaged\.parquet"):
-        ss.load_campaign("c")
+        ss.load_campaign("c").frame()
 
 
 def test_without_the_extra_one_line_says_how_to_install_it(monkeypatch, capsys):
@@ -232,7 +217,7 @@ def test_the_summary_has_a_line_per_setting_and_counts_how_its_runs_ended():
         rows.add(row(f"{seed:016}", seed, ate_rmse_m=0.1 * seed, pose_nees_world_mean=3.0))
     rows.add({**row("f" * 16, 3), "outcome": "error"})
     rows.add({**row("e" * 16, 0), "estimator": "isam2", "scene": "/a/room.toml"})
-    head, first, second = summary(rows.frame())
+    head, first, second = summary(rows.frame(), AXES)
     assert first[:6] == ["room", "isam2", "default", "astar", "1", ""]
     assert second[:6] == ["rectangle", "ekf", "default", "astar", "4", "0.1 ± 0.25"]
     assert second[-1] == "3 tour ended, 1 error" and len(head) == len(first) == len(second)
@@ -351,7 +336,7 @@ def test_the_same_command_again_repeats_nothing_and_more_of_an_axis_makes_what_i
     assert {file: file.stat().st_mtime_ns for file in Path("c").rglob("*") if file.is_file()} == stamps
     assert run_command(*words, "--seeds", "2:5", "--estimator", "ekf-invariant", "ekf") == cli.DONE
     assert "6 runs, 1 already in c/; 2 workers; dashboard http://" in capsys.readouterr().err
-    frame = ss.load_campaign("c")
+    frame = ss.load_campaign("c").frame()
     assert len(frame) == 8 and not frame.duplicated(IDENTITY).any() and not frame["config_hash"].duplicated().any()
     kept = [file for file in stamps if file.name.startswith("run-")]
     assert all(file.stat().st_mtime_ns == stamps[file] for file in kept)
@@ -392,7 +377,7 @@ def test_a_scene_that_has_changed_is_no_more_the_same_campaign(nearby, capsys):
     scene.write_text(text.format("[[-2, -2], [3, -2], [3, 2], [-2, 2]]"))
     words = ("room.toml", *SHORT, "--seeds", "0:1", "--out", "c")
     assert run_command(*words) == cli.DONE
-    assert ss.load_campaign("c")["scene"].tolist() == [str(scene.resolve())]
+    assert ss.load_campaign("c").frame()["scene"].tolist() == [str(scene.resolve())]
     capsys.readouterr()
     scene.write_text(text.format("[[-2, -2], [3, -2], [3, 2.5], [-2, 2]]"))
     assert "room.toml has changed since c was created" in complaint(capsys, *words)
@@ -412,12 +397,12 @@ def test_runs_that_fail_are_rows_and_are_made_again_only_when_asked(nearby, caps
         assert run_command(*words) == cli.FAILED
     said = "1 runs failed, first rectangle ekf-invariant default astar seed 1: RuntimeError: lost a wheel"
     assert said in capsys.readouterr().out
-    assert ss.load_campaign("c")["outcome"].tolist() == ["tour ended", "error", "tour ended"]
+    assert ss.load_campaign("c").frame()["outcome"].tolist() == ["tour ended", "error", "tour ended"]
     assert run_command(*words) == cli.FAILED
     assert "all 3 runs are already in c/" in capsys.readouterr().err
     assert run_command(*words, "--retry-failed") == cli.DONE
-    assert ss.load_campaign("c")["outcome"].tolist() == 3 * ["tour ended"]
-    assert ss.load_campaign("c")["error"].isna().all()
+    assert ss.load_campaign("c").frame()["outcome"].tolist() == 3 * ["tour ended"]
+    assert ss.load_campaign("c").frame()["error"].isna().all()
 
 
 def test_a_full_disk_ends_the_campaign_in_one_line_and_what_is_written_goes_on(nearby, capsys, monkeypatch):
@@ -426,7 +411,7 @@ def test_a_full_disk_ends_the_campaign_in_one_line_and_what_is_written_goes_on(n
 
     def filling(file: int) -> None:
         calls.append(file)
-        if len(calls) > 4:  # campaign.toml, the columns, two rows
+        if len(calls) > 6:  # campaign.toml, the columns, two rows with their curves
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         sync(file)
 
@@ -513,7 +498,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
     makers(psutil.Process(campaign.pid))[0].kill()
     out, err = campaign.communicate()
     assert campaign.returncode == 0, err
-    frame = ss.load_campaign("c")
+    frame = ss.load_campaign("c").frame()
     assert len(frame) == 8 and not frame.duplicated(IDENTITY).any()
     assert set(frame["outcome"]) == {"tour ended"} and "8 tour ended" in out
     assert "Traceback" not in err and "dashboard http://127.0.0.1:" in err
@@ -522,7 +507,7 @@ def test_a_worker_killed_in_the_middle_costs_no_row_and_none_is_there_twice():
 @pytest.mark.slow
 def test_a_run_that_kills_every_worker_is_a_row_and_takes_no_other_down(here):
     patch = """
-import sixthsense.campaign.worker as worker, os
+import sixthsense.campaigns.worker as worker, os
 whole = worker._metrics
 worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(config)
 """
@@ -531,7 +516,7 @@ worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(conf
     campaign = program(*words, PYTHONPATH=str(here))
     _, err = campaign.communicate()
     assert campaign.returncode == 1 and "Traceback" not in err
-    frame = ss.load_campaign("c")
+    frame = ss.load_campaign("c").frame()
     assert frame["outcome"].tolist() == ["tour ended", "error", "tour ended", "tour ended"]
     assert frame["error"][1] == "KilledWorker: 4 workers died in this run"
 
@@ -555,7 +540,7 @@ def test_a_scheduler_and_workers_started_by_hand_make_the_same_rows():
                 assert started.poll() is None
         words = ("rectangle", *SHORT, "--seeds", "0:6")
         assert run_command(*words, "--out", "c", "--scheduler", address) == cli.DONE
-    frame = ss.load_campaign("c")
+    frame = ss.load_campaign("c").frame()
     assert len(frame) == 6
     for seed in range(6):
         alone = ss.run(ss.preset(scene="rectangle", seed=seed, **FIELDS)).metrics

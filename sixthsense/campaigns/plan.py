@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError
+from sixthsense.campaigns.errors import CampaignError
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
@@ -26,7 +26,7 @@ _SEEDS = re.compile(r"([0-9]{1,18})(?::([0-9]{1,18}))?")
 
 
 @dataclass(frozen=True)
-class Campaign:
+class CampaignPlan:
     """The axes of a campaign, each with at least one value, and the fields that its runs share."""
 
     scenes: tuple[str, ...]
@@ -87,10 +87,10 @@ class PlannedRun:
         return {**{axis: getattr(self.setting, axis) for axis in AXES}, "seed": self.seed}
 
 
-def plan(campaign: Campaign) -> dict[str, PlannedRun]:
+def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
     """All runs of a campaign by the hash of their configuration, ordered by seed, so that settings progress equally.
 
-    Raises CampaignError for too many runs, and the errors of `Campaign.settings`.
+    Raises CampaignError for too many runs, and the errors of `CampaignPlan.settings`.
     """
     axes = (campaign.scenes, campaign.estimators, campaign.presets, campaign.planners, campaign.seeds)
     count = 1

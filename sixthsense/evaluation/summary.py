@@ -1,14 +1,14 @@
-"""The table at the end of a campaign: means with confidence intervals and outcomes per setting."""
+"""A table of many runs: means with confidence intervals and outcomes of each group."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.campaign.plan import AXES
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import nees_band
 
@@ -21,23 +21,21 @@ MEANS = (("ATE m", "ate_rmse_m"), ("NIS/dof", "nis_mean_per_dof"), ("coverage", 
 NEES = "pose_nees_world_mean"
 
 
-def summary(frame: pd.DataFrame) -> list[list[str]]:
-    """Summarise a campaign's table: a heading, and a row per scene, estimator, preset and planner.
+def summary(frame: pd.DataFrame, by: Sequence[str]) -> list[list[str]]:
+    """Summarise a table of runs: a heading, and a row per combination of the values in the columns `by`.
 
     Means are over the runs that have the metric, with the 95 % interval of Student's t. The mean NEES, 3 for a
     consistent estimator, is followed by the 95 % band of the mean over as many independent runs at one instant
     (`nees_band`). A run's time average scatters less, so a consistent estimator lies well within the band.
     """
     (ate, *rest) = MEANS
-    head = [*AXES, "runs", ate[0], "NEES", *(name for name, _ in rest), "outcomes"]
-    rows = [head]
-    for values, group in frame.groupby(list(AXES), sort=True):
-        scene, *others = map(str, values)
+    rows = [[*by, "runs", ate[0], "NEES", *(name for name, _ in rest), "outcomes"]]
+    for values, group in frame.groupby(list(by), sort=True):
         outcomes = ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items())
         cells = [mean_interval(_measured(group, column)) for _, column in MEANS]
-        name = Path(scene).stem if Path(scene).suffix else scene
+        names = [Path(value).stem if name == "scene" else str(value) for name, value in zip(by, values, strict=True)]
         nees = mean_band(_measured(group, NEES))
-        rows.append([name, *others, str(len(group)), cells[0], nees, *cells[1:], outcomes])
+        rows.append([*names, str(len(group)), cells[0], nees, *cells[1:], outcomes])
     return rows
 
 
@@ -58,12 +56,6 @@ def mean_band(values: Array) -> str:
     low, high = nees_band(len(values))
     mean = float(values.mean())
     return f"{mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.2f}-{high:.2f}"
-
-
-def columns(rows: list[list[str]]) -> str:
-    """Rows as lines of aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows)
 
 
 def _measured(group: Any, column: str) -> Array:

@@ -6,14 +6,15 @@ import asyncio
 import contextlib
 import logging
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaign.errors import CampaignError, import_extra
-from sixthsense.campaign.plan import PlannedRun, scene_digest
-from sixthsense.campaign.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
+from sixthsense.campaigns.errors import CampaignError, import_extra
+from sixthsense.campaigns.plan import PlannedRun, scene_digest
+from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import deferred_interrupt
@@ -44,6 +45,7 @@ def connect(scheduler: str | None = None, workers: int | None = None, dashboard:
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("ignore")
         stack.enter_context(dask.config.set(_SETTINGS))
+        stack.enter_context(_script_hidden())
         if scheduler is None:
             # A cluster that is stopped half started leaves processes, and says so when Python ends.
             with deferred_interrupt() as interrupted, _terminal_blocked():
@@ -213,6 +215,22 @@ def _terminal_blocked() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _script_hidden() -> Iterator[None]:
+    """Within the block new processes do not import the program that is running.
+
+    A script that calls `ss.campaign` outside of `if __name__ == "__main__"` would begin again in each of them.
+    """
+    main = sys.modules["__main__"]
+    before = {name: getattr(main, name) for name in ("__spec__", "__file__") if hasattr(main, name)}
+    main.__spec__ = None
+    vars(main).pop("__file__", None)
+    try:
+        yield
+    finally:
+        vars(main).update(before)
 
 
 def _close_quietly(close: Callable[[], Any]) -> None:

@@ -1,0 +1,107 @@
+"""The fields that `ss.run` and its kin take by name: what a type checker accepts and an editor completes.
+
+They mirror the configuration, and a test compares the two. The calls read the names of earlier versions as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypedDict
+
+from sixthsense.config.section_fields import (
+    AssociationFields,
+    AssumedFields,
+    ExploreFields,
+    FeaturesFields,
+    FollowFields,
+    GridFields,
+    ISAM2Fields,
+    KeyframeFields,
+    LaserFields,
+    RobotFields,
+    RRTStarFields,
+    SafetyFields,
+    ScansFields,
+    WorldFields,
+)
+
+
+class _EstimateFields(TypedDict, total=False):
+    """Of the estimate alone: every call takes them."""
+
+    front_end: Literal["landmarks", "scan-matching"]
+    calibrate_wheels: bool
+    max_time: float | None
+    laser: LaserFields
+    assumed: AssumedFields
+    keyframes: KeyframeFields
+    features: FeaturesFields
+    association: AssociationFields
+    scans: ScansFields
+    isam2: ISAM2Fields
+    grid: GridFields
+    safety: SafetyFields
+
+
+class _WorldFields(_EstimateFields, total=False):
+    """And of a robot that is simulated or driven."""
+
+    task: Literal["explore", "goal", "tour"]
+    goal: Sequence[float] | None
+    tour: Sequence[Sequence[float]] | None
+    start: Sequence[float] | None
+    region: Sequence[float] | None
+    map_unknown: Literal["wall", "free"]
+    robot: RobotFields
+    world: WorldFields
+    rrtstar: RRTStarFields
+    follow: FollowFields
+    explore: ExploreFields
+
+
+class Fields(_WorldFields, total=False):
+    """Of `ss.preset`: the whole configuration."""
+
+    scene: str
+    preset: str
+    estimator: str
+    planner: str
+    seed: int
+
+
+class _PriorMapFields(TypedDict, total=False):
+    """The start in a prior map."""
+
+    pose: Sequence[float]
+    pose_sigma: Sequence[float]
+    lost: bool
+
+
+class RunFields(_WorldFields, _PriorMapFields, total=False):
+    """Of `ss.run`."""
+
+    preset: str
+    estimator: str | Callable[..., Any]
+    planner: str | Callable[..., Any]
+    seed: int
+
+
+class MergeFields(_EstimateFields, total=False):
+    """Of `ss.merge_runs`."""
+
+    estimator: str | Callable[..., Any]
+    seed: int
+
+
+class ReplayFields(MergeFields, _PriorMapFields, total=False):
+    """Of `ss.replay`."""
+
+    preset: str
+
+
+class CampaignFields(_WorldFields, total=False):
+    """Of `ss.campaign`: one value or several of what it compares."""
+
+    estimator: str | Sequence[str]
+    preset: str | Sequence[str]
+    planner: str | Sequence[str]

@@ -1,0 +1,63 @@
+"""Errors of a run along its way: at each keyframe, with the time and the distance driven until then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.evaluation import metrics
+from sixthsense.record.trace import Trace
+
+Over = Literal["time", "distance"]
+"""what a curve is drawn over"""
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """Errors of the causal estimate at a run's keyframes."""
+
+    time_s: Array
+    """(K,) since the first scan"""
+    distance_m: Array
+    """(K,) length of the true path since then"""
+    position_m: Array
+    """(K,) magnitude of the position's error"""
+    heading_rad: Array
+    """(K,) magnitude of the heading's error"""
+    nees: Array
+    """(K,) of the pose, world coordinates; NaN before the covariance has full rank"""
+
+    def over(self, axis: Over) -> Array:
+        """(K,) time or distance, ascending."""
+        return self.time_s if axis == "time" else self.distance_m
+
+
+def curves(trace: Trace) -> Curves | None:
+    """The errors along a run; None without truth at its keyframes."""
+    if not trace.key_truths:
+        return None
+    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates])
+    error = poses - np.array(trace.key_truths)
+    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates])
+    first = metrics.full_rank_from(covs)
+    nees = np.full(len(poses), np.nan)
+    if first < len(poses):
+        nees[first:] = metrics.nees_world(error[first:], covs[first:])
+    position, heading = np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))
+    return Curves(key_times(trace), key_distances(trace), position, heading, nees)
+
+
+def key_times(trace: Trace) -> Array:
+    """(K,) seconds from the first scan to each keyframe."""
+    return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+
+
+def key_distances(trace: Trace) -> Array:
+    """(K,) metres of the true path, or of the odometry without truth, from the first scan to each keyframe."""
+    path = np.array(trace.truths or trace.odometry).reshape(-1, 3)
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    steps[[scan - 1 for scan in trace.carried_scans()]] = 0.0
+    return np.asarray(np.interp(trace.key_stamps_ns, trace.stamps_ns, np.concatenate([[0.0], np.cumsum(steps)])))
