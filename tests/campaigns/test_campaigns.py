@@ -507,7 +507,8 @@ worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(conf
 """
     (here / "sitecustomize.py").write_text(patch)
     words = ("rectangle", *SHORT, "--seeds", "0:4", "--out", "c", "--workers", "2")
-    campaign = program(*words, PYTHONPATH=str(here))
+    path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
+    campaign = program(*words, PYTHONPATH=path)
     _, err = campaign.communicate()
     assert campaign.returncode == 1 and "Traceback" not in err
     frame = ss.load_campaign("c").frame()
