@@ -114,6 +114,11 @@ def test_shared_fields_are_those_of_file_and_flags_without_the_axes():
     assert shared_fields(file, flags) == {"max_time": 9.0, "laser": {"beams": 45, "max_range": 5.0}}
 
 
+def test_shared_fields_have_their_present_names():
+    with pytest.warns(FutureWarning, match="keyscans is now called keyframes"):
+        assert shared_fields({"keyscans": {"turn-rad": 0.3}}) == {"keyframes": {"turn_rad": 0.3}}
+
+
 # The table
 
 
