@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.ray_casting import cast_among, cast_rays
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import shortest_path
 from sixthsense.slam.features import extract
@@ -90,7 +90,7 @@ def cast_rays_plain(T_world_laser: Pose, bearings: Array, walls: Array, max_rang
 
 
 def raycast_figures(poses: int = 1000, checked: int = 50) -> Figures:
-    """Time of `cast_rays` and of the NumPy reference at random poses, and the difference from the plain reference."""
+    """Time of the kernel and of the NumPy reference at random poses, and the difference from the plain reference."""
     scene, laser = load_scene("apartment"), preset().laser
     bearings = beam_bearings(laser)
     places = free_poses(scene, poses, np.random.default_rng(0))
@@ -103,7 +103,7 @@ def raycast_figures(poses: int = 1000, checked: int = 50) -> Figures:
             worst = max(worst, float(np.max(np.abs(ranges[~same] - reference[~same]), initial=0.0)))
     ms = alternate(
         places,
-        lambda pose: cast_rays(pose, bearings, scene.walls, laser.max_range),
+        lambda pose: cast_among(pose, bearings, scene.walls.reshape(-1, 4), laser.max_range),
         lambda pose: cast_rays_numpy(pose, bearings, scene.walls, laser.max_range),
     )
     ours, numpy = np.median(ms, axis=0)

@@ -15,6 +15,7 @@ from typing import Any
 from sixthsense.campaigns.errors import CampaignError
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.files import absolute
+from sixthsense.config.removed import with_current_names
 from sixthsense.config.section import shown
 
 AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
@@ -174,7 +175,7 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
                 target[name] = list(value) if isinstance(value, tuple) else value
 
     for table in tables:
-        update(fields, {name: value for name, value in table.items() if name not in (*AXES, "seed")})
+        update(fields, with_current_names({k: value for k, value in table.items() if k not in (*AXES, "seed")}))
     return fields
 
 

@@ -17,20 +17,23 @@ def as_array(name: str, value: ArrayLike, shape: tuple[int | str, ...], finite: 
 
     Raises ValueError for what is no array of numbers, for another shape and, with `finite`, for NaN and infinity.
     """
-    expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
     try:
         array = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected numbers of shape {expected}, got {shown(value)}") from None
+        raise ValueError(f"{name}: expected numbers of shape {_text(shape)}, got {shown(value)}") from None
     alike = len(array.shape) == len(shape) and all(
         isinstance(length, str) or length == found for length, found in zip(shape, array.shape, strict=True)
     )
     if not alike:
-        raise ValueError(f"{name}: expected shape {expected}, got {array.shape}")
+        raise ValueError(f"{name}: expected shape {_text(shape)}, got {array.shape}")
     if finite and not np.isfinite(array).all():
         at = tuple(int(row[0]) for row in np.nonzero(~np.isfinite(array)))
         raise ValueError(f"{name}: expected finite numbers, got {array[at]} at {list(at)}")
     return array
+
+
+def _text(shape: tuple[int | str, ...]) -> str:
+    return f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
 
 
 def as_pose(name: str, value: Any) -> Pose:

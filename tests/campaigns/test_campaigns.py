@@ -114,6 +114,11 @@ def test_shared_fields_are_those_of_file_and_flags_without_the_axes():
     assert shared_fields(file, flags) == {"max_time": 9.0, "laser": {"beams": 45, "max_range": 5.0}}
 
 
+def test_shared_fields_have_their_present_names():
+    with pytest.warns(FutureWarning, match="keyscans is now called keyframes"):
+        assert shared_fields({"keyscans": {"turn-rad": 0.3}}) == {"keyframes": {"turn_rad": 0.3}}
+
+
 # The table
 
 
@@ -513,7 +518,8 @@ worker._metrics = lambda config: os._exit(1) if config.seed == 1 else whole(conf
 """
     (here / "sitecustomize.py").write_text(patch)
     words = ("rectangle", *SHORT, "--seeds", "0:4", "--out", "c", "--workers", "2")
-    campaign = program(*words, PYTHONPATH=str(here))
+    path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
+    campaign = program(*words, PYTHONPATH=path)
     _, err = campaign.communicate()
     assert campaign.returncode == 1 and "Traceback" not in err
     frame = ss.load_campaign("c").frame()
