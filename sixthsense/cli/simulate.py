@@ -32,6 +32,8 @@ class Simulate(OnNetwork, Common):
     """Share of scans that are not sent."""
     twice: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are sent twice."""
+    cmd_vel_stamped: bool = False
+    """Take commands as geometry_msgs/TwistStamped, by default as Twist."""
     truth: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
@@ -56,6 +58,7 @@ def command(args: list[str]) -> int:
     scene_file(config.scene)
     network = options.network()
     from sixthsense.api import with_task
+    from sixthsense.live.reading import TWIST, TWIST_STAMPED
     from sixthsense.live.simulated import Disturbance, SimulatedRobot, drive_by_commands
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.running.warmup import prepare
@@ -67,8 +70,10 @@ def command(args: list[str]) -> int:
     scene = load_scene(config.scene, config.map_unknown)
     mission(scene, config)
     disturbance = Disturbance(options.late, options.lost, options.twice)
-    prepare(announce)
-    with SimulatedRobot(network, config, disturbance, options.truth) as robot:
+    commands = TWIST_STAMPED if options.cmd_vel_stamped else TWIST
+    with SimulatedRobot(network, config, disturbance, None if drives_itself else commands) as robot:
+        prepare(announce)
+        robot.begin(options.truth)
         announce(f"a robot in {scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
         if drives_itself:
             outcome = simulate(config, scene, None, Watch((robot.on_tick,), False, realtime=True)).outcome
