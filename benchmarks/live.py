@@ -188,7 +188,7 @@ def stop(scene: str, seed: int, domain: int) -> Figures:
                 process("simulate", scene, "--seed", str(seed), "--truth", str(truth), *network) as robot,
                 process(*command, "--out", str(out), is_heard=True) as live,
             ):
-                while not truth.exists() or moves(read_truth(truth)).sum() < 50:
+                while not truth.exists() or moves(read_truth(truth)).sum() < 20:
                     time.sleep(0.1)
                 (live if killed == "live" else robot).kill()
                 at, killed_s = time.time(), time.monotonic()

@@ -23,17 +23,17 @@ class Simulate(OnNetwork, Common):
     """
 
     scene: Annotated[str | None, positional(), arg(metavar="[SCENE]")] = None
-    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    """Shipped scene, or a .toml, map_server .yaml, .scn file."""
     timeout: Annotated[float, arg(metavar="S")] = 0.3
     """A command moves the robot for at most this long, s."""
     late: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of scans that are sent up to half a second late."""
+    """Share of scans sent up to 0.5 s late."""
     lost: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are not sent."""
     twice: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are sent twice."""
     cmd_vel_stamped: bool = False
-    """Take commands as geometry_msgs/TwistStamped, by default as Twist."""
+    """Take commands as geometry_msgs/TwistStamped. By default as Twist."""
     truth: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
