@@ -19,8 +19,10 @@ from pathlib import Path
 
 import numpy as np
 from harness import Figures, arguments, print_figures, write_json
+from numpy.typing import NDArray
 
 import sixthsense as ss
+from sixthsense.config import preset
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import ate
@@ -29,7 +31,7 @@ from sixthsense.live.notices import Notices
 from sixthsense.live.publishing import MAP, POSE, TF, Publisher
 from sixthsense.live.reading import LaserReader, MessageReader
 from sixthsense.live.robot import LiveRobot
-from sixthsense.live.simulated import CMD_VEL, SCAN
+from sixthsense.live.simulated import SCAN
 from sixthsense.live.topics import SENSOR
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
@@ -51,9 +53,10 @@ TARGETS = {
 
 
 @contextmanager
-def process(*words: str) -> Iterator[subprocess.Popen[str]]:
+def process(*words: str, is_heard: bool = False) -> Iterator[subprocess.Popen[str]]:
     """A command of the package, killed at the end of the block if it still runs."""
-    started = subprocess.Popen([sys.executable, "-c", PROGRAM, *words], stdout=subprocess.PIPE, text=True)
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE if is_heard else None, "text": True}
+    started = subprocess.Popen([sys.executable, "-c", PROGRAM, *words], **piped)
     try:
         yield started
     finally:
@@ -118,7 +121,8 @@ def replay_cpu(folder: Path, domain: int) -> Array:
     reader = MessageReader()
     with Node(Network(domain)) as node:
         listeners = [node.reader(topic) for topic in (POSE, TF, MAP)]
-        robot = LiveRobot(lambda _: (), reader, LaserReader(reader, None, None), Notices(print))
+        trace = Trace(preset("log"), None, 0.2)
+        robot = LiveRobot(lambda _: (), reader, LaserReader(reader, None, None), Notices(print), trace)
         publisher = Publisher(node, robot)
         ss.replay(folder, on_tick=publish, progress=False)
         assert all(listener.take() for listener in listeners)
@@ -170,35 +174,40 @@ def drive(scene: str, seed: int, seconds: float, domain: int) -> Figures:
 
 
 def stop(scene: str, seed: int, domain: int) -> Figures:
-    """Seconds that the robot drives on after either process is killed, or commands do; the longest of some times."""
+    """Seconds that the robot drives on after `live` is killed, and that `live` commands it on after the robot is.
+
+    The longest of some times. The robot alone may subscribe to its commands: when they stop is what `live` says.
+    """
     figures: Figures = dict.fromkeys(("stop_live_killed_s", "stop_robot_killed_s"), 0.0)
     network = ("--domain", str(domain))
     command = ("live", "--drive", "--region", *REGIONS[scene], *network)
     for killed in ("live", "robot") * STOPS:
-        with tempfile.TemporaryDirectory() as folder, Node(Network(domain)) as node:
+        with tempfile.TemporaryDirectory() as folder:
             truth, out = Path(folder) / "truth.tum", Path(folder) / "live"
-            commands, reader = node.reader(CMD_VEL._replace(quality=SENSOR)), MessageReader()
             with (
                 process("simulate", scene, "--seed", str(seed), "--truth", str(truth), *network) as robot,
-                process(*command, "--out", str(out)) as live,
+                process(*command, "--out", str(out), is_heard=True) as live,
             ):
-                moving = 0
-                while moving < 20:
-                    node.wait(0.05)
-                    moving += sum(reader.command(data).speed > 0.2 for data in commands.take())
+                while not truth.exists() or moves(read_truth(truth)).sum() < 20:
+                    time.sleep(0.1)
                 (live if killed == "live" else robot).kill()
                 at, killed_s = time.time(), time.monotonic()
-                last_s = killed_s
-                while time.monotonic() - killed_s < 2.0:
-                    node.wait(0.02)
-                    if any(reader.command(data).speed != 0.0 for data in commands.take()):
-                        last_s = time.monotonic()
+                if killed == "live":
+                    time.sleep(2.0)
+                else:
+                    assert live.stderr is not None
+                    next(line for line in live.stderr if "the robot is stopped" in line)
+                stopped_s = time.monotonic() - killed_s
             rows = read_truth(truth)
-            moves = np.any(np.diff(rows[:, 1:], axis=0) != 0.0, axis=1)
             figure = f"stop_{killed}_killed_s"
-            moved_s = rows[1:, 0][moves][-1] - at if killed == "live" else last_s - killed_s
+            moved_s = rows[1:, 0][moves(rows)][-1] - at if killed == "live" else stopped_s
             figures[figure] = max(figures[figure], moved_s)
     return figures
+
+
+def moves(rows: Array) -> NDArray[np.bool_]:
+    """(N - 1,) whether a robot moved between two rows of its trajectory."""
+    return np.any(np.diff(rows[:, 1:], axis=0) != 0.0, axis=1) if len(rows) else np.zeros(0, dtype=np.bool_)
 
 
 def memory_mb(pid: int) -> float:

@@ -59,9 +59,10 @@ invalid value is rejected in one line that names the field, the value found and 
 This page is generated from the classes when the site is built.
 """.splitlines()
 _COMMANDS_INTRO = """\
-Exit codes: 0 done (also "explored in part"); 1 the robot failed (stuck, lost, collided, goal unreachable, out of time);
-2 bad input, reported in one line; 130 interrupted. All commands but `report`, `scenes` and `completion` accept the
-fields of the [configuration](configuration.md) as options in addition to those below.
+Exit codes: 0 done (also "explored in part", and a run of `live` ended by Ctrl-C); 1 the robot failed (stuck, lost,
+collided, goal unreachable, out of time, another robot); 2 bad input, reported in one line; 130 interrupted. All
+commands but `report`, `scenes` and `completion` accept the fields of the [configuration](configuration.md) as options
+in addition to those below.
 """.splitlines()
 
 

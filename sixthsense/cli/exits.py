@@ -8,6 +8,7 @@ EXIT_CODES = {
     "explored in part": DONE,
     "log ended": DONE,
     "time is up": DONE,
+    "ended by the user": DONE,
     "interrupted": INTERRUPTED,
 }
 """exit codes of a run's outcomes; every other outcome is a failure of the robot"""

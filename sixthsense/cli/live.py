@@ -46,7 +46,9 @@ class Live(OnNetwork, WithPriorMap):
     drive: bool = False
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, arg(metavar="TOPIC")] = "/cmd_vel"
-    """With --drive: topic of the commands. Messages geometry_msgs/Twist."""
+    """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
+    cmd_vel_stamped: bool = False
+    """With --drive: send TwistStamped, and refuse a robot that takes Twist."""
 
 
 _OF_A_SIMULATION = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
@@ -68,6 +70,8 @@ def command(args: list[str]) -> int:
     from sixthsense.running.runs import Watch, run_live
     from sixthsense.running.warmup import prepare
 
+    if options.cmd_vel_stamped and not options.drive:
+        raise UsageError("--cmd-vel-stamped: found without --drive, allowed: with it")
     topics = Topics(options.scan, options.odom, options.cmd_vel).checked()
     config = with_task(options.settings, flags, "--")
     if options.drive:
@@ -79,7 +83,7 @@ def command(args: list[str]) -> int:
     prior = options.prior_start()
     prepare(announce, config, of_log=not options.drive)
     with Session(network, topics, config, announce) as session:
-        session.configure(stated, options.drive)
+        session.configure(stated, options.drive, options.cmd_vel_stamped)
         config = session.config
         source = {"scan": topics.scan, "odom": topics.odom}
         with (

@@ -23,15 +23,17 @@ class Simulate(OnNetwork, Common):
     """
 
     scene: Annotated[str | None, positional(), arg(metavar="[SCENE]")] = None
-    """A shipped scene's name or a file: .toml, map_server .yaml, or .scn."""
+    """Shipped scene, or a .toml, map_server .yaml, .scn file."""
     timeout: Annotated[float, arg(metavar="S")] = 0.3
     """A command moves the robot for at most this long, s."""
     late: Annotated[float, arg(metavar="SHARE")] = 0.0
-    """Share of scans that are sent up to half a second late."""
+    """Share of scans sent up to 0.5 s late."""
     lost: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are not sent."""
     twice: Annotated[float, arg(metavar="SHARE")] = 0.0
     """Share of scans that are sent twice."""
+    cmd_vel_stamped: bool = False
+    """Take commands as geometry_msgs/TwistStamped. By default as Twist."""
     truth: Annotated[Path | None, arg(metavar="FILE")] = None
     """Write the true trajectory. TUM format, with the stamps of the messages."""
 
@@ -54,6 +56,7 @@ def command(args: list[str]) -> int:
     scene_file(config.scene)
     network = options.network()
     from sixthsense.api import with_task
+    from sixthsense.live.reading import TWIST, TWIST_STAMPED
     from sixthsense.live.simulated import Disturbance, SimulatedRobot, drive_by_commands
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.running.warmup import prepare
@@ -65,8 +68,10 @@ def command(args: list[str]) -> int:
     scene = load_scene(config.scene, config.map_unknown)
     mission(scene, config)
     disturbance = Disturbance(options.late, options.lost, options.twice)
-    prepare(announce)
-    with SimulatedRobot(network, config, disturbance, options.truth) as robot:
+    commands = TWIST_STAMPED if options.cmd_vel_stamped else TWIST
+    with SimulatedRobot(network, config, disturbance, None if drives_itself else commands) as robot:
+        prepare(announce)
+        robot.begin(options.truth)
         announce(f"a robot in {scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
         if drives_itself:
             outcome = simulate(config, scene, None, Watch((robot.on_tick,), False, realtime=True)).outcome

@@ -110,6 +110,11 @@ def is_command_ended() -> bool:
     return _command is not None and _command.number != 0
 
 
+def is_ended_by_ctrl_c() -> bool:
+    """Whether the signal that ends a run is Ctrl-C: the only one outside of a command."""
+    return _command is None or _command.number == signal.SIGINT
+
+
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
     """Defer the first Ctrl-C in the block; the yielded function tells whether there was one. A second one raises.

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import Protocol, Self
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, Self
 
 from sixthsense.core.source import Command
+from sixthsense.live.reading import TWIST, TWIST_STAMPED
 from sixthsense.record.messages import Messages
 
 TIMEOUT_S = 0.3
@@ -24,13 +26,23 @@ class Sender(Protocol):
         ...
 
 
+class Stamped(NamedTuple):
+    """The header of commands that have one."""
+
+    now_ns: Callable[[], int]
+    """the robot's clock"""
+    frame: str
+    """of the robot"""
+
+
 class Commands:
     """Sends commands; a thread of its own stops the robot if the loop stalls. A context manager that stops it, too."""
 
-    def __init__(self, writer: Sender) -> None:
+    def __init__(self, writer: Sender, stamped: Stamped | None = None) -> None:
+        """Send to `writer`: messages of type TwistStamped if they are to be stamped, else Twist."""
         self.stalls = 0
         """how often the loop was too late"""
-        self._writer, self._messages = writer, Messages()
+        self._writer, self._stamped, self._messages = writer, stamped, Messages()
         self._lock = threading.Lock()
         self._is_moving = False
         self._sent_s = time.monotonic()
@@ -51,12 +63,18 @@ class Commands:
 
     def send(self, command: Command) -> None:
         """Send a command now."""
-        twist = self._messages.twist(command.speed, command.turn_rate)
-        data = self._messages.serialized(twist, "geometry_msgs/msg/Twist")
+        data = self._serialized(command)
         with self._lock:
             self._writer.send(data)
             self._is_moving = command != Command()
             self._sent_s = time.monotonic()
+
+    def _serialized(self, command: Command) -> bytes:
+        make, velocities = self._messages, (command.speed, command.turn_rate)
+        if self._stamped is None:
+            return make.serialized(make.twist(*velocities), TWIST)
+        message = make.twist_stamped(self._stamped.now_ns(), self._stamped.frame, *velocities)
+        return make.serialized(message, TWIST_STAMPED)
 
     def _stop_if_late(self) -> None:
         while not self._over.wait(_CHECK_S):

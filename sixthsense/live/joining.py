@@ -10,6 +10,7 @@ from collections import Counter
 from itertools import pairwise
 from typing import NamedTuple
 
+from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
@@ -22,7 +23,7 @@ HOLD_NS = 1_000_000_000
 GAP_NS = 500_000_000
 """No pose is interpolated in a longer gap of odometry."""
 
-_FASTEST_M_S, _FASTEST_RAD_S = 10.0, 20.0  # odometry that moves faster has begun anew elsewhere
+_FASTER = 1.2  # than its top speed: three sigmas of the wheels' scale (5 %), and a controller that overshoots
 _JOLT_M, _JOLT_RAD = 0.5, 0.5  # at any moment
 
 
@@ -36,6 +37,21 @@ class _Waiting(NamedTuple):
     scan: Scan
 
 
+class Anew(NamedTuple):
+    """Odometry that has begun anew."""
+
+    time_ns: int
+    """of its first message"""
+    pause_s: float
+    """since the last message before"""
+    reach_m: float
+    """the robot can have driven so far meanwhile"""
+    jump_m: float
+    """from the position of that message to that of the first new one"""
+    T_stood_went: Pose
+    """the present frame of odometry if it went on from the message before, in that if the robot stood: the jump"""
+
+
 class ScanJoiner:
     """Makes a tick of each scan, with odometry interpolated at its stamp, and of the odometry before it.
 
@@ -44,12 +60,14 @@ class ScanJoiner:
     driver, goes on from where it was.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, robot: RobotConfig | None = None) -> None:
+        """`robot` has the top speeds: odometry that moves faster has begun anew."""
+        self._robot = robot or RobotConfig()
         self.clock = RobotClock()
         self.dropped: Counter[str] = Counter()
         """number of messages by reason"""
-        self.restarts = 0
-        """how often odometry has begun anew"""
+        self.anew: Anew | None = None
+        """the last time that odometry has begun anew"""
         self.T_old_odom = Pose()
         """the frame of odometry, in that of its first message: the identity until it begins anew"""
         self._odometry: list[tuple[int, Pose]] = []
@@ -62,8 +80,11 @@ class ScanJoiner:
         """Time and pose of the newest odometry, `T_odom_robot`."""
         return self._odometry[-1] if self._odometry else None
 
-    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int) -> bool:
-        """Take in the robot's pose by its wheels; whether it is the newest and can be used."""
+    def add_odometry(self, stamp_ns: int, T_odom_robot: Pose, arrival_ns: int, is_restarted: bool = False) -> bool:
+        """Take the robot's pose by its wheels; whether it is the newest and can be used.
+
+        `is_restarted` is whether it is the first of a driver that was started again.
+        """
         if not self.clock.accepts(stamp_ns, arrival_ns):
             self.dropped["odometry with a stamp of another time"] += 1
             return False
@@ -73,9 +94,12 @@ class ScanJoiner:
             if time_ns <= newest_ns:
                 self.dropped["odometry twice" if time_ns == newest_ns else "odometry out of order"] += 1
                 return False
-            if _is_elsewhere(before, self.T_old_odom @ T_odom_robot, 1e-9 * (time_ns - newest_ns)):
+            went, pause_s = self.T_old_odom @ T_odom_robot, 1e-9 * (time_ns - newest_ns)
+            if is_restarted or self._is_elsewhere(before, went, pause_s):
                 self.T_old_odom = before @ T_odom_robot.inverse()
-                self.restarts += 1
+                reach_m = _FASTER * self._robot.speed * pause_s
+                jump_m = math.dist(went.position, before.position)
+                self.anew = Anew(time_ns, pause_s, reach_m, jump_m, went @ before.inverse())
         self._odometry.append((time_ns, self.T_old_odom @ T_odom_robot))
         return True
 
@@ -111,6 +135,12 @@ class ScanJoiner:
             found += self._odometry_before(self._odometry[-1][0] - HOLD_NS)
         return found
 
+    def place(self, T: Pose) -> None:
+        """Move the odometry since it has begun anew, and all that follows, to `T @ pose`."""
+        assert self.anew is not None
+        self.T_old_odom = T @ self.T_old_odom
+        self._odometry = [(t, T @ pose) for t, pose in self._odometry if t >= self.anew.time_ns]
+
     def _odometry_before(self, time_ns: int) -> list[Tick]:
         """Ticks of the odometry before a time that have not been made yet; the last one is kept to interpolate."""
         ticked_ns = -math.inf if self._ticked_ns is None else self._ticked_ns
@@ -132,10 +162,9 @@ class ScanJoiner:
                 return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
         return None
 
-
-def _is_elsewhere(before: Pose, after: Pose, duration_s: float) -> bool:
-    """Whether no robot drives so fast."""
-    distance = math.hypot(after.x - before.x, after.y - before.y)
-    turn = abs(wrap_angle(after.theta - before.theta))
-    is_far = distance > _FASTEST_M_S * duration_s + _JOLT_M
-    return is_far or turn > _FASTEST_RAD_S * duration_s + _JOLT_RAD
+    def _is_elsewhere(self, before: Pose, after: Pose, duration_s: float) -> bool:
+        """Whether the robot does not drive so fast."""
+        distance = math.hypot(after.x - before.x, after.y - before.y)
+        turn = abs(wrap_angle(after.theta - before.theta))
+        is_far = distance > _FASTER * self._robot.speed * duration_s + _JOLT_M
+        return is_far or turn > _FASTER * self._robot.turn_rate * duration_s + _JOLT_RAD

@@ -9,7 +9,7 @@ import re
 import socket
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 from xml.sax.saxutils import quoteattr
 
 from sixthsense.config.section import shown
@@ -22,6 +22,8 @@ LARGEST_MESSAGE_BYTES = 64 << 20
 _INTERFACE_NAME = re.compile(r"[A-Za-z0-9_.:-]{1,15}")
 _MOST_PARTICIPANTS = 32  # of a host, that are looked for at an address without multicast
 _LARGEST_DOMAIN = 232
+_MOST_ENDPOINTS = 10_000  # of a network, that are looked at
+_ROS_TYPE = re.compile(r"(\w+)::(msg)::dds_::(\w+)_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,24 @@ def check_installed() -> None:
     dds("core")
 
 
+class Endpoint(NamedTuple):
+    """A publisher or subscriber of a topic."""
+
+    type: str
+    """such as sensor_msgs/msg/LaserScan"""
+    participant: str
+    """identifier of the program it is part of"""
+
+
+class Message(NamedTuple):
+    """A message as it arrived."""
+
+    data: bytes
+    """its serialized form"""
+    publisher: str
+    """identifier of who sent it"""
+
+
 class Node:
     """A participant with its readers and writers. A context manager, which leaves the network at its end."""
 
@@ -104,6 +124,7 @@ class Node:
             _confine_to_loopback(_open_sockets() - before)
         self._waitset = core.WaitSet(self._participant)
         self._entities: list[Any] = []
+        self._announced: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -124,7 +145,7 @@ class Node:
         fresh = core.ReadCondition(reader, core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead)
         self._waitset.attach(fresh)
         self._entities += [reader, fresh]
-        return Reader(reader, topic.quality.depth)
+        return Reader(reader, topic)
 
     def writer(self, topic: Topic) -> Writer:
         """Advertise."""
@@ -133,9 +154,35 @@ class Node:
         self._entities.append(writer)
         return Writer(writer, dds_type(topic.type))
 
+    @property
+    def participant(self) -> str:
+        """Identifier of this program."""
+        return str(self._participant.get_guid())
+
+    def publishers(self, name: str) -> list[Endpoint]:
+        """The publishers of the topic of this name, this program's included."""
+        return self._endpoints("BuiltinTopicDcpsPublication", name)
+
+    def subscribers(self, name: str) -> list[Endpoint]:
+        """The subscribers of the topic of this name, this program's included."""
+        return self._endpoints("BuiltinTopicDcpsSubscription", name)
+
     def wait(self, timeout_s: float) -> None:
         """Wait until a reader has a message, at most for a time."""
         self._waitset.wait(round(1e9 * timeout_s))
+
+    def _endpoints(self, kind: str, name: str) -> list[Endpoint]:
+        """What the network announces of a topic now."""
+        builtin, alive = dds("builtin"), dds("core").InstanceState.Alive
+        if kind not in self._announced:
+            self._announced[kind] = builtin.BuiltinDataReader(self._participant, getattr(builtin, kind))
+            self._entities.append(self._announced[kind])
+        found = self._announced[kind].read(N=_MOST_ENDPOINTS)
+        return [
+            Endpoint(_ROS_TYPE.sub(r"\1/\2/\3", e.type_name), str(e.participant_key))
+            for e in found
+            if e.sample_info.valid_data and e.sample_info.instance_state == alive and e.topic_name == f"rt{name}"
+        ]
 
     def _topic(self, topic: Topic) -> Any:
         made = dds("topic").Topic(self._participant, f"rt{topic.name}", dds_type(topic.type))
@@ -146,12 +193,33 @@ class Node:
 class Reader:
     """Takes the messages of a topic."""
 
-    def __init__(self, reader: Any, depth: int) -> None:
-        self._reader, self._depth = reader, depth
+    def __init__(self, reader: Any, topic: Topic) -> None:
+        self._reader, self._depth = reader, topic.quality.depth
+        self.topic = topic
+        """what is subscribed"""
+        self._names: dict[int, str] = {}
+
+    @property
+    def publishers(self) -> int:
+        """How many publishers there are whose messages arrive here."""
+        return len(self._reader.get_matched_publications())
 
     def take(self) -> list[bytes]:
         """The serialized messages that have arrived since the last call, the newest at last."""
-        return [sample.data for sample in self._reader.take(N=self._depth) if hasattr(sample, "data")]
+        return [message.data for message in self.messages()]
+
+    def messages(self) -> list[Message]:
+        """The messages that have arrived since the last call, the newest at last."""
+        samples = self._reader.take(N=self._depth)
+        return [Message(s.data, self._publisher(s.sample_info)) for s in samples if hasattr(s, "data")]
+
+    def _publisher(self, info: Any) -> str:
+        """The identifier of a publisher in the network: its handle is another one after a break of the network."""
+        handle = info.publication_handle
+        if handle not in self._names:
+            found = self._reader.get_matched_publication_data(handle)
+            self._names[handle] = str(handle if found is None else found.key)
+        return self._names[handle]
 
 
 class Writer:

@@ -29,9 +29,9 @@ from sixthsense.sources.logs.ros_messages import (
 )
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-TWIST = "geometry_msgs/msg/Twist"
+TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
-_MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8}
+_MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIST: 1 << 8, TWIST_STAMPED: 1 << 10}
 _LONGEST_FRAME = 256  # letters of the name of a frame
 _MOST_FRAMES = 1000
 _SAME_COUNT, _SAME_STEP = 0.05, 0.01  # share by which the beams of one laser differ: some vary by a few
@@ -74,9 +74,10 @@ class MessageReader:
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
 
-    def command(self, data: bytes) -> Command:
-        """The command of a Twist."""
-        message = self.read(data, TWIST)
+    def command(self, data: bytes, name: str = TWIST) -> Command:
+        """The command of a Twist, or of a TwistStamped if that is the type of this name."""
+        message = self.read(data, name)
+        message = message.twist if name == TWIST_STAMPED else message
         speed, turn_rate = float(message.linear.x), float(message.angular.z)
         if not (abs(speed) <= _FASTEST and abs(turn_rate) <= _FASTEST):  # false for NaN
             raise ValueError(f"found a command of {speed} m/s and {turn_rate} rad/s, allowed: up to {_FASTEST:g}")

@@ -4,22 +4,30 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.joining import ScanJoiner
+from sixthsense.live.joining import Anew, ScanJoiner
+from sixthsense.live.lost import NEAR_M, Search, placed
+from sixthsense.live.network import Message
 from sixthsense.live.notices import Notices
+from sixthsense.live.others import Publishers
 from sixthsense.live.presence import LONG_SILENT_NS, SILENT_NS, Presence
 from sixthsense.live.reading import LaserReader, MessageReader
 from sixthsense.navigation.pilot import AheadPilot
+from sixthsense.record.trace import Trace
+
+ANOTHER_ROBOT, LOST = "another robot", "lost"
+"""outcomes of a run that the robot itself ends"""
 
 _WAIT_S = 0.02
+_ANNOUNCED_NS = 12_000_000_000  # after which a killed program is not announced any more: 10 s, and some to notice it
 
-Received = tuple[bool, bytes]
-"""whether a message is a scan, else odometry; and its bytes"""
+Received = tuple[bool, Message]
+"""whether a message is a scan, else odometry; and the message"""
 
 
 class Steering(NamedTuple):
@@ -27,6 +35,8 @@ class Steering(NamedTuple):
 
     pilot: AheadPilot
     send: Callable[[Command], object]
+    subscribers: Callable[[], int]
+    """how many take the commands"""
 
 
 class LiveRobot:
@@ -38,29 +48,43 @@ class LiveRobot:
         reader: MessageReader,
         laser: LaserReader,
         notices: Notices,
+        trace: Trace,
         steering: Steering | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`receive(timeout_s)` waits for messages at most so long; `now_ns` is the time of their arrival."""
-        self.joiner = ScanJoiner()
+        """`receive(timeout_s)` waits for messages at most so long; `now_ns` is the time of their arrival.
+
+        `trace` is the record of the run, in whose map a lost robot is searched.
+        """
+        self.joiner = ScanJoiner(trace.config.robot)
         self.odom_frame = "odom"
+        self.outcome: str | None = None
+        """why the run ends, None as long as the robot can be used"""
         self._receive, self._now_ns = receive, now_ns
         self._reader, self._laser, self._notices, self._steering = reader, laser, notices, steering
+        self._trace = trace
+        self._search: Search | None = None
+        self._publishers = {is_scan: Publishers() for is_scan in (False, True)}
+        self._is_restarted = False  # the driver, since the odometry that was used last
+        self._shared_ns: int | None = None  # since when the commands have a second subscriber
         silent_ns = LONG_SILENT_NS if steering is None else SILENT_NS
         self._scans, self._odometry = (Presence(name, now_ns(), silent_ns) for name in ("laser", "odometry"))
         self._due: deque[Tick] = deque()
         self._last: Tick | None = None
+        self._last_scan: Tick | None = None
         self._newest: tuple[int, Pose] | None = None  # odometry that the robot has not been steered by
 
     def step(self, command: Command) -> Tick | None:
-        """Wait for the next tick; None when the command line is to end. The robot is steered meanwhile."""
+        """Wait for the next tick; None when the run is to end. The robot is steered meanwhile."""
         if not self._wait():
             return None
         self._last = self._due.popleft()
+        if self._last.scan is not None:
+            self._last_scan = self._last
         return self._last
 
     def begin(self) -> Pose | None:
-        """Wait for the first tick; the odometry of it, None when the command line is to end."""
+        """Wait for the first tick; the odometry of it, None when the run is to end."""
         return self._due[0].odometry if self._wait() else None
 
     def odom_in_map(self, tick: Tick, T_map_robot: Pose) -> Pose:
@@ -69,9 +93,9 @@ class LiveRobot:
         return T_map_robot @ T_odom_robot.inverse()
 
     def _wait(self) -> bool:
-        """Wait for a tick; false when the command line is to end."""
+        """Wait for a tick; false when the run is to end."""
         while not self._due:
-            if is_command_ended():
+            if is_command_ended() or self.outcome is not None:
                 return False
             self._turn()
         return True
@@ -79,36 +103,73 @@ class LiveRobot:
     def _turn(self) -> None:
         """Take what has arrived, and steer by it."""
         self._take_messages()
-        self._due.extend(self.joiner.ticks(self._now_ns()))
+        self._take_ticks(self.joiner.ticks(self._now_ns()))
         self._tell()
         self._steer()
 
     def _take_messages(self) -> None:
-        for is_scan, data in self._receive(_WAIT_S):
+        for is_scan, message in self._receive(_WAIT_S):
             arrival_ns = self._now_ns()
+            sensor = self._scans if is_scan else self._odometry
+            publisher = self._publishers[is_scan].heard(message.publisher, arrival_ns)
+            if publisher == "second":
+                self._end(ANOTHER_ROBOT, f"{sensor.name}: a second publisher sends beside the first")
+                return
+            if publisher == "unknown":
+                continue
+            self._is_restarted |= publisher == "new" and not is_scan
             try:
                 if is_scan:
-                    stamp_ns, scan = self._laser.scan(data)
+                    stamp_ns, scan = self._laser.scan(message.data)
                     self.joiner.add_scan(stamp_ns, scan, arrival_ns)
                 else:
-                    self._take_odometry(data, arrival_ns)
+                    self._take_odometry(message.data, arrival_ns)
             except ValueError as error:
                 self._notices.unusable("scan" if is_scan else "odometry", error)
                 continue
-            sensor = self._scans if is_scan else self._odometry
             if (silent_s := sensor.heard(arrival_ns)) is not None:
                 self._say(f"{sensor.name} again", f"{sensor.name} sends again, after {silent_s:.1f} s")
 
     def _take_odometry(self, data: bytes, arrival_ns: int) -> None:
-        message = self._reader.odometry(data)
-        jumps, restarts = self.joiner.clock.jumps, self.joiner.restarts
-        if self.joiner.add_odometry(message.stamp_ns, message.T_odom_robot, arrival_ns):
+        message, joiner = self._reader.odometry(data), self.joiner
+        jumps, anew = joiner.clock.jumps, joiner.anew
+        if joiner.add_odometry(message.stamp_ns, message.T_odom_robot, arrival_ns, self._is_restarted):
             self.odom_frame = message.frame or "odom"
-            self._newest = self.joiner.newest
-        if self.joiner.clock.jumps > jumps:
+            self._newest = joiner.newest
+            if joiner.anew is not None and joiner.anew is not anew:
+                self._begin_anew(joiner.anew)
+            self._is_restarted = False
+        if joiner.clock.jumps > jumps:
             self._say("clock jumped", "the robot's clock has jumped; the map goes on")
-        if self.joiner.restarts > restarts:
-            self._say("odometry anew", "odometry has begun anew elsewhere; the robot is taken to stand where it was")
+
+    def _begin_anew(self, anew: Anew) -> None:
+        """The robot stands where it was, if it cannot be far from there; else it is searched in the map."""
+        why = (
+            "its driver was started again" if self._is_restarted else "faster than --robot.speed and --robot.turn-rate"
+        )
+        text = f"odometry has jumped by {anew.jump_m:.1f} m after {anew.pause_s:.1f} s, {why}"
+        if anew.reach_m <= NEAR_M or self._last_scan is None or not self._trace.estimates:
+            self._say("odometry jumped", f"{text}; the robot is taken to stand where it was")
+            return
+        if self._search is not None:
+            anew = anew._replace(time_ns=self._search.anew.time_ns)
+        self._search = Search(self._trace, self._last_scan, anew)
+        self._say("odometry jumped", f"{text}; the pose is unknown and searched in the map")
+
+    def _take_ticks(self, ticks: Sequence[Tick]) -> None:
+        """Pass on ticks; those of a lost robot are searched for its place."""
+        for tick in ticks:
+            if self._search is None or tick.stamp_ns < self._search.anew.time_ns:
+                self._due.append(tick)
+            elif (T := self._search.take(tick)) is not None:
+                self.joiner.place(T)
+                self._due.append(placed(tick, T))
+                self._search, self._newest = None, None
+                self._say("place found", "the robot's place in the map is found; the map goes on")
+                return  # the other ticks are where it was searched from
+            elif self._search.is_over or (tick.scan is not None and self._steering is not None):
+                self._end(LOST, "the robot's place in the map is not found")
+                return
 
     def _tell(self) -> None:
         self._notices.take(self.joiner.dropped)
@@ -123,12 +184,35 @@ class LiveRobot:
         """Command by the newest odometry; a robot whose laser or odometry is silent stands."""
         if self._steering is None or self._newest is None or self._last is None or self._due:
             return
-        if self._scans.is_silent or self._odometry.is_silent:
+        is_unable = self._has_second_subscriber() or self.outcome is not None or self._search is not None
+        if is_unable or self._scans.is_silent or self._odometry.is_silent:
             self._stop()
             return
         (time_ns, pose), self._newest = self._newest, None
         motion = self._last.odometry.inverse() @ pose
         self._steering.send(self._steering.pilot.ahead(motion, time_ns))
+
+    def _has_second_subscriber(self) -> bool:
+        """Whether another robot may take the commands; if that stays so, the run ends."""
+        assert self._steering is not None
+        now_ns = self._now_ns()
+        if self._steering.subscribers() <= 1:
+            self._shared_ns = None
+            return False
+        what = "commands: a second subscriber, which may be another robot"
+        if self._shared_ns is None:
+            self._shared_ns = now_ns
+            self._say("second subscriber", f"{what}; the robot is stopped")
+        elif now_ns - self._shared_ns > _ANNOUNCED_NS:
+            self._end(ANOTHER_ROBOT, what)
+        return True
+
+    def _end(self, outcome: str, text: str) -> None:
+        """End the run; a driven robot is stopped first."""
+        if self.outcome is None:
+            self._stop()
+            self.outcome = outcome
+            self._say(outcome, f"{text}; {'the run ends' if self._steering is None else 'the robot is stopped'}")
 
     def _stop(self) -> None:
         if self._steering is not None:

@@ -26,6 +26,13 @@ class RobotClock:
         """The stamp that the robot's clock gives to a time."""
         return time_ns - self._shift_ns
 
+    def now(self, arrival_ns: int) -> int:
+        """What the robot's clock shows at a time of arrival, late by the delay of its last message; 0 before any."""
+        if self._last is None:
+            return 0
+        time_ns, last_arrival_ns = self._last
+        return self.stamp(time_ns + arrival_ns - last_arrival_ns)
+
     def accepts(self, stamp_ns: int, arrival_ns: int) -> bool:
         """Whether a message is of the present clock; the third in turn of another clock makes that the present one."""
         time_ns = self.time(stamp_ns)

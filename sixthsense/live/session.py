@@ -15,16 +15,17 @@ from sixthsense.config import Config, ConfigError
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Pose
-from sixthsense.core.interrupt import is_command_ended
+from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
-from sixthsense.live.commands import Commands
+from sixthsense.live.commands import Commands, Stamped
 from sixthsense.live.network import Network, Node
 from sixthsense.live.notices import Notices
+from sixthsense.live.others import check_one_publisher, command_type
 from sixthsense.live.publishing import Publisher
-from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader, RobotPose
+from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, FrameReader, LaserReader, MessageReader, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
-from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Topic, checked_topic
+from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic
 from sixthsense.loop import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
@@ -34,6 +35,9 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
+
+ENDED_BY_USER = "ended by the user"
+"""outcome of a run that was ended by Ctrl-C, which is how it is to end"""
 
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
@@ -69,6 +73,8 @@ class Session:
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
         self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, FAST_SENSOR))
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
+        self._wait: Callable[[float], object] = self._node.wait
+        self._commands: str | None = None  # their type
 
     def __enter__(self) -> Self:
         return self
@@ -76,16 +82,19 @@ class Session:
     def __exit__(self, *_: object) -> None:
         self._node.close()
 
-    def configure(self, stated: tuple[str, ...], drive: bool) -> None:
+    def configure(self, stated: tuple[str, ...], drive: bool, stamped: bool = False) -> None:
         """Wait for scans and odometry, and complete the configuration by what they say of laser and rate.
 
-        `stated` names the fields of `config.laser` that take precedence over the robot's messages.
+        `stated` names the fields of `config.laser` that take precedence over the robot's messages. A robot that is to
+        be driven must subscribe to its commands, with `stamped` to TwistStamped. NetworkError if another robot sends on
+        these topics, or takes the commands.
         """
         laser = self.config.laser
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
-        self._say(f"waiting for {self._topics.scan} and {self._topics.odom} ...")
-        stamps, self._robot, found = self._first_messages()
+        topics = self._topics
+        self._say(f"waiting for {topics.scan} and {topics.odom}{f', to drive by {topics.cmd_vel}' * drive} ...")
+        stamps, self._robot, found = self._first_messages(drive, stamped)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.forget()
@@ -111,9 +120,13 @@ class Session:
             if drive:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
                 pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
-                writer = self._node.writer(Topic(self._topics.cmd_vel, TWIST, RELIABLE))
-                steering = Steering(ahead, stack.enter_context(Commands(writer)).send)
-            robot = LiveRobot(self._received, self._reader, self._laser, self.notices, steering)
+                kind = self._commands or TWIST
+                writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
+                clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
+                send = stack.enter_context(Commands(writer, clock if kind == TWIST_STAMPED else None)).send
+                steering = Steering(ahead, send, lambda: writer.readers)
+            self._wait = trace.stopwatch.waiting(self._node.wait)
+            robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)
             publisher = Publisher(self._node, robot)
 
             def on_tick(tick: Tick, trace: Trace) -> None:
@@ -123,51 +136,64 @@ class Session:
 
             self._discard()
             if (start := robot.begin()) is None:
+                if robot.outcome is not None:
+                    raise NetworkError(f"{self._topics.scan}: found {robot.outcome}, allowed: one robot")
                 raise KeyboardInterrupt
-            return recorded_drive(robot, start, pilot, trace, on_tick, prior)
+            recorded_drive(robot, start, pilot, trace, on_tick, prior)
+        trace.outcome = robot.outcome or _by_user(trace.outcome)
+        return trace
 
     def _received(self, timeout_s: float) -> Iterator[Received]:
         """Messages that have arrived, or arrive within a time; odometry first, which scans wait for."""
-        self._node.wait(timeout_s)
+        self._wait(timeout_s)
         for data in self._transforms.take():
             try:
                 self._frames.add(data)
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
-        for data in self._odometry.take():
-            yield False, data
-        for data in self._scans.take():
-            yield True, data
+        for message in self._odometry.messages():
+            yield False, message
+        for message in self._scans.messages():
+            yield True, message
 
     def _discard(self) -> None:
         """Drop what has arrived while the hot loops were compiled."""
         self._odometry.take()
         self._scans.take()
 
-    def _first_messages(self) -> tuple[list[int], RobotPose, bytes]:
+    def _first_messages(self, drive: bool, stamped: bool) -> tuple[list[int], RobotPose, bytes]:
         """Stamps of some scans, the first odometry, and a scan."""
         stamps: list[int] = []
         odometry: RobotPose | None = None
         last = b""
         hint_s = time.monotonic() + _HINT_S
-        while len(stamps) <= _PERIODS or odometry is None:
+        while self._is_robot_missing(drive, stamped) or len(stamps) <= _PERIODS or odometry is None:
             if is_command_ended():
                 raise KeyboardInterrupt
             if time.monotonic() > hint_s:
                 hint_s = math.inf
-                heard = {self._topics.scan: bool(stamps), self._topics.odom: odometry is not None}
-                missing = " and ".join(topic for topic, is_heard in heard.items() if not is_heard)
-                self._say(f"nothing on {missing} yet; other networks: --interface, --domain, --peers")
-            for is_scan, data in self._received(_WAIT_S):
+                topics = self._topics
+                heard = {topics.scan: bool(stamps), topics.odom: odometry is not None}
+                missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
+                missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
+                self._say(f"{' and '.join(missing)} yet; other networks: --interface, --domain, --peers")
+            for is_scan, message in self._received(_WAIT_S):
                 try:
                     if is_scan:
-                        stamp_ns, _ = self._laser.scan(data)
-                        stamps, last = sorted({*stamps[-_PERIODS:], stamp_ns}), data
+                        stamp_ns, _ = self._laser.scan(message.data)
+                        stamps, last = sorted({*stamps[-_PERIODS:], stamp_ns}), message.data
                     else:
-                        odometry = odometry or self._reader.odometry(data)
+                        odometry = odometry or self._reader.odometry(message.data)
                 except ValueError as error:
                     self.notices.unusable("scan" if is_scan else "odometry", error)
         return stamps, odometry, last
+
+    def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
+        """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""
+        for reader in (self._scans, self._odometry):
+            check_one_publisher(reader)
+        self._commands = command_type(self._node, self._topics.cmd_vel, stamped) if drive else None
+        return drive and self._commands is None
 
     def _mount(self) -> tuple[Pose, bool]:
         """The mount of the laser on the robot and whether it is upside down, by static transforms if there are any."""
@@ -193,6 +219,11 @@ def check_drive(config: Config) -> None:
     name, form = needed[config.task]
     if getattr(config, name) is None:
         raise ConfigError(f"--{name}: missing, allowed: {form}, metres, in the frame of the map")
+
+
+def _by_user(outcome: str) -> str:
+    """The outcome of a run that the loop calls interrupted."""
+    return ENDED_BY_USER if outcome == "interrupted" and is_ended_by_ctrl_c() else outcome
 
 
 def _listening() -> Navigator:

@@ -16,6 +16,7 @@ from sixthsense.core.laser import sweep_ns
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Network, Node
+from sixthsense.live.others import ANNOUNCED_S, check_alone
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
 from sixthsense.record.messages import LASER, ROBOT, Messages
@@ -27,10 +28,14 @@ from sixthsense.sources.world import World
 
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
 ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
-CMD_VEL = Topic("/cmd_vel", TWIST, RELIABLE._replace(depth=1))
 TF_STATIC = Topic("/tf_static", TRANSFORMS, LATCHED)
 
 _LATEST_S = 0.5  # by which a scan is late
+
+
+def cmd_vel(kind: str = TWIST) -> Topic:
+    """The topic of commands of a type, Twist or TwistStamped."""
+    return Topic("/cmd_vel", kind, RELIABLE._replace(depth=1))
 
 
 class Disturbance(NamedTuple):
@@ -53,19 +58,34 @@ class Disturbance(NamedTuple):
 class SimulatedRobot:
     """Sends the ticks of a simulated world as messages, stamped with this machine's clock. A context manager."""
 
-    def __init__(self, network: Network, config: Config, disturbance: Disturbance, truth: Path | None = None) -> None:
-        """Join the network; `truth` is a file for the true trajectory, OSError if it cannot be written."""
-        self._file: TextIO | None = None if truth is None else truth.open("w", encoding="utf-8")
+    def __init__(self, network: Network, config: Config, disturbance: Disturbance, commands: str | None) -> None:
+        """Join the network; `commands` is the type of those that drive the robot, None if it drives by itself."""
+        self._file: TextIO | None = None
         self._node = Node(network)
+        self._joined_s = time.monotonic()
         self._messages, self._reader = Messages(), MessageReader()
-        self._scans, self._odometry = self._node.writer(SCAN), self._node.writer(ODOM)
-        self._commands = self._node.reader(CMD_VEL)
+        self._kind = commands
+        self._mount = Pose(*config.laser.mount)
         self._disturbance = disturbance
         self._rng = np.random.default_rng([config.seed, 1])  # apart from the world's, which is then undisturbed
         self._late: list[tuple[float, bytes]] = []
-        self._began_ns = time.time_ns()
         self._sent = 0
-        mount = self._messages.transform(self._began_ns, ROBOT, LASER, Pose(*config.laser.mount))
+
+    def begin(self, truth: Path | None = None) -> None:
+        """Announce the topics; NetworkError if another robot or simulator has them.
+
+        `truth` is a file for the true trajectory, OSError if it cannot be written.
+        """
+        published, subscribed = (SCAN, ODOM), () if self._kind is None else (cmd_vel(self._kind),)
+        time.sleep(max(0.0, self._joined_s + ANNOUNCED_S - time.monotonic()))
+        check_alone(self._node, published, subscribed)
+        self._scans, self._odometry = (self._node.writer(topic) for topic in published)
+        self._commands = [self._node.reader(topic) for topic in subscribed]
+        time.sleep(ANNOUNCED_S)
+        check_alone(self._node, published, subscribed, before=self._node.participant)
+        self._file = None if truth is None else truth.open("w", encoding="utf-8")
+        self._began_ns = time.time_ns()
+        mount = self._messages.transform(self._began_ns, ROBOT, LASER, self._mount)
         self._node.writer(TF_STATIC).send(self._messages.serialized(mount, TRANSFORMS))
 
     def __enter__(self) -> Self:
@@ -99,9 +119,10 @@ class SimulatedRobot:
     def command(self) -> Command | None:
         """The newest command that has arrived since the last call; None without one that can be used."""
         found = None
-        for data in self._commands.take():
-            with contextlib.suppress(ValueError):
-                found = self._reader.command(data)
+        for reader in self._commands:
+            for data in reader.take():
+                with contextlib.suppress(ValueError):
+                    found = self._reader.command(data, reader.topic.type)
         return found
 
     def summary(self) -> str:

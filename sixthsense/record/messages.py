@@ -73,6 +73,11 @@ class Messages:
         vector = self._types["geometry_msgs/msg/Vector3"]
         return self._types["geometry_msgs/msg/Twist"](vector(speed, 0.0, 0.0), vector(0.0, 0.0, turn_rate))
 
+    def twist_stamped(self, stamp_ns: int, frame: str, speed: float, turn_rate: float) -> Any:
+        """geometry_msgs/TwistStamped in the frame of the robot, m/s and rad/s."""
+        twist = self.twist(speed, turn_rate)
+        return self._types["geometry_msgs/msg/TwistStamped"](self.header(stamp_ns, frame), twist)
+
     def scan(self, stamp_ns: int, scan: Scan) -> Any:
         """sensor_msgs/LaserScan; the stamp is that of the first beam."""
         first, step = scan.angle_min, scan.angle_increment

@@ -23,17 +23,30 @@ class Stopwatch:
         self.totals = dict.fromkeys(STAGES, 0.0)
         """per stage, milliseconds in the whole run"""
         self._row: dict[str, float] = {}
+        self._waited = 0.0  # milliseconds that no stage counts
 
     def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, each of whose calls adds its time to `stage`."""
 
         @functools.wraps(function)
         def call(*args: Any) -> Any:
-            began = time.perf_counter()
+            began, waited = time.perf_counter(), self._waited
             out = function(*args)
-            elapsed = 1e3 * (time.perf_counter() - began)
+            elapsed = 1e3 * (time.perf_counter() - began) - (self._waited - waited)
             self._row[stage] = self._row.get(stage, 0.0) + elapsed
             self.totals[stage] += elapsed
+            return out
+
+        return call
+
+    def waiting(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, whose time no stage counts that calls it: it waits for something."""
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Any:
+            began = time.perf_counter()
+            out = function(*args)
+            self._waited += 1e3 * (time.perf_counter() - began)
             return out
 
         return call

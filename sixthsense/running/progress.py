@@ -6,8 +6,10 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 if TYPE_CHECKING:
     from sixthsense.core.source import Tick
@@ -41,20 +43,26 @@ def is_interactive() -> bool:
 
 
 class Progress:
-    """A hook of the loop that shows the elapsed part of a run's time, and the seen area of the map if asked for.
+    """A hook of the loop that shows the elapsed part of a run's time, and a status of the run if asked for.
 
     With `realtime` it also slows the source down to real time.
     """
 
     def __init__(
-        self, label: str, total_s: float | None, realtime: bool = False, shown: bool | None = None, area: bool = False
+        self,
+        label: str,
+        total_s: float | None,
+        realtime: bool = False,
+        shown: bool | None = None,
+        status: Callable[[Trace], str] | None = None,
     ) -> None:
         """Make a bar for `total_s` seconds of the source, or without an end for None.
 
         `shown` is by default whether the output is interactive.
-        `area` is for runs whose map is read at every keyframe anyway: in a replay it would be drawn for the bar alone.
+        `status` is shown beside the bar, anew every second. One that reads the map is for runs that read it at every
+        keyframe anyway: in a replay it would be drawn for the bar alone.
         """
-        self._shows_area = area
+        self._status = status
         self._label = label
         self._total_s = total_s
         self._realtime = realtime
@@ -62,7 +70,7 @@ class Progress:
         self._first_ns: int | None = None
         self._shown_s = 0.0
         self._start = 0.0
-        self._area_updated = 0.0
+        self._status_updated = 0.0
 
     def __enter__(self) -> Progress:
         bar_format = _ENDLESS_FORMAT if self._total_s is None else _BAR_FORMAT
@@ -90,21 +98,16 @@ class Progress:
             self._first_ns, self._start = tick.stamp_ns, now
         now_s = 1e-9 * (tick.stamp_ns - self._first_ns)
         if now_s - self._shown_s >= 0.1:
-            if (
-                not self._bar.disable
-                and self._shows_area
-                and now - self._area_updated >= 1.0
-                and trace.grid is not None
-            ):
-                self._area_updated = now
-                self._bar.set_postfix_str(_seen_area(trace), refresh=False)
+            if not self._bar.disable and self._status is not None and now - self._status_updated >= 1.0:
+                self._status_updated = now
+                self._bar.set_postfix_str(self._status(trace), refresh=False)
             self._draw(lambda: self._bar.update(now_s - self._shown_s))
             self._shown_s = now_s
         if self._realtime:
             time.sleep(max(0.0, self._start + now_s - time.monotonic()))
 
 
-def _seen_area(trace: Trace) -> str:
+def seen_area(trace: Trace) -> str:
     """How much is seen of the region; empty before the first scan. An exploration has no other measure of its end."""
     area_m2 = 0.0 if trace.grid is None else trace.grid.seen_area_m2
     if area_m2 == 0.0:
@@ -114,6 +117,32 @@ def _seen_area(trace: Trace) -> str:
         return f"{area_m2:.0f} m² seen"
     x0, y0, x1, y1 = region
     return f"{area_m2:.0f} of at most {max(area_m2, (x1 - x0) * (y1 - y0)):.0f} m² seen"
+
+
+class LiveStatus:
+    """The status of a live run: sigmas of the pose, seen area, scans a second, dropped messages."""
+
+    def __init__(self, dropped: Mapping[str, int]) -> None:
+        """`dropped` has the present numbers of dropped messages by reason."""
+        self._dropped = dropped
+        self._before: tuple[float, int] | None = None  # time and number of scans at the last call
+
+    def __call__(self, trace: Trace) -> str:
+        """The status now; the rate is that since the last call."""
+        from sixthsense.live.publishing import pose_covariance
+
+        cov = pose_covariance(trace)
+        sigma_m, sigma_rad = np.sqrt(np.linalg.eigvalsh(cov[:2, :2])[-1]), np.sqrt(cov[2, 2])
+        now, before = (time.monotonic(), len(trace.stamps_ns)), self._before
+        self._before = now
+        rate = "" if before is None else f"{(now[1] - before[1]) / (now[0] - before[0]):.1f} scans/s"
+        parts = (
+            f"sigma {sigma_m:.2f} m {np.degrees(sigma_rad):.1f}°",
+            seen_area(trace),
+            rate,
+            f"{sum(self._dropped.values())} dropped",
+        )
+        return ", ".join(part for part in parts if part)
 
 
 def progress_bar(shown: bool | None, **options: Any) -> Any:

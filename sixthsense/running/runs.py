@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from sixthsense.config import Config
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.figures.run import Run
-from sixthsense.running.progress import Progress, each
+from sixthsense.running.progress import LiveStatus, Progress, each, seen_area
 
 if TYPE_CHECKING:
     from sixthsense.live.session import Session
@@ -79,7 +79,7 @@ def simulate(
     from sixthsense.sources.scene import load_scene
 
     there = scene or load_scene(config.scene, config.map_unknown)
-    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, area=True)
+    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
     return _watched(lambda hook: loop.run(config, hook, there, prior), there.name, config, bar, folder, watch)
 
 
@@ -97,7 +97,8 @@ def replay_log(
 
 def run_live(session: Session, drive: bool, folder: RunFolder | None, watch: Watch, prior: PriorStart | None) -> Run:
     """Run SLAM with the robot that a session has found, and keep the run in `folder`, if there is one."""
-    bar = Progress("live", session.config.max_time, shown=watch.progress)
+    status = LiveStatus(session.notices.dropped)
+    bar = Progress("live", session.config.max_time, shown=watch.progress, status=status)
     return _watched(
         lambda hook: session.run(drive, hook, prior), "live", session.config, bar, folder, watch, of_log=not drive
     )

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
@@ -158,12 +159,55 @@ def test_odometry_that_begins_anew_elsewhere_goes_on_from_where_it_was():
     for ms in range(1000, 2000, 20):
         driver.joiner.add_odometry(BEGAN + ms * MS, shift @ pose_at(ms), ms * MS)
     driver.scan(1980, arrival_ms=2000)
-    assert driver.joiner.restarts == 1
+    anew = driver.joiner.anew
+    assert anew is not None and anew.time_ns == BEGAN + 1000 * MS and anew.pause_s == pytest.approx(0.02)
+    np.testing.assert_allclose((anew.T_stood_went @ pose_at(980)).array(), (shift @ pose_at(1000)).array(), atol=1e-9)
     jump = pose_at(980).inverse() @ driver.ticks[-1].odometry
     moved = pose_at(1000).inverse() @ pose_at(1980)
     np.testing.assert_allclose(jump.array(), moved.array(), atol=1e-9)
     T = driver.joiner.T_old_odom.inverse() @ driver.ticks[-1].odometry
     np.testing.assert_allclose(T.array(), (shift @ pose_at(1980)).array(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pause_s", "off_m", "speed", "is_anew"),
+    [(7, 5.0, 0.5, True), (7, 3.4, 0.5, False), (7, 5.0, 1.0, False), (0.02, 0.4, 0.5, False), (0.02, 0.6, 0.5, True)],
+)
+def test_odometry_that_moves_faster_than_the_robot_can_has_begun_anew(pause_s, off_m, speed, is_anew):
+    joiner = ScanJoiner(RobotConfig(speed=speed))
+    for stamp_ns, pose in ((BEGAN, Pose()), (BEGAN + round(pause_s * 1e9), Pose(off_m))):
+        assert joiner.add_odometry(stamp_ns, pose, stamp_ns)
+    assert (joiner.anew is not None) == is_anew
+
+
+def test_odometry_that_turns_faster_than_the_robot_can_has_begun_anew():
+    joiner = ScanJoiner(RobotConfig(turn_rate=0.5))
+    joiner.add_odometry(BEGAN, Pose(), BEGAN)
+    joiner.add_odometry(BEGAN + 1000 * MS, Pose(theta=1.0), BEGAN + 1000 * MS)
+    assert joiner.anew is None
+    joiner.add_odometry(BEGAN + 2000 * MS, Pose(theta=2.5), BEGAN + 2000 * MS)
+    assert joiner.anew is not None
+
+
+def test_odometry_of_a_driver_that_was_started_again_has_begun_anew_however_near():
+    joiner = ScanJoiner()
+    joiner.add_odometry(BEGAN, Pose(1.0, 2.0, 0.5), BEGAN)
+    joiner.add_odometry(BEGAN + 5000 * MS, Pose(1.1, 2.0, 0.5), BEGAN + 5000 * MS, is_restarted=True)
+    assert joiner.anew is not None and joiner.anew.jump_m == pytest.approx(0.1)
+    assert joiner.newest == (BEGAN + 5000 * MS, Pose(1.0, 2.0, 0.5))
+
+
+def test_odometry_since_it_has_begun_anew_can_be_moved_to_where_the_robot_is():
+    driver = Driver().odometry(0, 20)
+    joiner, T = driver.joiner, Pose(3.0, 1.0, 0.7)
+    for ms in (5000, 5020):
+        joiner.add_odometry(BEGAN + ms * MS, pose_at(ms), ms * MS, is_restarted=ms == 5000)
+    before = joiner.newest
+    joiner.place(T)
+    driver.odometry(5040).scan(5030)
+    assert before is not None and joiner.anew is not None
+    moved = T @ before[1] @ pose_at(5020).inverse() @ pose_at(5030)
+    np.testing.assert_allclose(driver.ticks[-1].odometry.array(), moved.array(), atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(10))

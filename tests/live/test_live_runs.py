@@ -130,11 +130,14 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
 
 
 @needs_dds
-@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
-def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, here, _compiled):
+@pytest.mark.parametrize(
+    ("name", "code", "outcome"),
+    [("SIGTERM", 143, "interrupted"), ("SIGHUP", 129, "interrupted"), ("SIGINT", 0, "ended by the user")],
+)
+def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, here, _compiled):
     task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
     with (
-        process("simulate", "rectangle", "--truth", "truth.tum") as robot,
+        process("simulate", "rectangle", "--truth", "truth.tum", "--cmd-vel-stamped") as robot,
         process("live", "--out", "x", *task) as live,
     ):
         wait_until(lambda: has_record(here / "x.partial"))
@@ -150,11 +153,11 @@ def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, here, _comp
         said, _ = robot.communicate(timeout=60)
         assert robot.returncode == 143 and "collisions: 0" in said
     assert reason_not_a_run(here / "x") == ""
-    assert json.loads((here / "x" / "metrics.json").read_text())["outcome"] == "interrupted"
+    assert json.loads((here / "x" / "metrics.json").read_text())["outcome"] == outcome
 
 
 @needs_dds
-def test_a_robot_whose_driver_is_killed_stands_within_its_timeout(here, _compiled):
+def test_a_robot_whose_driver_is_killed_stands_within_its_timeout_and_is_alone(here, _compiled, capsys):
     task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
     with (
         process("simulate", "rectangle", "--truth", "truth.tum"),
@@ -163,7 +166,10 @@ def test_a_robot_whose_driver_is_killed_stands_within_its_timeout(here, _compile
         wait_until(lambda: len(np.unique(truth_of(here / "truth.tum")[:, 1:], axis=0)) > 5)
         live.kill()
         killed_s = time.time()
-        time.sleep(1.5)
+        assert main(("simulate", "rectangle", "--domain", DOMAIN)) == 2
+        assert "/scan: found another publisher, allowed: one robot" in capsys.readouterr().err
+        assert main(("live", *task, "--cmd-vel-stamped", "--domain", DOMAIN)) == 2
+        assert "--cmd-vel-stamped: found a subscriber of geometry_msgs/msg/Twist" in capsys.readouterr().err
     truth = truth_of(here / "truth.tum")
     moves = np.any(np.diff(truth[:, 1:], axis=0) != 0.0, axis=1)
     assert truth[1:, 0][moves].max() - killed_s < 0.5
@@ -189,6 +195,7 @@ def test_waiting_for_a_robot_ends_with_a_signal_and_leaves_nothing(here, _compil
         (("live", "--scan", "a b"), "--scan: found 'a b', allowed: a name such as /scan"),
         (("live", "--drive"), "--region: missing, allowed: x0 y0 x1 y1, metres, in the frame of the map"),
         (("live", "--drive", "--task", "goal"), "--goal: missing, allowed: x y, metres, in the frame of the map"),
+        (("live", "--cmd-vel-stamped"), "--cmd-vel-stamped: found without --drive, allowed: with it"),
         (("live", "--laser.beams", "7"), "--laser.beams: found on a robot, which describes its laser"),
         (("simulate", "nowhere"), "scene: found 'nowhere'"),
         (("simulate", "--late", "2"), "--late: found 2.0, allowed: 0 to 1"),

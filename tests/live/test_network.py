@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,14 +14,14 @@ import pytest
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.commands import TIMEOUT_S, Commands
+from sixthsense.live.commands import TIMEOUT_S, Commands, Stamped
 from sixthsense.live.network import Network, Node
 from sixthsense.live.publishing import MAP, POSE, TF
-from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
+from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
 from sixthsense.live.simulated import ODOM, SCAN
 from sixthsense.live.topics import LATCHED, SENSOR, NetworkError, checked_topic, dds_type
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
@@ -47,6 +48,7 @@ MESSAGES = {
     ODOMETRY: MAKE.odometry(STAMP, Pose(1.0, -2.0, 0.7), None),
     TRANSFORMS: MAKE.transform(STAMP, "base_link", "laser", Pose(0.1, 0.0, 3.0)),
     TWIST: MAKE.twist(0.25, -0.5),
+    TWIST_STAMPED: MAKE.twist_stamped(STAMP, "base_link", 0.25, -0.5),
     POSE.type: MAKE.estimate(STAMP, Pose(1.0, 2.0, 3.0), np.diag([0.1, 0.2, 0.3])),
     MAP.type: MAKE.occupancy(STAMP, np.array([[0, 100, -1], [-1, 0, 0]], dtype=np.int8), (-1.0, 2.0), 0.05),
 }
@@ -166,6 +168,18 @@ def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
         assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
         commands.send(Command(0.5, 0.0))
     assert [speed for _, speed in sent.commands[3:]] == [0.0, 0.0, 0.0]
+
+
+def test_stamped_commands_have_the_time_and_the_frame_of_the_robot():
+    from sixthsense.core.source import Command
+
+    sent: list[bytes] = []
+    commands = Commands(SimpleNamespace(send=sent.append), Stamped(lambda: STAMP, "base_footprint"))
+    commands.send(Command(0.5, -0.2))
+    reader = MessageReader()
+    assert reader.command(sent[0], TWIST_STAMPED) == Command(0.5, -0.2)
+    header = reader.read(sent[0], TWIST_STAMPED).header
+    assert (stamp_ns(SimpleNamespace(header=header)), header.frame_id) == (STAMP, "base_footprint")
 
 
 @pytest.mark.parametrize(

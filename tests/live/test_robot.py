@@ -10,6 +10,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
+from sixthsense.live.network import Message
 from sixthsense.live.notices import Notices
 from sixthsense.live.presence import SILENT_NS
 from sixthsense.live.reading import LaserReader, MessageReader
@@ -18,6 +19,7 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import ReplayNavigator
 from sixthsense.navigation.pilot import AheadPilot
 from sixthsense.record.messages import Messages
+from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 
@@ -41,14 +43,18 @@ class Bench:
         self.has_scans = self.has_odometry = True
         self.odd: bytes | None = None
         self.jump_ms = 0
+        self.subscribers = 1
+        self.publishers = ["robot"]
         self.lines: list[str] = []
         self.sent: list[tuple[int, Command]] = []
         reader = MessageReader()
         self.pilot = AheadPilot(Forward(), Guard(preset(), 0.2))
-        steering = Steering(self.pilot, lambda command: self.sent.append((self.now_ms, command)))
+        send = lambda command: self.sent.append((self.now_ms, command))  # noqa: E731
+        steering = Steering(self.pilot, send, lambda: self.subscribers)
         laser = LaserReader(reader, None, Pose())
         notices = Notices(self.lines.append)
-        self.robot = LiveRobot(self._receive, reader, laser, notices, steering, lambda: self.now_ms * MS)
+        trace = Trace(preset(), None, 0.2)
+        self.robot = LiveRobot(self._receive, reader, laser, notices, trace, steering, lambda: self.now_ms * MS)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def _receive(self, timeout_s: float):
@@ -56,14 +62,15 @@ class Bench:
         stamp_ns = BEGAN + (self.now_ms + self.jump_ms) * MS
         found = []
         if self.has_odometry:
-            found.append((False, MAKE.serialized(MAKE.odometry(stamp_ns, Pose(), None), ODOMETRY)))
+            for name in self.publishers:
+                found.append((False, MAKE.serialized(MAKE.odometry(stamp_ns, Pose(), None), ODOMETRY), name))
         if self.has_scans and self.now_ms % 100 == 0:
             ranges = np.full(360, 3.0, dtype=np.float32)
             scan = Scan(ranges, np.float32(-np.pi), np.float32(2 * np.pi / 360), 10.0)
-            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, scan), LASER_SCAN)))
+            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, scan), LASER_SCAN), "robot"))
         if self.odd is not None:
-            found.append((True, self.odd))
-        return found
+            found.append((True, self.odd, "robot"))
+        return [(is_scan, Message(data, name)) for is_scan, data, name in found]
 
     def run(self, until_ms: int) -> None:
         """Run the loop; the clock is looked at after each tick."""
@@ -132,6 +139,43 @@ def test_what_cannot_be_read_is_named_once_and_counted(bench):
     assert line.startswith("scan: found a message that cannot be read")
     assert bench.robot._notices.dropped["scan unusable"] > 100
     assert bench.sent[-1][1] == Command(0.2, 0.0)
+
+
+def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
+    bench.run(1000)
+    bench.publishers = ["robot", "other"]
+    while bench.robot.step(Command()) is not None:
+        assert bench.now_ms < 1200
+    assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
+    assert bench.lines == ["odometry: a second publisher sends beside the first; the robot is stopped"]
+    sent = len(bench.sent)
+    bench.robot._turn()
+    assert not any(command != Command() for _, command in bench.sent[sent:])
+
+
+def test_a_driver_that_is_started_again_at_once_is_no_second_robot(bench):
+    bench.run(1000)
+    bench.publishers = []
+    while bench.now_ms < 1460:  # not by `step`, which waits for a tick
+        bench.robot._turn()
+    bench.publishers = ["robot after its restart"]
+    bench.run(3000)
+    assert bench.robot.outcome is None and bench.sent[-1][1] == Command(0.2, 0.0)
+    assert any("its driver was started again" in line for line in bench.lines)
+
+
+def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if_it_stays(bench):
+    bench.run(1000)
+    bench.subscribers = 2
+    bench.run(6000)
+    assert not any(command != Command() for ms, command in bench.sent if ms > 1100)
+    bench.subscribers = 1
+    bench.run(7000)
+    assert bench.sent[-1][1] == Command(0.2, 0.0) and bench.robot.outcome is None
+    bench.subscribers = 2
+    while bench.robot.step(Command()) is not None:
+        assert bench.now_ms < 30_000
+    assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
 
 
 def test_the_frame_of_odometry_lies_where_the_pose_says(bench):

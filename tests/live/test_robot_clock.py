@@ -67,3 +67,12 @@ def test_a_clock_may_jump_again():
         stamp += round(by_s * S)
     assert clock.jumps == 3
     assert 0 <= clock.time(stamp) - (BEGAN + S) <= S
+
+
+def test_the_clock_of_the_robot_goes_on_between_messages_and_follows_a_jump():
+    assert RobotClock().now(7) == 0
+    clock, stamp, arrival = running()
+    assert clock.now(arrival + 3 * S) == stamp + 3 * S
+    for k in range(1, 5):
+        clock.accepts(stamp - 5000 * S + k, arrival + k)
+    assert clock.now(arrival + S) == pytest.approx(stamp - 4999 * S, abs=10)

@@ -78,7 +78,7 @@ def test_a_replay_navigator_commands_nothing_and_is_never_done() -> None:
 def test_outcomes_of_success_exit_with_0_and_all_others_do_not() -> None:
     explored = {"explored", "explored in part"}
     assert {o for o in get_args(Outcome) if EXIT_CODES.get(o) == DONE} == {"goal reached", "tour ended", *explored}
-    done = {"goal reached", "tour ended", "log ended", "time is up", *explored}
+    done = {"goal reached", "tour ended", "log ended", "time is up", "ended by the user", *explored}
     assert {o for o, code in EXIT_CODES.items() if code == DONE} == done
     assert EXIT_CODES["interrupted"] == INTERRUPTED
 
