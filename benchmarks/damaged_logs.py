@@ -115,24 +115,23 @@ def wheels(ticks: Ticks, rng: np.random.Generator) -> Ticks:
 
 def people(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Half of the time one to four walkers, 0.5 to 4 m away, pass through the view: two legs each."""
-    scans = _scans(ticks)
-    ranges, bearings = _ranges(ticks), scans[0].bearings
-    view, spacing = float(bearings[-1] - bearings[0]), float(scans[0].angle_increment)
+    ranges, bearings, spacing = _ranges(ticks), _scans(ticks)[0].bearings, float(_scans(ticks)[0].angle_increment)
+    view, sides = spacing * len(bearings), np.array([-_LEG_APART_M, _LEG_APART_M])
     for begin in range(0, len(ticks), _PEOPLE_SCANS):
         if rng.random() < 0.5:
             continue
+        own = ranges[begin : begin + _PEOPLE_SCANS]
+        passed = np.arange(len(own))[:, None]
         for _ in range(rng.integers(1, _MOST_PEOPLE + 1)):
-            at, turned = bearings[0] + rng.uniform(0.0, view), rng.uniform(-view, view) / _PEOPLE_SCANS
+            at, turn = bearings[0] + rng.uniform(0.0, view), rng.uniform(-1.0, 1.0) * view / _PEOPLE_SCANS
             near, pace = rng.uniform(*_PEOPLE_M), rng.uniform(-_PACE_M, _PACE_M)
-            passed = np.arange(min(_PEOPLE_SCANS, len(ticks) - begin))
             far = np.maximum(_NEAREST_M, near + pace * passed)
-            for side in (-_LEG_APART_M, _LEG_APART_M):
-                middle = at + turned * passed + side / far
-                half = _LEG_M / far + spacing / 2.0  # a beam is as wide as its spacing
-                is_hit = np.abs(bearings - middle[:, None]) <= half[:, None]  # (passed, beams)
-                legs = far[:, None] + rng.normal(0.0, _LEG_SIGMA_M, is_hit.shape)
-                own = ranges[begin : begin + len(passed)]
-                own[is_hit] = np.minimum(own, legs)[is_hit]
+            middles, halves = at + turn * passed + sides / far, _LEG_M / far + spacing / 2.0  # a beam has a width
+            is_hit = np.abs(bearings - middles[:, :, None]) <= halves[:, :, None]  # (passed, 2, beams)
+            legs = np.full(is_hit.shape, math.inf)
+            legs[is_hit] = np.broadcast_to(far[:, :, None], legs.shape)[is_hit]
+            legs[is_hit] += rng.normal(0.0, _LEG_SIGMA_M, np.count_nonzero(is_hit))
+            np.minimum(own, legs.min(axis=1), out=own)
     return _with_ranges(ticks, ranges)
 
 
