@@ -46,15 +46,16 @@ def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:
     return replay_log(Recorded("log", log, config, relations, {}, ()))
 
 
-def replay_errors(log: Log, config: Config, relations: Relations) -> Figures:
-    """Errors of a replay against relations whose scans the log has, and its processor time without reading."""
+def replay_errors(log: Log, config: Config, relations: Relations) -> dict[str, Any]:
+    """Outcome of a replay, errors against relations whose scans the log has, and processor time without reading."""
     began = time.process_time()
     trace = replay(log, config, relations).trace
     spent_s = time.process_time() - began
     stamps_s, poses = np.array(trace.log_stamps_s), trace.scan_poses()
     errors_m, angles = relations_error(stamps_s, poses, relations.stamps, relations.poses)
     return {
-        "relations": len(errors_m), "mean_m": float(errors_m.mean()), "std_m": float(errors_m.std()),
+        "outcome": trace.outcome, "relations": len(errors_m),
+        "mean_m": float(errors_m.mean()), "std_m": float(errors_m.std()),
         "mean_deg": float(np.degrees(angles).mean()), "largest_m": float(errors_m.max()),
         "beyond_0.5_m": float((errors_m > 0.5).mean()), "processor_s": spent_s, "recorded_s": log.duration_s,
     }  # fmt: skip

@@ -43,12 +43,17 @@ def test_a_damage_is_judged_by_its_error_its_largest_error_and_its_time_beside_t
     assert met(0.045, 0.5, 15.0) == met(0.032, 0.6, 15.0) == met(0.032, 0.5, 15.1) == "NO"
 
 
-def test_a_case_that_raises_is_reported_and_not_kept(script, monkeypatch, tmp_path):
+def test_a_case_that_raises_is_reported_one_cut_short_ends_the_command_and_neither_is_kept(
+    script, monkeypatch, tmp_path
+):
     def raising(case):
         raise ValueError("link 3\nand more")
 
     monkeypatch.setattr(script, "figures_of", raising)
     assert script.measured(tmp_path, script.Case("clean", ("aces",))) == {"failed": "ValueError: link 3"}
+    monkeypatch.setattr(script, "figures_of", lambda case: {"outcome": "interrupted"})
+    with pytest.raises(KeyboardInterrupt):
+        script.measured(tmp_path, script.Case("clean", ("aces",)))
     monkeypatch.setattr(script, "figures_of", lambda case: {"mean_m": 1.0})
     assert script.measured(tmp_path, script.Case("clean", ("aces",))) == {"mean_m": 1.0}
     monkeypatch.setattr(script, "figures_of", raising)
