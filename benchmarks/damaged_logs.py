@@ -115,7 +115,8 @@ def wheels(ticks: Ticks, rng: np.random.Generator) -> Ticks:
 
 def people(ticks: Ticks, rng: np.random.Generator) -> Ticks:
     """Half of the time one to four walkers, 0.5 to 4 m away, pass through the view: two legs each."""
-    ranges, bearings, spacing = _ranges(ticks), _scans(ticks)[0].bearings, float(_scans(ticks)[0].angle_increment)
+    ranges, scan = _ranges(ticks), _scans(ticks)[0]
+    bearings, spacing = scan.bearings, float(scan.angle_increment)
     view, sides = spacing * len(bearings), np.array([-_LEG_APART_M, _LEG_APART_M])
     for begin in range(0, len(ticks), _PEOPLE_SCANS):
         if rng.random() < 0.5:
@@ -128,8 +129,7 @@ def people(ticks: Ticks, rng: np.random.Generator) -> Ticks:
             far = np.maximum(_NEAREST_M, near + pace * passed)
             middles, halves = at + turn * passed + sides / far, _LEG_M / far + spacing / 2.0  # a beam has a width
             is_hit = np.abs(bearings - middles[:, :, None]) <= halves[:, :, None]  # (passed, 2, beams)
-            legs = np.full(is_hit.shape, math.inf)
-            legs[is_hit] = np.broadcast_to(far[:, :, None], legs.shape)[is_hit]
+            legs = np.where(is_hit, far[:, :, None], math.inf)
             legs[is_hit] += rng.normal(0.0, _LEG_SIGMA_M, np.count_nonzero(is_hit))
             np.minimum(own, legs.min(axis=1), out=own)
     return _with_ranges(ticks, ranges)
