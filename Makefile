@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= 1
 
-.PHONY: run test test-all notebooks check kernels bench evidence guard docs clean
+.PHONY: run test test-all notebooks check kernels bench evidence evidence-logs guard docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -39,6 +39,9 @@ bench: $(VENV)/installed  ## the figures in benchmarks/RESULTS.md
 
 evidence: $(VENV)/installed kernels  ## the headline tables of README.md and RESULTS.md; resumes; SCALE=0.1: a tenth
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence.py --seeds-scale $(SCALE)
+
+evidence-logs: $(VENV)/installed kernels  ## scan matching on logs, damaged logs and repeating buildings; resumes; 30 minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence_logs.py
 
 guard: $(VENV)/installed kernels  ## has a headline figure become worse than its spread explains?
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/guard.py

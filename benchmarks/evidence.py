@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from evidence_rows import KINDS, ROWS, Figures, Row
 from evidence_tables import placed, rendered
-from harness import check_at_least, machine, pooled
+from harness import check_at_least, kept, machine, pooled
 
 from sixthsense.running.warmup import warm_up
 
@@ -53,11 +53,11 @@ class Due(NamedTuple):
         return self.folder / f"{self.row.key}-{self.seed}.json"
 
 
-def code_commit() -> str:
+def code_commit(code: Sequence[str] = CODE) -> str:
     """The last commit that changed the code, with a hash of what is not committed; RuntimeError outside a clone."""
 
     def git(*words: str) -> str:
-        done = subprocess.run(["git", *words, "--", *CODE], cwd=HERE.parent, capture_output=True, text=True)
+        done = subprocess.run(["git", *words, "--", *code], cwd=HERE.parent, capture_output=True, text=True)
         if done.returncode:
             raise RuntimeError(f"git: {done.stderr.strip() or 'failed'}, allowed: a clone of the repository")
         return done.stdout
@@ -69,18 +69,15 @@ def code_commit() -> str:
 
 def measured(due: Due) -> Figures:
     """The figures of a run, from its file if it has been made before."""
-    if due.file.exists():
-        found: Figures = json.loads(due.file.read_text())
+
+    def make() -> Figures:
+        began = time.process_time()
+        found = KINDS[due.row.kind](due.row.setting, due.seed) | {CPU: time.process_time() - began}
+        if found.get("outcome") == "interrupted":
+            raise KeyboardInterrupt  # what a run cut short has measured is not kept
         return found
-    began = time.process_time()
-    found = KINDS[due.row.kind](due.row.setting, due.seed) | {CPU: time.process_time() - began}
-    if found.get("outcome") == "interrupted":
-        raise KeyboardInterrupt  # what a run cut short has measured is not kept
-    due.folder.mkdir(parents=True, exist_ok=True)
-    aside = due.file.with_suffix(".partial")
-    aside.write_text(json.dumps(found) + "\n")
-    aside.replace(due.file)
-    return found
+
+    return kept(due.file, make)
 
 
 def collected(row: Row, seeds: Sequence[int], runs: Sequence[Figures], commit: str) -> dict[str, Any]:

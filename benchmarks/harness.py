@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import platform
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -18,8 +22,9 @@ from tqdm import tqdm
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.metrics import relations_error
 from sixthsense.evaluation.tables import text_table
-from sixthsense.figures.run import Run
+from sixthsense.figures.run import Run, load
 from sixthsense.loop import OnTick
 from sixthsense.running.runs import Watch, replay_log, simulate
 from sixthsense.sources.logs.log import Log
@@ -39,6 +44,42 @@ def run(config: Config, *hooks: OnTick) -> Run:
 def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:
     """Replay an open log, without a progress bar."""
     return replay_log(Recorded("log", log, config, relations, {}, ()))
+
+
+def replay_errors(log: Log, config: Config, relations: Relations) -> dict[str, Any]:
+    """Outcome of a replay, errors against relations whose scans the log has, and processor time without reading."""
+    began = time.process_time()
+    trace = replay(log, config, relations).trace
+    spent_s = time.process_time() - began
+    stamps_s, poses = np.array(trace.log_stamps_s), trace.scan_poses()
+    errors_m, angles = relations_error(stamps_s, poses, relations.stamps, relations.poses)
+    return {
+        "outcome": trace.outcome, "relations": len(errors_m),
+        "mean_m": float(errors_m.mean()), "std_m": float(errors_m.std()),
+        "mean_deg": float(np.degrees(angles).mean()), "largest_m": float(errors_m.max()),
+        "beyond_0.5_m": float((errors_m > 0.5).mean()), "processor_s": spent_s, "recorded_s": log.duration_s,
+    }  # fmt: skip
+
+
+def command_figures(file: Path, relations: Path) -> Figures:
+    """Speed, memory and error of the command `sixthsense replay` with the defaults, in a process of its own."""
+    with tempfile.TemporaryDirectory() as out:
+        call = [sys.executable, "-c", "import sys; from sixthsense.cli import main; sys.exit(main())"]
+        inputs = ["replay", str(file), "--relations", str(relations), "--out", f"{out}/run"]
+        process = subprocess.Popen([*call, *inputs], stdout=subprocess.DEVNULL)
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if status != 0:
+            raise RuntimeError(f"sixthsense replay: found exit status {process.returncode}, allowed: 0")
+        made = load(f"{out}/run")
+    ms, spent_s = made.trace.stopwatch.keyframe_ms(), used.ru_utime + used.ru_stime
+    tenth = max(1, len(ms) // 10)
+    return {
+        "times_recorded": made.metrics["sim_time_s"] / spent_s, "processor_s": spent_s,
+        "keyframe_ms_p50": float(np.percentile(ms, 50)), "keyframe_ms_p99": float(np.percentile(ms, 99)),
+        "last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean()),
+        "memory_mb": used.ru_maxrss / 1024.0, "mean_m": made.metrics["relations_trans_m_mean"],
+    }  # fmt: skip
 
 
 def arguments(description: str | None) -> argparse.ArgumentParser:
@@ -79,6 +120,19 @@ def pooled(
             for result in pool.map(function, items):
                 yield result
                 bar.update()
+
+
+def kept(file: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """The figures in a file; if there is none, `make` makes them, and they are written."""
+    if file.exists():
+        found: dict[str, Any] = json.loads(file.read_text())
+        return found
+    made = make()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    aside = file.with_suffix(".partial")
+    aside.write_text(json.dumps(made) + "\n")
+    aside.replace(file)
+    return made
 
 
 def alternate(inputs: Iterable[T], *functions: Callable[[T], object]) -> Array:

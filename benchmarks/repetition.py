@@ -1,4 +1,4 @@
-"""LoopClosures in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
+"""Loop closures in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
 
     python benchmarks/repetition.py --seeds 3                 # all scenes
     python benchmarks/repetition.py --scenes doors niches --rows FOLDER
@@ -34,13 +34,13 @@ from repetition_scenes import SCENES, log_of
 from sixthsense.campaigns.plan import config_hash
 from sixthsense.config import Config, merge, preset
 from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.laser import Scan
 from sixthsense.running.warmup import warm_up_scans
-from sixthsense.slam.scans.poses import between
-from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.visibility import compare_views
 from sixthsense.slam.slam import Slam
 
 Row = dict[str, Any]
+Link = tuple[int, int, Array, Array]
+"""keyframes target and source, pose (3,) of the source in the target's frame, and its information (3, 3)"""
 Factors = dict[str, float]
 """`module.constant` of `sixthsense.slam.scans`, and what it is multiplied with"""
 
@@ -48,13 +48,24 @@ _WRONG_M, _WRONG_RAD = 0.3, math.radians(5.0)
 _WRONG_SQUARED = 20.0  # squared Mahalanobis distance, 3 degrees of freedom
 _DRIVEN_M, _OVERLAP, _LINKED_WITHIN_M = 10.0, 0.5, 5.0
 _NEAR_M, _NEAREST = 4.0, 4
+_SURFACE_M = 0.12  # between returns of one surface
+
+
+def old_links(slam: Slam) -> tuple[list[Link], int, int]:
+    """Links to old keyframes that stand at the end, and how many loop closures were accepted and taken back.
+
+    This alone knows how the front end keeps them.
+    """
+    closings = slam._front_end.loop_closures.closings  # type: ignore[union-attr]
+    links = [(a.target, a.source, a.pose, np.linalg.inv(a.cov)) for a in closings.links]
+    return links, closings.accepted, closings.undone
 
 
 def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
     """Replay one drive, and compare its loop closures with the truth."""
     name, seed = due
     log = log_of(SCENES[name], seed)
-    truths = []
+    truths, scans = [], []
     with ExitStack() as opened:
         for place, factor in factors.items():
             module, constant = place.split(".")
@@ -66,26 +77,62 @@ def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
         for tick in log.ticks:
             step = slam.take(tick)
             if step.keyframe is not None:
-                assert tick.truth is not None
+                assert tick.truth is not None and step.scan is not None
                 truths.append(tick.truth.array())
+                scans.append(step.scan)
         spent_s = time.process_time() - began
-        loop_closures = slam._front_end.loop_closures  # type: ignore[union-attr]
-        graph, closings = loop_closures._graph, loop_closures.closings
-        old_links = [(a.target, a.source, a.pose, np.linalg.inv(a.cov)) for a in closings.links]
+        counts, (links, accepted, undone) = slam.loop_closures, old_links(slam)
         return {
-            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s, "refused":
-            loop_closures.counts.refused, "accepted": closings.accepted, "undone": closings.undone,
-            **judged(slam.trajectory(), np.array(truths), old_links, graph.store),
+            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
+            "refused": 0 if counts is None else counts.refused, "accepted": accepted, "undone": undone,
+            **judged(slam.trajectory(), np.array(truths), links, Views(scans, config.scans.max_range_m)),
         }  # fmt: skip
 
 
-def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array]], store: ScanStore) -> Row:
+class Views:
+    """Returns of the scans of keyframes, to see which of them share a view."""
+
+    def __init__(self, scans: Sequence[Scan], max_range_m: float) -> None:
+        """Take the scans of one laser; returns beyond `max_range_m` are not used."""
+        ranges = np.array([scan.ranges for scan in scans], dtype=np.float64)  # (K, beams)
+        self._bearings, self._closed = scans[0].bearings, scans[0].closed
+        self._spacing = float(scans[0].angle_increment)
+        self._ranges = np.where(ranges < max_range_m, ranges, np.inf)
+        direction = np.column_stack([np.cos(self._bearings), np.sin(self._bearings)])
+        with np.errstate(invalid="ignore"):
+            self._points = self._ranges[:, :, None] * direction  # (K, beams, 2) laser frame
+
+    def overlap(self, target: int, source: int, pose: Array) -> float:
+        """Share of the returns of `source` that lie on a return of `target`; `pose` (3,) in the target's frame."""
+        points = self._points[source][np.isfinite(self._ranges[source])]
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        x, y = pose[0] + c * points[:, 0] - s * points[:, 1], pose[1] + s * points[:, 0] + c * points[:, 1]
+        beams, distance = len(self._bearings), np.hypot(x, y)
+        turned = (np.arctan2(y, x) - self._bearings[0]) % (2.0 * np.pi)
+        near = np.rint(turned / self._spacing).astype(np.int64)[:, None] + np.array([-1, 0, 1])  # (n, 3) beams
+        is_inside = self._closed | (near >= 0) & (near < beams)
+        near %= beams
+        there = self._points[target, near]
+        with np.errstate(invalid="ignore"):
+            gap = np.hypot(x[:, None] - there[:, :, 0], y[:, None] - there[:, :, 1])
+            gap = np.fmin(gap, np.abs(distance[:, None] - self._ranges[target, near]))
+            return float(((gap < _SURFACE_M) & is_inside).any(axis=1).sum() / max(len(points), 1))
+
+
+def between(a: Array, b: Array) -> Array:
+    """`T_a_b` of `T_w_a` and `T_w_b`, (3,) or (N, 3) each."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
+    return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(b[..., 2] - a[..., 2])], axis=-1)
+
+
+def judged(poses: Array, truths: Array, links: list[Link], views: Views) -> Row:
     """Errors of the poses (K, 3) of keyframes and of links between them."""
     steps = np.hypot(*np.diff(truths[:, :2], axis=0).T)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     off = np.hypot(*(poses - truths)[:, :2].T)
     false = false_links(truths, links)
-    pairs = true_loop_closures(truths, travelled, store)
+    pairs = true_loop_closures(truths, travelled, views)
     linked = np.unique([j for i, j, _, _ in links if travelled[j] - travelled[i] >= _DRIVEN_M])
     error = between(between(truths[pairs[:, 0]], truths[pairs[:, 1]]), between(poses[pairs[:, 0]], poses[pairs[:, 1]]))
     right = (np.hypot(error[:, 0], error[:, 1]) < _WRONG_M) & (np.abs(error[:, 2]) < _WRONG_RAD)
@@ -100,7 +147,7 @@ def judged(poses: Array, truths: Array, links: list[tuple[int, int, Array, Array
     }  # fmt: skip
 
 
-def false_links(truths: Array, links: list[tuple[int, int, Array, Array]]) -> list[list[float]]:
+def false_links(truths: Array, links: list[Link]) -> list[list[float]]:
     """Target, source, error in m and rad of each false link, the largest error first."""
     found = []
     for target, source, pose, information in links:
@@ -112,7 +159,7 @@ def false_links(truths: Array, links: list[tuple[int, int, Array, Array]]) -> li
     return sorted(found, key=lambda row: -row[2])
 
 
-def true_loop_closures(truths: Array, travelled: Array, store: ScanStore) -> NDArray[np.int64]:
+def true_loop_closures(truths: Array, travelled: Array, views: Views) -> NDArray[np.int64]:
     """(n, 2) old keyframe and keyframe that share half of their views, the nearest one of each keyframe."""
     pairs = []
     for j in range(len(truths)):
@@ -122,9 +169,9 @@ def true_loop_closures(truths: Array, travelled: Array, store: ScanStore) -> NDA
         for k in np.argsort(distance + np.abs(off[:, 2]))[:_NEAREST]:
             if distance[k] > _NEAR_M:
                 continue
-            there = compare_views(store.returns, int(old[k]), j, off[k])
-            back = compare_views(store.returns, j, int(old[k]), between(truths[j], truths[old[k]]))
-            if min(hits / max(count, 1) for hits, _, count in (there, back)) >= _OVERLAP:
+            there = views.overlap(int(old[k]), j, off[k])
+            back = views.overlap(j, int(old[k]), between(truths[j], truths[old[k]]))
+            if min(there, back) >= _OVERLAP:
                 pairs.append((int(old[k]), j))
                 break
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)

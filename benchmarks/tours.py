@@ -16,19 +16,25 @@ from typing import Any
 
 import numpy as np
 from harness import check_at_least, pooled, run
+from repetition_scenes import out_and_back
 
 from sixthsense.campaigns.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.random_streams import random_streams
+from sixthsense.core.source import Command
 from sixthsense.evaluation.matches import discarded_share, judge_matches
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.trace import Trace
 from sixthsense.running.warmup import warm_up
+from sixthsense.slam.slam import Slam
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import load_scene
+from sixthsense.sources.world import World
 
 Row = dict[str, Any]
 
@@ -37,6 +43,9 @@ MATCHES = ("wrong", "spanning", "unexplained", "left_out")
 
 NEES = ("nees3", "nees3_invariant", "nees_position", "nees_heading")
 """NEES of the pose in world and right-invariant coordinates (3 if consistent), of position (2) and heading (1)"""
+
+TURNING_S, CORRIDOR_M = 20.0, 6.0
+"""of short drives: time of turning to and fro, and way along a corridor"""
 
 
 def tour(scene: str, estimator: str, name: str, seconds: float, file: Path | None = None, **fields: Any) -> Config:
@@ -96,6 +105,37 @@ def keyframe_nees(poses: Array, truths: Array, covs: Array) -> dict[str, Array]:
     turn = (error[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
     out["nees_heading"][first:] = turn**2 / cov[:, 2, 2]
     return out
+
+
+def short_drive(where: str, config: Config) -> float:
+    """Mean NEES over the keyframes of a drive of some seconds by given commands.
+
+    `standing` turns to and fro at the start of `apartment`, since a robot without any motion gets no keyframe.
+    `corridor` drives straight along a corridor with few doors, drawn by the seed as the place in it.
+    """
+    robot, rng = config.robot, np.random.default_rng(config.seed)
+    if where == "standing":
+        scene = load_scene("apartment")
+        assert scene.start is not None
+        walls, start = scene.walls, scene.start
+        phases = np.arange(0.0, TURNING_S, robot.control_period_s) % 4.0  # a second left, two right, a second left
+        commands = [Command(turn_rate=robot.turn_rate * (-1.0 if 1.0 <= phase < 3.0 else 1.0)) for phase in phases]
+    else:
+        walls, ((near, middle), (far, _), *_) = out_and_back(rng)
+        start = Pose(rng.uniform(near + CORRIDOR_M, far - 2.0 * CORRIDOR_M), middle)
+        commands = [Command(robot.speed)] * round(CORRIDOR_M / robot.speed / robot.control_period_s)
+    world = World(walls, start, DEFAULT_ROBOT_RADIUS_M, config, random_streams(config.seed).world)
+    estimates, truths = [], []
+    with Slam(config, start) as slam:
+        for command in commands:
+            tick = world.step(command)
+            if tick is None or tick.truth is None:
+                raise RuntimeError(f"{where}, seed {config.seed}: found a collision, allowed: a free way")
+            if (keyframe := slam.take(tick).keyframe) is not None:
+                estimates.append(keyframe.estimate)
+                truths.append(tick.truth.array())
+    poses, covs = np.array([e.pose.array() for e in estimates]), np.array([e.pose_cov for e in estimates])
+    return float(np.nanmean(keyframe_nees(poses, np.array(truths), covs)["nees3"]))
 
 
 def make_row(config: Config) -> Row:
@@ -170,5 +210,6 @@ def nees_of(row: Row, name: str = "nees3") -> float:
 
 __all__ = [
     "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "judged_matches",
-    "keyframe_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "tour",
+    "keyframe_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "short_drive",
+    "tour",
 ]  # fmt: skip

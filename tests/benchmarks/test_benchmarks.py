@@ -7,14 +7,10 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from sixthsense.config import LaserConfig, RRTStarConfig, preset
+from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Pose, point_segment_distance
-from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.core.source import Tick
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import load_scene
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
@@ -121,17 +117,6 @@ def test_the_names_of_settings_are_unique(script):
     assert len({setting.name for setting in script.SETTINGS}) == len(script.SETTINGS)
 
 
-def room_log(laser: LaserConfig, poses: list[Pose]) -> Log:
-    """A log of exact odometry and exact scans in an empty room, a second apart."""
-    corners = np.array([[-3.0, -2.0], [3.0, -2.0], [3.0, 2.0], [-3.0, 2.0]])
-    walls = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-    ticks = []
-    for k, pose in enumerate(poses):
-        scan = Scan.from_config(cast_rays(pose, beam_bearings(laser), walls, laser.max_range), laser)
-        ticks.append(Tick(k * 10**9, pose, scan, log_stamp_s=float(k)))
-    return Log(ticks)
-
-
 @of("planning")
 def test_a_star_is_compared_with_dijkstra_on_true_maps(script):
     drawn = script.true_map(load_scene("rectangle"), 0.1)
@@ -186,32 +171,6 @@ def test_queries_in_willow_garage_are_inside_the_building(script, data_dir):
     drawn = script.true_map(script.willow(data_dir / "maps"), 0.2)
     assert len(drawn.cells) > 1000
     assert (drawn.cells.min(axis=0) > 0).all()
-
-
-@of("intel")
-def test_an_exact_log_has_no_error_against_exact_relations(script):
-    config = preset()
-    poses = [Pose(0.3 * k, 0.1 * k, 0.2 * k) for k in range(6)]
-    between = poses[0].inverse() @ poses[5]
-    relations = Relations(np.array([[0.0, 5.0]]), between.array()[None])
-    figures = script.replay_figures(room_log(config.laser, poses), relations, config, 2)
-    per_seed = {f"seed{seed}.{key}" for seed in range(2) for key in script.ERRORS}
-    medians = {f"{key}_median" for key in (*script.ERRORS, "realtime_factor")}
-    assert set(figures) == per_seed | medians | {f"odometry.{key}" for key in script.ERRORS}
-    assert all_finite(figures)
-    assert figures["odometry.relations_trans_m_mean"] < 1e-9
-    assert figures["relations_trans_m_mean_median"] < 0.01
-    assert len(script.rows(figures, 2)) == 5
-
-
-@of("intel")
-def test_missing_data_is_named_in_one_line(script, monkeypatch, capsys):
-    monkeypatch.delenv("SIXTHSENSE_DATA", raising=False)
-    monkeypatch.setattr("sys.argv", ["intel.py"])
-    assert script.main() == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "SIXTHSENSE_DATA" in error
 
 
 @of("harness")

@@ -5,6 +5,8 @@ from collections import Counter
 from contextlib import redirect_stderr
 from types import SimpleNamespace
 
+import numpy as np
+
 from sixthsense.config import preset
 from sixthsense.record.trace import Trace
 from sixthsense.running.progress import LiveStatus, Progress, seen_area

@@ -1,0 +1,327 @@
+"""Scan matching on logs, damaged logs, repeating buildings and short drives: one table of asked, measured and met.
+
+    SIXTHSENSE_DATA=FOLDER python benchmarks/evidence_logs.py    # all, at most 30 minutes on two cores
+    python benchmarks/evidence_logs.py --rows clean coarse       # rows whose key begins so
+    python benchmarks/evidence_logs.py --rows damages.aces       # the damages of one log
+    python benchmarks/evidence_logs.py --rows damages --seed 2   # other draws of all damages
+    python benchmarks/evidence_logs.py --rows none               # the table of what is recorded
+
+Figures of each run are kept in a folder named after the code's commit, so that the same command resumes. Those of all
+rows are in `evidence_logs.json`; rows that are not selected stay there as they were measured.
+
+- `clean`: a log as it is, with the defaults. Errors are those of the relations (Kümmerle et al. 2009).
+- `damages`: a log's scans as `damaged_logs` changes them; times are processor times, without reading.
+- `coarse`: logs whose relations are the poses of another program, for gross agreement.
+- `repetition`: the drives of `repetition.py`, with and without the wheels' parameters estimated on line.
+- `nees`: the world-frame NEES of the estimate at each keyframe, with the covariance reported then, since estimators
+  have no public covariance of earlier poses. Each run is a sample. Short drives are those of `tours.short_drive`.
+- `command`: the whole command `sixthsense replay` in a process of its own, bag written, no other run beside it:
+  recorded time over processor time, wall time of keyframes, mean keyframe of the last tenth over that of the second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from damaged_logs import DAMAGES, damaged
+from evidence import CACHE, as_json, code_commit
+from evidence_tables import mean_and_error
+from harness import check_at_least, command_figures, kept, machine, pooled, print_table, replay_errors, run
+from repetition import make_row, summary
+from repetition_scenes import SCENES
+from tours import judge, nees_of, short_drive
+
+from sixthsense.config import merge, preset
+from sixthsense.running.warmup import warm_up, warm_up_scans
+from sixthsense.sources.replay_input import of_log, open_recorded
+
+Figures = dict[str, Any]
+Found = Mapping[str, Figures]
+"""figures by the key of their case"""
+
+JSON = Path(__file__).resolve().parent / "evidence_logs.json"
+CODE = ("sixthsense", "scenes", *(f"benchmarks/{name}.py" for name in (
+    "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")))  # fmt: skip
+"""what the figures depend on"""
+
+CLEAN_M = {"intel": 0.014, "fr079": 0.031, "aces": 0.036}
+"""largest mean error asked of each log as it is"""
+WORST_M = 0.5
+COARSE_SHARE = {"seattle": 0.0, "fhw": 0.0}
+"""largest share of relations beyond `WORST_M`"""
+PROTOTYPE_M = {
+    "aces": {
+        "clean": 0.0341, "gaps": 0.0344, "blanks": 0.0342, "bumps": 0.0341, "spins": 0.0342, "wheels": 0.0341,
+        "people": 0.0390, "rough": 0.0374, "mirrored": 0.0342, "backwards": 0.0343,
+    },
+    "fr079": {
+        "clean": 0.0303, "gaps": 0.0303, "blanks": 0.0331, "bumps": 0.0303, "spins": 0.0303, "wheels": 0.0302,
+        "people": 0.0315, "rough": 0.0440, "mirrored": 0.0302, "backwards": 0.0314,
+    },
+    "intel": {"clean": 0.0154},
+}  # fmt: skip
+"""mean error of the method's first prototype by log and damage, with the draws of seed 1; others were not measured"""
+CLOSED = dict.fromkeys(SCENES, 0.95) | {"out and back": 0.8}
+"""least share of true loop closures"""
+COMMAND_SPEED = {"intel": 70.0, "fr079": 45.0}
+"""least recorded time over processor time"""
+FIRST_SEED, REPETITIONS, TOUR_S = 1000, 2, 200.0
+NEES_RUNS = {"apartment": 10, "office": 10, "standing": 20, "corridor": 20}
+WHEELS = ("wheels as they are", "wheels on line")
+
+
+class Case(NamedTuple):
+    """One run."""
+
+    kind: str
+    setting: tuple[str, ...]
+    seed: int = 0
+
+    @property
+    def key(self) -> str:
+        """Its name in the JSON."""
+        return ".".join((self.kind, *self.setting, str(self.seed)))
+
+
+def cases(seed: int) -> list[Case]:
+    """All runs, with damages drawn by `seed`; about the longest first, so that processes end together."""
+    short = range(FIRST_SEED, FIRST_SEED + REPETITIONS)
+    return [
+        *(Case("command", (log,)) for log in COMMAND_SPEED),
+        *(Case("clean", (log,)) for log in CLEAN_M),
+        *(Case("damages", (log, damage), seed) for log in CLEAN_M for damage in DAMAGES),
+        *(Case("nees", (where,), FIRST_SEED + k) for where, runs in NEES_RUNS.items() for k in range(runs)),
+        *(Case("repetition", (scene, how), k) for scene in SCENES for how in WHEELS for k in short),
+        *(Case("coarse", (log,)) for log in COARSE_SHARE),
+    ]
+
+
+def files_of(log: str) -> tuple[Path, Path]:
+    """A log and its relations."""
+    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / ("radish" if log in COARSE_SHARE else log)
+    return folder / f"{log}.clf.bz2", folder / f"{log}.relations"
+
+
+def nees_figures(where: str, seed: int) -> Figures:
+    """Mean NEES over the keyframes of one run."""
+    config = preset(front_end="scan-matching", estimator="isam2", seed=seed)
+    if where in ("standing", "corridor"):
+        return {"nees": short_drive(where, config)}
+    made = run(merge(config, {"scene": where, "task": "tour", "max_time": TOUR_S}))
+    return {"nees": nees_of(judge(made.trace)), "outcome": made.metrics["outcome"]}
+
+
+def figures_of(case: Case) -> Figures:
+    """The figures of one run."""
+    name = case.setting[0]
+    if case.kind == "command":
+        return command_figures(*files_of(name))
+    if case.kind == "nees":
+        return nees_figures(name, case.seed)
+    if case.kind == "repetition":
+        config = preset("log", calibrate_wheels=case.setting[1] == "wheels on line")
+        return make_row(config, {}, (name, case.seed))
+    file, relations = files_of(name)
+    found = open_recorded(file, preset("log"), relations)
+    log, known = found.log, found.relations
+    assert known is not None
+    if case.kind == "damages":
+        log, known = damaged(case.setting[1], log, known, case.seed)
+    return replay_errors(log, of_log(preset("log"), log), known)
+
+
+def measured(folder: Path, case: Case) -> Figures:
+    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised."""
+
+    def make() -> Figures:
+        found = figures_of(case)
+        if found.get("outcome") == "interrupted":
+            raise KeyboardInterrupt  # what a run cut short has measured is not kept
+        return found
+
+    try:
+        return kept(folder / f"logs-{case.key.replace(' ', '_')}.json", make)
+    except Exception as error:  # one case that fails must not cost the table
+        return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
+
+
+class Line(NamedTuple):
+    """A line of the table."""
+
+    what: str
+    asked: str
+    measured: str
+    met: str
+
+
+Judge = Callable[[Sequence[Figures]], tuple[str, bool]]
+"""From the figures of the runs of a line to what is shown, and whether it is as asked."""
+
+
+def line(what: str, asked: str, runs: Sequence[Figures | None], judge_runs: Judge) -> Line:
+    """A line of the table from its runs, of which None was not measured."""
+    known = [found for found in runs if found is not None]
+    if len(known) < len(runs):
+        return Line(what, asked, "", "")
+    for found in known:
+        if "failed" in found:
+            return Line(what, asked, found["failed"], "NO")
+    shown, is_met = judge_runs(known)
+    return Line(what, asked, shown, "yes" if is_met else "NO")
+
+
+def lines(found: Found, seeds: Sequence[int]) -> Iterator[Line]:
+    """The table, with the damages of each of the `seeds`."""
+    for log, most_m in CLEAN_M.items():
+        runs = [found.get(Case("clean", (log,)).key)]
+        yield line(f"clean, {log}", f"mean <= {most_m} m", runs, partial(_clean, most_m))
+    for seed in seeds:
+        for log in CLEAN_M:
+            clean = found.get(Case("damages", (log, "clean"), seed).key)
+            for damage in DAMAGES:
+                yield _damage_line(log, damage, seed, clean, found.get(Case("damages", (log, damage), seed).key))
+    for log, most in COARSE_SHARE.items():
+        asked = f"beyond {WORST_M} m <= {100 * most:.1f} %"
+        yield line(f"coarse, {log}", asked, [found.get(Case("coarse", (log,)).key)], partial(_coarse, most))
+    yield from _repetition_lines(found)
+    yield from _nees_lines(found)
+    yield from _command_lines(found)
+
+
+def _clean(most_m: float, runs: Sequence[Figures]) -> tuple[str, bool]:
+    mean_m = runs[0]["mean_m"]
+    return f"mean {mean_m:.4f} m, largest {runs[0]['largest_m']:.2f} m", mean_m <= most_m
+
+
+def _damage_line(log: str, damage: str, seed: int, clean: Figures | None, own: Figures | None) -> Line:
+    """A damage of a log beside the log's own scans."""
+    most = 1.1 * PROTOTYPE_M.get(log, {}).get(damage, math.inf)
+    if clean is not None and "failed" not in clean and damage != "clean":
+        most = min(most, 1.25 * clean["mean_m"])
+
+    def judged(runs: Sequence[Figures]) -> tuple[str, bool]:
+        before, now = runs
+        slower = now["processor_s"] / before["processor_s"]
+        shown = f"mean {now['mean_m']:.4f} m, largest {now['largest_m']:.2f} m, time x {slower:.2f}"
+        return shown, now["mean_m"] <= most and now["largest_m"] <= WORST_M and slower <= 1.5
+
+    asked = f"mean <= {most:.4f} m, largest <= {WORST_M} m, time <= x 1.5"
+    return line(f"damages, {log}, {damage}, seed {seed}", asked, [clean, own], judged)
+
+
+def _coarse(most: float, runs: Sequence[Figures]) -> tuple[str, bool]:
+    share = runs[0]["beyond_0.5_m"]
+    return f"beyond {100 * share:.1f} %, mean {runs[0]['mean_m']:.3f} m", share <= most + 5e-4
+
+
+def _repetition_lines(found: Found) -> Iterator[Line]:
+    for how in WHEELS:
+        for scene, least in CLOSED.items():
+
+            def judged(runs: Sequence[Figures], least: float = least) -> tuple[str, bool]:
+                all_of = summary(runs)
+                shown = f"{all_of['false']} false, {100 * all_of['closed']:.1f} % closed, ATE {all_of['ate_m']:.3f} m"
+                return shown, all_of["false"] == 0 and all_of["closed"] >= least
+
+            runs = [found.get(Case("repetition", (scene, how), FIRST_SEED + k).key) for k in range(REPETITIONS)]
+            yield line(f"repetition, {scene}, {how}", f"0 false, closed >= {100 * least:.0f} %", runs, judged)
+
+
+def _nees_lines(found: Found) -> Iterator[Line]:
+    of_all = []
+    for where, count in NEES_RUNS.items():
+        runs = [found.get(Case("nees", (where,), FIRST_SEED + k).key) for k in range(count)]
+        of_all += runs
+        yield line(f"NEES, {where}, {count} runs", "2 to 4.5", runs, partial(_nees, 2.0, 4.5))
+    yield line("NEES, pooled", "2.4 to 4", of_all, partial(_nees, 2.4, 4.0))
+
+
+def _nees(low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
+    mean, error = mean_and_error([found["nees"] for found in runs])
+    return f"{mean:.2f} ± {error or 0.0:.2f}", low <= mean <= high
+
+
+def _command_lines(found: Found) -> Iterator[Line]:
+    for log, least in COMMAND_SPEED.items():
+        runs = [found.get(Case("command", (log,)).key)]
+        yield line(
+            f"command, {log}", f">= {least:.0f} x recorded", runs, partial(_figure, "times_recorded", least, 1e9)
+        )
+        yield line(f"command, {log}", "keyframe p99 <= 50 ms", runs, partial(_figure, "keyframe_ms_p99", 0.0, 50.0))
+        asked = "last tenth <= 1.4 x second"
+        yield line(f"command, {log}", asked, runs, partial(_figure, "last_over_second_tenth", 0.0, 1.4))
+
+
+def _figure(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
+    return f"{runs[0][name]:.2f}", low <= runs[0][name] <= high
+
+
+def warm() -> None:
+    """Compile the hot loops, once in each process."""
+    warm_up()
+    warm_up_scans()
+
+
+def measure(chosen: Sequence[Case], jobs: int, commit: str) -> dict[str, Figures]:
+    """The figures of the cases by key; commands one after the other, before all else."""
+    function = partial(measured, CACHE / commit)
+    made: dict[str, Figures] = {}
+    for alone in (True, False):
+        due = [case for case in chosen if (case.kind == "command") == alone]
+        if alone and due:
+            warm()  # into the cache that the commands read
+        found = pooled(function, due, 1 if alone else jobs, warm) if due else iter(())
+        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True)}
+    return made
+
+
+def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:
+    """The cases whose key begins with one of `prefixes`, all without one; ValueError for one that selects nothing."""
+    for prefix in prefixes:
+        if prefix != "none" and not any(case.key.startswith(prefix) for case in every):
+            kinds = ", ".join(dict.fromkeys(case.kind for case in every))
+            raise ValueError(f"--rows: found {prefix!r}, allowed: none, and beginnings of keys of {kinds}")
+    return [case for case in every if not prefixes or case.key.startswith(tuple(prefixes))]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="rows whose key begins so (all); none")
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the damages (1)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    options = parser.parse_args()
+    check_at_least(parser, options, jobs=1, seed=0)
+    rows: dict[str, Figures] = json.loads(JSON.read_text())["rows"] if JSON.exists() else {}
+    try:
+        chosen = selected(cases(options.seed), options.rows)
+        logs = {case.setting[0] for case in chosen} & {*CLEAN_M, *COARSE_SHARE}
+        if missing := [file for log in sorted(logs) for file in files_of(log) if not file.is_file()]:
+            raise ValueError(f"SIXTHSENSE_DATA: found no {missing[0]}, allowed: a folder with the logs")
+        made = measure(chosen, options.jobs, code_commit(CODE))
+    except (ValueError, RuntimeError) as error:
+        print(f"evidence_logs.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("evidence_logs.py: interrupted; the same command resumes", file=sys.stderr)
+        return 130
+    if made:
+        rows |= made
+        JSON.write_text(as_json({"machine": machine(), "rows": dict(sorted(rows.items()))}))
+    seeds = sorted({int(key.rsplit(".", 1)[1]) for key in rows if key.startswith("damages.")} | {options.seed})
+    table = list(lines(rows, seeds))
+    print_table([Line._fields, *(found for found in table if found.measured)])
+    if missing_lines := sum(not found.measured for found in table):
+        print(f"{missing_lines} lines not measured")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
