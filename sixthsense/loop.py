@@ -107,7 +107,7 @@ def find_start(
 ) -> tuple[Source, PriorStart, Pose]:
     """Drive without the map until the robot's place in it is certain: the source from its begin, and the start.
 
-    Raises PriorMapError if nothing has become certain when the drive ends.
+    Raises PriorMapError if nothing has become certain when the drive ends, at the latest after `config.max_time`.
     """
     from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
 
@@ -123,7 +123,10 @@ def find_start(
 
     pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
     with Slam(config, Pose(), radius_m=radius_m, timed=clock.timed) as slam, deferred_interrupt() as interrupted:
-        outcome = drive(first, slam, pilot, [search, lambda *_: "interrupted" if interrupted() else None], clock)
+        watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
+        if config.max_time is not None:
+            watchers.append(_Deadline(config.max_time, "out of time"))
+        outcome = drive(first, slam, pilot, watchers, clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
     if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen

@@ -82,7 +82,9 @@ def _check_share(share: float, prior: PriorMap) -> None:
 
 
 def _places(points: Array, pose: Pose, cov: Array, obstacles: Obstacles) -> list[_Place]:
-    """The places near `pose` where the points may have been seen, the best first."""
+    """The places near `pose` where the points may have been seen, the best first; none in a map without obstacles."""
+    if not len(obstacles.centres):
+        return []
     sigmas = np.sqrt(np.diag(cov))
     half_rad = min(_SIGMAS * float(sigmas[2]) + _KNOWN_RAD, math.pi)
     window = Window(pose.array(), _SIGMAS * float(sigmas[:2].max()) + NEAR_M, half_rad)

@@ -90,3 +90,11 @@ def test_a_scan_into_what_the_map_has_not_seen_says_nothing_against_it():
     half = seen.cells[:, 1] < 60
     part = Submap.of(seen.cells[half], seen.hits[half], seen.passes[half], seen.seen[half])
     assert located(look(ROOM, TRUE), replace(ROOM_MAP, evidence=part), TRUE, np.zeros((3, 3)), GRID) is TRUE
+
+
+@pytest.mark.parametrize("sigma", [0.01, 0.5])
+def test_a_map_without_obstacles_is_refused_in_one_line(sigma):
+    empty = ROOM_MAP.evidence
+    bare = replace(ROOM_MAP, evidence=empty._replace(hits=0 * empty.hits, passes=empty.passes + 1))
+    with pytest.raises(PriorMapError, match="of which the first scan shows 0 %"):
+        located(look(ROOM, TRUE), bare, TRUE, np.diag([sigma] * 3) ** 2, GRID)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ _M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are s
 _RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
+_USUAL_LINKS = 6.0  # of a keyframe, and one: its links have its sampling in common, and together weigh as so many
 _JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
 _RECENT_LOSS, OLD_LOSS = 10.0, 6.0  # scales of the Cauchy loss, in whitened error
 
@@ -67,6 +69,8 @@ class ScanGraph:
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
+        self._links: Counter[int] = Counter()
+        """number of links of each keyframe to earlier ones"""
         self._waiting: list[tuple[Alignments, int]] = []
         """links to recent keyframes, given together with those to old ones: each time costs the estimator a solution"""
 
@@ -132,6 +136,9 @@ class ScanGraph:
         given = [*recent, *rows]
         sums = np.array([found.sums[k] for found, k in given]).reshape(-1, SUMS)
         covs = covariances(sums, self.store.returns.bearings.stride, self._sigma_m)
+        self._links.update(int(found.sources[k]) for found, k in given)
+        shares = [(1.0 + self._links[int(found.sources[k])]) / _USUAL_LINKS for found, k in given]
+        covs = covs * np.array(shares).reshape(-1, 1, 1)
         links = [
             KeyframeLink(
                 int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, RECENT_GROUP if n < len(recent) else group
@@ -150,6 +157,7 @@ class ScanGraph:
         new = self._add(links, [loss_scale] * len(links))
         self.estimator.unlink(ids)
         self._drop(ids)
+        self._links.update(link.source for link in links)
         self.refresh()
         return new
 
@@ -180,6 +188,7 @@ class ScanGraph:
     def _drop(self, ids: list[int]) -> None:
         for i in ids:
             link = self.links.pop(i)
+            self._links[link.source] -= 1
             if link.group != RECENT_GROUP:
                 self.old_links[link.source].remove(link.target)
                 if not self.old_links[link.source]:
