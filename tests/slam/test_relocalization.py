@@ -181,8 +181,4 @@ def test_a_search_ends_at_the_time_limit(first):
     config = preset(scene="rectangle", task="tour", max_time=2.0, seed=2)
     scene = scene_of(outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), Pose())
     with pytest.raises(PriorMapError, match=r"on \d m \(out of time\), allowed"):
-        loop.run(
-            config,
-            scene=scene_of(outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), Pose()),
-            prior=PriorStart(first, is_lost=True),
-        )
+        loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))

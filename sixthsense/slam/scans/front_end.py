@@ -117,7 +117,7 @@ class ScanFrontEnd:
         self._doubts_wheels = tracked is not None and tracked.has_slipped
         self._predict(motion)
         predicted = self._estimator.estimate()
-        key = self._update(tracked)
+        key = self._update(tracked, motion)
         self._link(key)
         self._close_loops(key)
         estimate = self._stand_at_keyframe()
@@ -225,14 +225,14 @@ class ScanFrontEnd:
         is_far = distance >= share * limits.distance_m or turn >= share * limits.turn_rad
         return is_far and not self._since.is_standstill()
 
-    def _updated(self, tracked: Tracked | None) -> int:
+    def _updated(self, tracked: Tracked | None, motion: Odometry) -> int:
         """Keep the newest scan as keyframe, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
         if self._is_carried:
             self._graph.first, self._is_carried = key, False
-        self._graph.add(guess, self._mount)
+        self._graph.add(guess, self._mount, self._mount.laser_odometry(motion))
         if self._prior is not None:
             self.loop_closures.moved(key, tracked, self._prior.information)
         return key
@@ -243,12 +243,13 @@ class ScanFrontEnd:
             self.loop_closures.look(key)
 
     def _reported(self, estimate: Estimate) -> Estimate:
-        """An estimate at the newest keyframe, with the private errors of its scan and of the first one."""
+        """An estimate at the newest keyframe, by the graph's variance factor, with the private errors of its scans."""
         if not self.newest:
             return estimate
         returns, poses, sigma_m = self._store.returns, self._graph.poses, self._config.assumed.laser.range_m
         own, first = (private_covariance(returns, key, sigma_m) for key in (self.newest, 0))
-        return dataclasses.replace(estimate, pose_cov=reported(estimate.pose_cov, poses[-1], own, first, poses[0]))
+        cov = self._graph.variance_factor * estimate.pose_cov
+        return dataclasses.replace(estimate, pose_cov=reported(cov, poses[-1], own, first, poses[0]))
 
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from typing import NamedTuple
 
@@ -30,9 +31,10 @@ _M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are s
 _RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
-_USUAL_LINKS = 6.0  # of a keyframe, and one: its links have its sampling in common, and together weigh as so many
+_FACTOR_KEYS, _FACTOR_LINKS = 200, 2000  # keyframes and links at the end that the variance factor is estimated from
+_FACTOR_PRIOR = 30.0  # degrees of freedom of a prior factor of 1
 _JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
-_RECENT_LOSS, OLD_LOSS = 10.0, 6.0  # scales of the Cauchy loss, in whitened error
+_RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
 
 class KeyframeLink(NamedTuple):
@@ -69,6 +71,10 @@ class ScanGraph:
         """index of the first keyframe since the robot was put where it is, or carried"""
         self._refreshed = 0
         """number of keyframes when all poses were read"""
+        self._factor: float | None = None
+        """the variance factor, once it was asked for after all poses were read"""
+        self._motions: list[Odometry] = []
+        """of the laser to each keyframe, by odometry"""
         self._links: Counter[int] = Counter()
         """number of links of each keyframe to earlier ones"""
         self._waiting: list[tuple[Alignments, int]] = []
@@ -84,13 +90,14 @@ class ScanGraph:
         """(K,) which keyframes are in the estimator's graph; a view. The poses of others follow their neighbours'."""
         return self._is_kept[: self.count]
 
-    def add(self, pose: Array, mount: Mount) -> None:
-        """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
+    def add(self, pose: Array, mount: Mount, motion: Odometry) -> None:
+        """Add the newest keyframe at `pose` (3,), `T_world_laser`; `motion` of the laser is that of the odometry."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             self._is_kept = np.concatenate([self._is_kept, np.ones_like(self._is_kept)])
             self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[self.count], self.mount = pose, mount
+        self._motions.append(motion)
         points = self.store.returns.points[self.count]
         self._centres[self.count, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
         self.count += 1
@@ -98,7 +105,7 @@ class ScanGraph:
     def refresh(self) -> None:
         """Take all poses from the estimator."""
         self._rows[: self.count] = self.mount.laser_poses(self.estimator.trajectory())
-        self._refreshed = self.count
+        self._refreshed, self._factor = self.count, None
 
     def _refresh_near(self, targets: list[int]) -> None:
         """Take the newest poses and those that links lead to; all of them from time to time, and after a jump."""
@@ -135,10 +142,10 @@ class ScanGraph:
         recent, self._waiting = self._waiting, []
         given = [*recent, *rows]
         sums = np.array([found.sums[k] for found, k in given]).reshape(-1, SUMS)
-        covs = covariances(sums, self.store.returns.bearings.stride, self._sigma_m)
         self._links.update(int(found.sources[k]) for found, k in given)
-        shares = [(1.0 + self._links[int(found.sources[k])]) / _USUAL_LINKS for found, k in given]
-        covs = covs * np.array(shares).reshape(-1, 1, 1)
+        # The links of a scan are together worth its alignment with a map of that many scans.
+        shared_by = np.array([1.0 + self._links[int(found.sources[k])] for found, k in given])
+        covs = covariances(sums, shared_by, self._sigma_m)
         links = [
             KeyframeLink(
                 int(f.targets[k]), int(f.sources[k]), f.poses[k], cov, RECENT_GROUP if n < len(recent) else group
@@ -193,6 +200,30 @@ class ScanGraph:
                 self.old_links[link.source].remove(link.target)
                 if not self.old_links[link.source]:
                     del self.old_links[link.source]
+
+    @property
+    def variance_factor(self) -> float:
+        """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
+
+        The a posteriori variance of unit weight of a least-squares adjustment: the sum of the whitened residuals'
+        squares, of links and odometry, over the redundancy. It is 1 where residuals are as large as stated.
+        """
+        if self._factor is None:
+            self._factor = self._estimated_factor()
+        return self._factor
+
+    def _estimated_factor(self) -> float:
+        first = max(self.first, self.count - _FACTOR_KEYS)
+        keys = np.arange(first + 1, self.count)
+        latest = itertools.islice(reversed(self.links.values()), _FACTOR_LINKS)
+        links = [link for link in latest if link.target >= first]
+        ends = np.array([(link.target, link.source) for link in links] + [(k - 1, k) for k in keys]).reshape(-1, 2)
+        poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys]).reshape(-1, 3)
+        covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys]).reshape(-1, 3, 3)
+        off = poses - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
+        off[:, 2] = wrap_angle(off[:, 2])
+        squares = float(np.einsum("ni,nij,nj->", off, np.linalg.inv(covs), off))
+        return (squares + _FACTOR_PRIOR) / (3.0 * len(links) + _FACTOR_PRIOR)
 
     def robot_links(self) -> PoseLinks:
         """All links, between poses of the robot."""

@@ -65,21 +65,25 @@ class Alignments:
         return np.asarray(enough & shared & (seen >= least_agreement * (seen + through)).all(axis=1))
 
 
-def covariances(sums: Array, stride: int, sigma_m: float) -> Array:
+def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     """(m, 3, 3) of the errors of (x, y, theta) of aligned pairs with `sums` (m, SUMS), axes of the targets.
 
-    The errors are those between apparent poses (see `apparent`), `sigma_m` is the laser's, and every `stride`-th return
-    was moved. The residuals themselves give their variance. What the noise of the normals adds to the Hessian is no
-    information: along a corridor it would seem to be some, as would a few wrong partners at the edges of doors: a
-    direction of which only so many returns tell is not observed. What the residuals have beyond the noise of the laser
-    is shape, common to neighbouring returns: a part of it stays in the pose, however many returns there are.
+    `shared_by` (m,) is the number of scans that share the information, at least 2, and `sigma_m` the least sigma of a
+    return. A scan of m links has the information of its returns once: against a map of m scans, whose points have 1 / m
+    of its variance, that is m / (m + 1) of what a map without noise would give, and m + 1 share it. The residuals
+    themselves give their variance. What the noise of the normals adds to the Hessian is no information: along a
+    corridor it would seem to be some, as would a few wrong partners at the edges of doors: a direction of which only so
+    many returns tell is not observed. What the residuals have beyond the noise of the laser is shape, common to
+    neighbouring returns: a part of it stays in the pose, however many returns there are.
     """
-    variance = sums[:, SQUARES] / np.maximum(sums[:, WEIGHT], 1.0) + _FLOOR_M**2
-    floor = _SHAPE_SHARE**2 * np.maximum(variance - 2.0 * sigma_m**2, 0.0) + _FLOOR_M**2
+    noise = 2.0 * sigma_m**2
+    variance = np.maximum(sums[:, SQUARES] / np.maximum(sums[:, WEIGHT], 1.0), noise)
+    floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
     # Both ways the returns of a pair are counted twice.
     upper = sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6]
-    returns, axes = np.linalg.eigh(0.5 * stride * upper[:, _SYMMETRIC])
-    values = np.maximum(returns - _FEW_RETURNS * stride, 0.0) / variance[:, None]
+    returns, axes = np.linalg.eigh(0.5 * upper[:, _SYMMETRIC])
+    share = 2.0 / (np.maximum(shared_by, 2.0) * variance)
+    values = share[:, None] * np.maximum(returns - _FEW_RETURNS, 0.0)
     spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)
     shape = floor[:, None, None] * np.diag([1.0, 1.0, _LEVER_M**-2])
     return np.asarray((axes * spread[:, None, :]) @ axes.transpose(0, 2, 1) + shape)

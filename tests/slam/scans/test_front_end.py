@@ -169,7 +169,7 @@ def test_a_loop_closure_that_contradicts_the_graph_is_undone_with_what_followed(
     graph, before = front_end._graph, slam.trajectory()
     links_before = {key: list(old) for key, old in graph.old_links.items()}
     last = graph.count - 1
-    found = graph._align(np.array([0, 1, 2]), last, np.array([0.12]))
+    found = graph._align(np.array([0, 1, 2]), last, 0.12)
     found.poses[:] = found.poses + np.array([0.8, -0.5, 0.3])  # a wrong place
     closings: Closings = front_end.loop_closures.closings
     stands = closings.close([(found, k) for k in range(3)])

@@ -9,6 +9,7 @@ from test_front_end import drive, ticks
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.motion import STANDSTILL
 from sixthsense.slam.scans.evidence import Evidence, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
@@ -37,7 +38,7 @@ def graph_of(poses, walls, laser):
     rng = np.random.default_rng(0)
     graph = ScanGraph(stored(*(scan_at(pose, walls, laser, rng=rng) for pose in poses)), None, 0.01)
     for pose in poses:
-        graph.add(pose.array(), Mount(Pose()))
+        graph.add(pose.array(), Mount(Pose()), STANDSTILL)
     return graph
 
 
