@@ -54,6 +54,22 @@ _REMARKS = {
 """why a value that looks alarming is not, in a few words, by key"""
 
 
+_ACCURACY = (
+    ("ate_rmse_m", "m", "RMSE of the causal position"),
+    ("ate_max_m", "m", "maximum error of the causal position"),
+    ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
+    ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
+    *((f"rpe_trans_m_{m}m", "m", f"RMSE of the translation over {m} m of path") for m in RPE_LENGTHS_M),
+    *((f"rpe_rot_deg_{m}m", "°", f"RMSE of the rotation over {m} m of path") for m in RPE_LENGTHS_M),
+    ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
+    ("relations_trans_m_mean", "m", "mean translation error against the relations"),
+    ("relations_trans_m_std", "m", "standard deviation of the translation error"),
+    ("relations_trans_m_max", "m", "largest translation error"),
+    ("relations_rot_deg_mean", "°", "mean rotation error against the relations"),
+    ("relations_rot_deg_std", "°", "standard deviation of the rotation error"),
+)
+
+
 def _quantities() -> dict[str, Quantity]:
     rows = {
         "Outcome": [
@@ -65,20 +81,7 @@ def _quantities() -> dict[str, Quantity]:
             ("places_left", "1", "places that remained unseen"),
             ("area_left_m2", "m²", "total area of these places"),
         ],
-        "Accuracy": [
-            ("ate_rmse_m", "m", "RMSE of the causal position"),
-            ("ate_max_m", "m", "maximum error of the causal position"),
-            ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
-            ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
-            *((f"rpe_trans_m_{m}m", "m", f"RMSE of the translation over {m} m of path") for m in RPE_LENGTHS_M),
-            *((f"rpe_rot_deg_{m}m", "°", f"RMSE of the rotation over {m} m of path") for m in RPE_LENGTHS_M),
-            ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
-            ("relations_trans_m_mean", "m", "mean translation error against the relations"),
-            ("relations_trans_m_std", "m", "standard deviation of the translation error"),
-            ("relations_trans_m_max", "m", "largest translation error"),
-            ("relations_rot_deg_mean", "°", "mean rotation error against the relations"),
-            ("relations_rot_deg_std", "°", "standard deviation of the rotation error"),
-        ],
+        "Accuracy": list(_ACCURACY),
         "Consistency": [
             ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
             ("pose_nees_in_band", "1", "share of keyframes with a pose NEES in its 95 % band; 0.95 is consistent"),
