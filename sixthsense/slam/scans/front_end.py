@@ -113,7 +113,7 @@ class ScanFrontEnd:
         if not self._is_due(tracked):
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
             return None
-        motion = self._since if tracked is None else weakened(self._since_with_errors(), tracked.slip)
+        motion = self._since if tracked is None else self._motion(tracked)
         self._doubts_wheels = tracked is not None and tracked.has_slipped
         self._predict(motion)
         predicted = self._estimator.estimate()
@@ -198,6 +198,15 @@ class ScanFrontEnd:
 
     def _wheel_estimate(self) -> WheelEstimate | None:
         return self._estimator.wheels() if estimates_wheels(self._estimator) else None
+
+    def _motion(self, tracked: Tracked) -> Odometry:
+        """The motion since the last keyframe: by odometry, or as tracked with the covariance of a slip.
+
+        Where the scans say that the wheels have slipped, what the wheels say is no evidence. The links tell the rest.
+        """
+        if tracked.has_slipped:
+            return Odometry(self.since_keyframe, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
+        return weakened(self._since_with_errors(), tracked.slip)
 
     def _since_with_errors(self) -> Odometry:
         """The odometry since the last keyframe, as the estimator is given it."""
