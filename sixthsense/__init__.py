@@ -29,4 +29,5 @@ def __getattr__(name: str) -> _Any:
     except AttributeError:
         from sixthsense.config.suggestion import did_you_mean
 
-        raise AttributeError(f"module 'sixthsense' has no attribute {name!r}{did_you_mean(name, __all__)}") from None
+        said = f"module 'sixthsense' has no attribute {name!r}{did_you_mean(name, __all__)}"
+        raise AttributeError(said, name=name, obj=None) from None  # no object: Python would add a suggestion of its own

@@ -206,20 +206,21 @@ class ScanGraph:
         """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
 
         The a posteriori variance of unit weight of a least-squares adjustment: the sum of the whitened residuals'
-        squares, of links and odometry, over the redundancy. It is 1 where residuals are as large as stated.
+        squares, of links and odometry, over the redundancy. It is 1 where residuals are as large as stated, and where
+        the track has broken or the robot was carried.
         """
+        if self.first or self.count < 2:
+            return 1.0  # the covariance of a motion that nothing has measured is as stated
         if self._factor is None:
             self._factor = self._estimated_factor()
         return self._factor
 
     def _estimated_factor(self) -> float:
-        first = max(self.first, self.count - _FACTOR_KEYS)
-        keys = np.arange(first + 1, self.count)
-        latest = itertools.islice(reversed(self.links.values()), _FACTOR_LINKS)
-        links = [link for link in latest if link.target >= first]
-        ends = np.array([(link.target, link.source) for link in links] + [(k - 1, k) for k in keys]).reshape(-1, 2)
-        poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys]).reshape(-1, 3)
-        covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys]).reshape(-1, 3, 3)
+        keys = np.arange(max(1, self.count - _FACTOR_KEYS), self.count)
+        links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
+        ends = np.array([(link.target, link.source) for link in links] + [(k - 1, k) for k in keys])
+        poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys])
+        covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys])
         off = poses - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
         squares = float(np.einsum("ni,nij,nj->", off, np.linalg.inv(covs), off))
