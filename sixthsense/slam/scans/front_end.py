@@ -192,12 +192,16 @@ class ScanFrontEnd:
 
     def _break_track(self) -> None:
         """Go on by odometry, with the covariance of a motion that it has missed: no pose agrees with the last scans."""
-        self._since = Odometry(self._since.motion, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
+        self._since = self._slipped(self._since.motion)
         self._prior = prior_of(self._graph.poses[-1], self._since_of_laser())
         self._is_carried = True
 
     def _wheel_estimate(self) -> WheelEstimate | None:
         return self._estimator.wheels() if estimates_wheels(self._estimator) else None
+
+    def _slipped(self, motion: Pose) -> Odometry:
+        """A motion since the last keyframe with the covariance of a slip."""
+        return Odometry(motion, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
 
     def _motion(self, tracked: Tracked) -> Odometry:
         """The motion since the last keyframe: by odometry, or as tracked with the covariance of a slip.
@@ -205,7 +209,7 @@ class ScanFrontEnd:
         Where the scans say that the wheels have slipped, what the wheels say is no evidence. The links tell the rest.
         """
         if tracked.has_slipped:
-            return Odometry(self.since_keyframe, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
+            return self._slipped(self.since_keyframe)
         return weakened(self._since_with_errors(), tracked.slip)
 
     def _since_with_errors(self) -> Odometry:
