@@ -113,10 +113,11 @@ def full_rank_from(cov: Array) -> int:
     return int(np.argmax(full)) if full.any() else len(cov)
 
 
-def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
+def nees_band(runs: float, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
     """The two-sided confidence band of the mean of `runs` independent NEES with `dof` degrees of freedom.
 
-    2.02-4.16 for 20 runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    `runs` may be an effective number of samples, which need not be whole. 2.02-4.16 for 20
+    runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     tail = 0.5 * (1.0 - confidence)
     return float(chi_square_quantile(tail, dof * runs)) / runs, float(
