@@ -79,8 +79,11 @@ def band_of_runs(samples: float, runs: int = 1, confidence: float = 0.95) -> tup
 
 def whitened_errors(error: Array, cov: Array) -> Array:
     """(K, d) errors with the identity as covariance, of (K, d) errors with (K, d, d) covariances of full rank."""
-    root = np.linalg.cholesky(cov)
-    return np.asarray(np.linalg.solve(root, error[:, :, None])[:, :, 0])
+    sigmas = np.sqrt(np.einsum("kii->ki", cov))
+    correlation = cov / (sigmas[:, :, None] * sigmas[:, None, :])
+    # The addition keeps a correlation of rounded numbers definite, and is far below what a mean can tell.
+    root = np.linalg.cholesky(correlation + 1e-9 * np.eye(cov.shape[1]))
+    return np.asarray(np.linalg.solve(root, (error / sigmas)[:, :, None])[:, :, 0])
 
 
 def _autocovariance(series: Sequence[Array]) -> Array:
