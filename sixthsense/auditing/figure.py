@@ -54,20 +54,22 @@ def draw_tube(ax: Any, run: Errors, frame: Frame, axis: int, name: str) -> None:
 
 def draw_nees(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
     """Draw the NEES of each pose, the means of equal parts of the time, and the band of the mean."""
-    ax.axhspan(*found.band, label="95 % band of the mean", **_BAND)
+    label: str | None = f"NEES: mean {found.nees:.3g}, {100.0 * found.inside:.0f} % inside 95 %"
     for k, run in enumerate(runs):
         rows = _some(len(run.stamps_ns))
-        ax.plot(_seconds(run)[rows], run.nees[rows], color=CYCLE[k % len(CYCLE)], linewidth=0.5, alpha=0.7)
+        style = {"color": CYCLE[k % len(CYCLE)], "linewidth": 0.5, "alpha": 0.45}
+        ax.plot(_seconds(run)[rows], run.nees[rows], label=label, **style)
+        label = None
     end = max(float(_seconds(run)[-1]) for run in runs)
     edges = np.linspace(0.0, end, len(found.parts) + 1)
     ax.stairs(np.array(found.parts), edges, baseline=None, color=TRUTH, linewidth=1.6, label="mean of each part")
+    ax.axhspan(*found.band, color="#999999", alpha=0.8, linewidth=0.0, zorder=2.5, label="95 % band of the mean")
     ax.set_yscale("log")
     together = np.concatenate([run.nees for run in runs])
     ax.set_ylim(max(float(np.percentile(together, 1.0)), 0.02), 1.5 * max(float(together.max()), 2.0 * found.band[1]))
-    ax.set(
-        xlabel="time [s]", ylabel="NEES [1]", title=f"mean {found.nees:.3g}, {100.0 * found.inside:.0f} % inside 95 %"
-    )
-    ax.legend(frameon=False, loc="lower left", ncols=2, fontsize="small")
+    ax.set(xlabel="time [s]", ylabel="NEES [1]")
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    ax.legend(frameon=False, ncols=2, fontsize="small", **above)
     ax.margins(x=0.0)
 
 

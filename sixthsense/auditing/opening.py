@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from sixthsense.auditing.options import Options
 from sixthsense.auditing.poses import AuditError, Poses, Stamps, check_covariances, interpolated, made
-from sixthsense.config.section import shown
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -47,7 +46,10 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
 
 def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
     """The true poses; without a source those of the run that is audited."""
-    source = of if source is None else source
+    if source is None:
+        if not (isinstance(of, MeasuredRun) or (isinstance(of, (str, Path)) and is_run_folder(Path(of)))):
+            raise AuditError(f"truth: found nothing, allowed: the true poses of {estimate.name}")
+        source = of
     if isinstance(source, MeasuredRun):
         return _truth_of_run(source.trace, source.name)
     if not isinstance(source, (str, Path)):
@@ -63,8 +65,6 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
         return made(f"{path} {found.topic}", found.stamps_ns, found.poses)
-    if source is of:
-        raise AuditError(f"truth: found nothing, allowed: the truth of {path}")
     from sixthsense.sources.logs.tum import read_tum
 
     return made(str(path), *read_tum(_file(path)))
@@ -79,6 +79,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
         found = read_poses(path, topic)
         poses = made(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
         return replace(poses, frame="world", frames=(found.parent, found.child))
+    path = _file(path)
     if covariance is None:
         raise AuditError(
             f"covariance: found nothing for {path}, allowed: a file with a stamp and 6 or 21 numbers of the upper "
@@ -86,7 +87,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
         )
     from sixthsense.sources.logs.tum import read_covariances, read_tum
 
-    stamps, values = read_tum(_file(path))
+    stamps, values = read_tum(path)
     cov_stamps, covs = read_covariances(covariance)
     order = np.argsort(cov_stamps, kind="stable")
     cov_stamps, covs = cov_stamps[order], covs[order]
@@ -98,6 +99,8 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
 
 
 def _file(path: Path) -> Path:
+    if not path.exists():
+        raise AuditError(f"{path}: no such file")
     if path.is_dir():
         kinds = "a ROS bag (.bag, .mcap, .db3, or a folder with metadata.yaml), a TUM file, the folder of a run"
         raise AuditError(f"{path}: found a folder, allowed: {kinds}")
@@ -150,7 +153,7 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
 def _of_arrays(what: str, given: Sequence[ArrayLike], names: tuple[str, ...]) -> Poses:
     """Poses from the caller's arrays; AuditError names the array, what was expected and what was found."""
     if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
-        raise AuditError(f"{what}: found {shown(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")
+        raise AuditError(f"{what}: found {_described(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")
     try:
         stamps_s = as_array(f"{what} stamps", given[0], ("N",))
         if np.ndim(given[1]) == 3:
@@ -171,6 +174,10 @@ def _of_arrays(what: str, given: Sequence[ArrayLike], names: tuple[str, ...]) ->
     if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
         raise AuditError(f"{what} covariances: found 6 x 6 of planar poses, allowed: 3 x 3")
     return made(what, _nanoseconds(stamps_s), poses, covs)
+
+
+def _described(given: object) -> str:
+    return f"{len(given)} of them" if isinstance(given, (tuple, list)) else type(given).__name__
 
 
 def _nanoseconds(stamps_s: Array) -> Stamps:

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.statistics import AXES, Factor, Findings, factor
+from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.evaluation.effective import LEAST_SAMPLES
 
 _ALIGNED = {
@@ -40,6 +41,11 @@ def _reason(found: Findings) -> str:
     worth = f"{found.poses:,} poses are worth {_short(found.samples)} independent ones, {LEAST_SAMPLES:.0f} are needed"
     if found.shared * found.samples > _SURE:
         return f"{worth}: all depend on the first pose; align by all poses"
+    if found.nees > float(chi_square_quantile(0.999, found.dof)):
+        return (
+            f"{worth}; yet a NEES of {_short(found.nees)} is not chance: look for an error that stays, such as another "
+            "frame (align by all poses), a time offset, or a mount"
+        )
     return f"{worth}: errors last too long for so short a time; audit more or longer runs"
 
 
