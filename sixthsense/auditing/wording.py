@@ -24,7 +24,7 @@ def read_as(frame: Frame, dof: int, order: str, by_format: bool) -> str:
     """How the covariances were read: whose axes, and which half is first."""
     space = f"SE({2 if dof == 3 else 3}): {', '.join(AXES[frame, dof])}"
     origin = " (the convention of ROS)" if by_format else ""
-    return f"in {_FRAMES[frame]}{origin}; {order} first in the file; {space}"
+    return f"in {_FRAMES[frame]}{origin}; {order} first; {space}"
 
 
 def sentence(found: Findings) -> str:

@@ -75,9 +75,7 @@ def command(args: list[str]) -> int:
     offset = OptionalValue("1", _is_number, "seconds, above 0")
     estimates, given = parse_positionals(args, {**OWN, "time-offset": offset})
     if not estimates:
-        raise UsageError(
-            "estimate: found nothing, allowed: a bag, a TUM file with --covariance, or the folder of a run"
-        )
+        raise UsageError("estimate: found nothing, allowed: a bag, a TUM file or the folder of a run, before --truth")
     wanted = given.get("require", "consistent")
     if wanted != "consistent":
         raise UsageError(f"--require: found {wanted!r}, allowed: consistent")
