@@ -35,10 +35,12 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
+from sixthsense.sources.logs.tf_odometry import FramePair
 
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
 
+_TF = "/tf"
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
 _FRAMES_S = 1.0  # static transforms have come by then, or there are none
@@ -52,10 +54,20 @@ class Topics(NamedTuple):
     scan: str = "/scan"
     odom: str = "/odom"
     cmd_vel: str = "/cmd_vel"
+    frames: FramePair | None = None
+    """of odometry in /tf, instead of a topic of Odometry"""
 
     def checked(self) -> Topics:
         """With absolute names; NetworkError for one that is not allowed."""
-        return Topics(*(checked_topic(f"--{name.replace('_', '-')}", value) for name, value in self._asdict().items()))
+        scan, odom, cmd_vel = (
+            checked_topic(f"--{name.replace('_', '-')}", getattr(self, name)) for name in ("scan", "odom", "cmd_vel")
+        )
+        return Topics(scan, odom if self.frames is None else _TF, cmd_vel, self.frames)
+
+    @property
+    def odometry(self) -> Topic:
+        """The topic of odometry."""
+        return Topic(self.odom, ODOMETRY if self.frames is None else TRANSFORMS, FAST_SENSOR)
 
 
 class Session:
@@ -68,10 +80,10 @@ class Session:
         self.config = config
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
-        self._reader = MessageReader()
+        self._reader = MessageReader(topics.frames)
         self._frames = FrameReader(self._reader)
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
-        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, FAST_SENSOR))
+        self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
         self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
@@ -152,7 +164,8 @@ class Session:
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
         for message in self._odometry.messages():
-            yield False, message
+            if self._reader.has_odometry(message.data):
+                yield False, message
         for message in self._scans.messages():
             yield True, message
 
@@ -173,9 +186,12 @@ class Session:
             if time.monotonic() > hint_s:
                 hint_s = math.inf
                 topics = self._topics
-                heard = {topics.scan: bool(stamps), topics.odom: odometry is not None}
+                odom = topics.odom if topics.frames is None else f"{_TF} {topics.frames}"
+                heard = {topics.scan: bool(stamps), odom: odometry is not None}
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
                 missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
+                if odometry is None and topics.frames is None:
+                    missing[-1] += " (from /tf: --odometry-frames odom,base_link)"
                 self._say(f"{' and '.join(missing)} yet; other networks: --interface, --domain, --peers")
             for is_scan, message in self._received(_WAIT_S):
                 try:
@@ -190,7 +206,7 @@ class Session:
 
     def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""
-        for reader in (self._scans, self._odometry):
+        for reader in (self._scans, self._odometry) if self._topics.frames is None else (self._scans,):
             check_one_publisher(reader)
         self._commands = command_type(self._node, self._topics.cmd_vel, stamped) if drive else None
         return drive and self._commands is None

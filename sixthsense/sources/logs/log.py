@@ -22,6 +22,8 @@ class Log:
     """The laser as the log describes it; None where it does not."""
     backward_stamps: int
     """Number of scans whose stamp in the log is earlier than that of the previous scan."""
+    has_odometry: bool = True
+    """Whether the log has odometry; without it, its poses say nothing."""
 
     def __init__(self, ticks: Sequence[Tick], laser: LaserConfig | None = None, remarks: Sequence[str] = ()) -> None:
         """Make a log of at least one tick, with ascending `stamp_ns`; `remarks` are what its reader has to say."""
