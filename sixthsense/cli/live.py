@@ -72,6 +72,7 @@ def command(args: list[str]) -> int:
     from sixthsense.running.runs import Watch, run_live
     from sixthsense.running.warmup import prepare
     from sixthsense.sources.logs.tf_odometry import frame_pair
+    from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
     if options.cmd_vel_stamped and not options.drive:
         raise UsageError("--cmd-vel-stamped: found without --drive, allowed: with it")
@@ -79,7 +80,11 @@ def command(args: list[str]) -> int:
     topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
     config = with_task(options.settings, flags, "--")
     if options.drive:
+        if config.no_odometry:
+            raise UsageError("--no-odometry: found with --drive, allowed: without it")
         check_drive(config)
+    if config.no_odometry:
+        announce(WITHOUT_ODOMETRY)
     stated = tuple(name.replace("-", "_") for name in flags.get("laser", {}))
     for name in stated:
         if name not in ("mount", "max_range"):

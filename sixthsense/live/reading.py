@@ -153,6 +153,10 @@ class FrameReader:
             if len(self._frames.transforms) < _MOST_FRAMES:
                 self._frames.transforms[child] = (parent, transform(link.transform))
 
+    def root(self, laser: str) -> str:
+        """The frame that static transforms lead to from the laser's: the robot's, where no odometry names it."""
+        return self._frames.root(laser)
+
     def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
         """`T_robot_laser`, and whether the laser is upside down; None if no transforms lead from one to the other.
 

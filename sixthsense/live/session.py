@@ -105,7 +105,8 @@ class Session:
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
         topics = self._topics
-        self._say(f"waiting for {topics.scan} and {topics.odom}{f', to drive by {topics.cmd_vel}' * drive} ...")
+        needed = topics.scan if self.config.no_odometry else f"{topics.scan} and {topics.odom}"
+        self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
         stamps, self._robot, found = self._first_messages(drive, stamped)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
@@ -139,6 +140,8 @@ class Session:
                 steering = Steering(ahead, send, lambda: writer.readers)
             self._wait = trace.stopwatch.waiting(self._node.wait)
             robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)
+            if config.no_odometry:
+                robot.odom_frame = self._frames.root(self._laser.frame)
             publisher = Publisher(self._node, robot)
 
             def on_tick(tick: Tick, trace: Trace) -> None:
@@ -163,7 +166,7 @@ class Session:
                 self._frames.add(data)
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
-        for message in self._odometry.messages():
+        for message in () if self.config.no_odometry else self._odometry.messages():
             if self._reader.has_odometry(message.data):
                 yield False, message
         for message in self._scans.messages():
@@ -177,7 +180,7 @@ class Session:
     def _first_messages(self, drive: bool, stamped: bool) -> tuple[list[int], RobotPose, bytes]:
         """Stamps of some scans, the first odometry, and a scan."""
         stamps: list[int] = []
-        odometry: RobotPose | None = None
+        odometry: RobotPose | None = RobotPose(0, Pose(), "odom", "") if self.config.no_odometry else None
         last = b""
         hint_s = time.monotonic() + _HINT_S
         while self._is_robot_missing(drive, stamped) or len(stamps) <= _PERIODS or odometry is None:
@@ -191,7 +194,7 @@ class Session:
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
                 missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
                 if odometry is None and topics.frames is None:
-                    missing[-1] += " (from /tf: --odometry-frames odom,base_link)"
+                    missing[-1] += " (in /tf: --odometry-frames odom,base_link; none: --no-odometry)"
                 self._say(f"{' and '.join(missing)} yet; other networks: --interface, --domain, --peers")
             for is_scan, message in self._received(_WAIT_S):
                 try:
@@ -206,7 +209,8 @@ class Session:
 
     def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""
-        for reader in (self._scans, self._odometry) if self._topics.frames is None else (self._scans,):
+        is_topic = self._topics.frames is None and not self.config.no_odometry
+        for reader in (self._scans, self._odometry) if is_topic else (self._scans,):
             check_one_publisher(reader)
         self._commands = command_type(self._node, self._topics.cmd_vel, stamped) if drive else None
         return drive and self._commands is None
@@ -216,7 +220,10 @@ class Session:
         until_s = time.monotonic() + _FRAMES_S
         while True:
             try:
-                found = self._frames.mount(self._robot.robot, self._laser.frame)
+                robot = self._robot.robot or self._frames.root(self._laser.frame)
+                found = self._frames.mount(robot, self._laser.frame)
+                if not self._robot.robot and robot == self._laser.frame and time.monotonic() <= until_s:
+                    found = None  # there may be transforms yet
             except ValueError as error:
                 raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
             if found is not None:

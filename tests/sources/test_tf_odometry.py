@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from test_rosbag import MOUNT, Bag, complaint, foreign, ranges_at, way
 
+from sixthsense import cli
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.sources.logs import open_log
@@ -117,3 +118,26 @@ def test_a_bag_with_scans_alone_has_no_odometry_and_the_frame_of_the_mount_is_th
     assert not log.has_odometry and len(log.ticks) == 9
     assert log.scans[0].T_robot_laser.array() == pytest.approx(MOUNT.array())
     assert not open_log(foreign(tmp_path / "y", "mcap"), LaserConfig(), odometry=False).has_odometry
+
+
+def test_odometry_that_stands_while_the_scans_change_is_told_with_what_to_do(tmp_path):
+    def standing(t):
+        return Pose(1.0, 0.0, 0.0)
+
+    moving = open_log(transformed(tmp_path / "x", at=standing, duration_s=6.0), LaserConfig()).remarks()
+    assert any("the odometry never changes, but the scans do: use --no-odometry" in line for line in moving)
+    with Bag(tmp_path / "y", "mcap") as bag:
+        for k in range(9):
+            bag.odometry("/odom", S + k * S, Pose())
+            bag.scan("/scan", S + k * S, np.ones(240))
+    assert any("taken to stand still" in line for line in open_log(bag.path, LaserConfig()).remarks())
+
+
+def test_a_bag_without_odometry_is_replayed_with_a_line_that_says_so(tmp_path, capsys):
+    with Bag(tmp_path / "x", "mcap") as bag:
+        for k in range(40):
+            bag.scan("/scan", S + k * S // 10, ranges_at(0.1 * k))
+    assert cli.main(["replay", str(bag.path), "--out", str(tmp_path / "out")]) == cli.DONE
+    assert "no odometry is used" in capsys.readouterr().err
+    assert "no_odometry = true" in (tmp_path / "out" / "config.toml").read_text()
+    assert cli.main(["replay", str(tmp_path / "out"), "--out", str(tmp_path / "again")]) == cli.DONE

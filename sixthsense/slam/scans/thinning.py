@@ -37,7 +37,8 @@ class Thinning:
                 self._spare.append(k)
             self._next = k + 1
         if len(self._spare) >= _BATCH:
-            self._graph.take_out(self._spare)
+            own_keys = self._closings.own_keys  # a loop may have been closed with one of them since it was judged
+            self._graph.take_out([k for k in self._spare if k not in own_keys])
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:
