@@ -52,8 +52,6 @@ class LastVelocity:
         """(3, 3) of the velocity"""
         self._cross = np.zeros((3, 3))
         """(3, 3) of the motion since the last keyframe with the velocity"""
-        self._unknown = self._cov
-        """(3, 3) of the velocity at the last keyframe: its error goes on behind it"""
         self._since_key_s = 0.0
         """time since the last keyframe"""
         self._stated_s = self._predicted_s = 0.0
@@ -101,17 +99,18 @@ class LastVelocity:
     def lasting(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.
 
-        A velocity that no scan tells is wrong by the same for its correlation time. The sum of motions whose errors
-        count as independent gets the variance of that, if each has that of white noise of the same spectral density.
+        A velocity that no scan tells is wrong by the same for its correlation time tau. Motions over a time T, each
+        wrong by T times such a velocity, add up to the variance of the whole way, 2 tau T times the velocity's, if each
+        counts as independent with 2 tau / T times its own.
         """
-        taus_s = np.sqrt(2.0 * _TAUS_S * self._since_key_s)
-        # Twice the parallel sum: what was unknown at the keyframe and still is.
-        still = 2.0 * np.linalg.inv(np.linalg.inv(self._unknown) + np.linalg.inv(self._cov))
-        return Odometry(since.motion, since.cov + np.outer(taus_s, taus_s) * still)
+        if not self._since_key_s:
+            return since
+        factors = np.sqrt(1.0 + 2.0 * _TAUS_S / self._since_key_s)
+        return Odometry(since.motion, since.cov * np.outer(factors, factors))
 
     def at_keyframe(self) -> None:
         """Begin anew at a keyframe."""
-        self._cross, self._unknown, self._since_key_s = np.zeros((3, 3)), self._cov, 0.0
+        self._cross, self._since_key_s = np.zeros((3, 3)), 0.0
 
     def lost(self) -> None:
         """Take in that scan matching has found no motion."""
