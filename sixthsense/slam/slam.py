@@ -30,6 +30,7 @@ from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Tim
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.moving import MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
 
@@ -77,6 +78,7 @@ class Slam:
         self.associator = Associator(self.config.association, None if prior_map is None else prior_map.fresh_records())
         self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
         self._deskew = Deskewer(self.config.features.deskew)
+        self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
@@ -104,12 +106,14 @@ class Slam:
     def take(self, tick: Tick) -> Step:
         """Process a tick: its odometry always, its observations, and its scan if it is a keyframe."""
         increment, scan = self._fold(tick)
-        keyframe = self._front_end.take(tick, scan, self._placed(scan, increment))
+        still = self._without_moving(scan, increment)
+        is_matched = self.config.front_end == "scan-matching"
+        keyframe = self._front_end.take(tick, still if is_matched else scan, self._placed(scan, increment))
         if keyframe is not None and self._wheels is not None:
             found = self.wheels()
             self._wheels.wheels = self._wheels.wheels if found is None else found.values
-        if scan is not None and keyframe is not None:
-            self._map(scan, keyframe)
+        if still is not None and keyframe is not None:
+            self._map(still, keyframe)
         return self._step(tick, increment, scan, keyframe)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
@@ -194,6 +198,15 @@ class Slam:
         self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
+
+    def _without_moving(self, scan: Scan | None, increment: Odometry | None) -> Scan | None:
+        """The scan without the returns of what moves, if people may.
+
+        For the map and for scan matching: features take moving legs for what they are, something that hides a wall.
+        """
+        if scan is None or self._moving is None:
+            return scan
+        return self._moving.without(scan, self.pose @ (increment or STANDSTILL).motion, self._stamp_ns)
 
     def _placed(self, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         """The increment; at the first scan also the motion from there to where the scan fits the prior map."""
