@@ -52,10 +52,8 @@ class Exploration:
         self._task = task
         self._limited = LimitedMap(task)
         self._widening, self._passages = self._limited.widening, self._limited.passages
-        self._target = NO_TARGET
-        self._failed_views = FailedViewCounts()
-        self._hidden_cells = HiddenCells(task.sensor.reach)
-        self._reachable_cells = ReachableCells()
+        self._target, self._failed_views = NO_TARGET, FailedViewCounts()
+        self._hidden_cells, self._reachable_cells = HiddenCells(task.sensor.reach), ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
@@ -99,8 +97,6 @@ class Exploration:
         self.state = _ACTIONS[transition.action](self, pose)
         return True
 
-    # The actions: each returns the next state.
-
     def _choose_view(self, pose: Pose) -> State:
         """Head for the view with the largest utility, or home when none is left."""
         self.driver.stop()
@@ -110,8 +106,10 @@ class Exploration:
         if target is not None:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
             return "to viewpoint"
-        planner = self._make_view_planner(pose)
-        self.left = unseen_places(planner)
+        self.left = unseen_places(self._make_view_planner(pose))
+        if self.left and self._task.config.people and self._stagnation.may_wait(self._map.grid.seen_area_m2):
+            self.driver.wait(pose)
+            return "waiting"
         if self._task.config.explore.return_home:
             self.driver.head_for(self._task.home, pose)
         else:
@@ -151,6 +149,12 @@ class Exploration:
             planner = self._make_view_planner(pose)
             approached = cells_approached_at(planner, planner.candidates(self._widening), cell)
             self._failed_views.mark_unreachable(window, often | approached)
+        return self._choose_view(pose)
+
+    def _look_again(self, pose: Pose) -> State:
+        """Choose a view as if nothing had been given up: who was in the way may have gone."""
+        self._failed_views, self._retries = FailedViewCounts(), 0
+        self._hidden_cells.clear()
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
@@ -200,8 +204,6 @@ class Exploration:
     def _give_up(self, pose: Pose) -> State:
         self.outcome = "stuck"
         return self.state
-
-    # Views.
 
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view, else the nearest one of what only cells out of reach show; None if nothing is left to see."""
@@ -270,8 +272,6 @@ class Exploration:
         reachable = self._reachable_cells.of(passable, blocked, window.first, here)
         return Distances(passable, blocked, *here, reachable)
 
-    # The map within the limits.
-
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)
         self._drawn_window = None
@@ -290,6 +290,7 @@ _ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
     "replan or choose view": Exploration._replan_or_choose_view,
     "turn around": Exploration._turn_around,
     "count failed view": Exploration._count_failed_view,
+    "look again": Exploration._look_again,
     "mark unreachable": Exploration._mark_unreachable,
     "close loop": Exploration._close_loop,
     "drop target": Exploration._drop_target,

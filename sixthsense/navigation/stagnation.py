@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sixthsense.navigation.exploration_states import Event
+from sixthsense.navigation.path_driver import PATIENT_TURNS
 
 _BLOCKED_WAYS = 6  # without anything new to see; explorations that go on have up to three in a row
 _NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
@@ -14,7 +15,8 @@ class Stagnation:
     def __init__(self) -> None:
         self._stuck = False
         self._blocked_ways = 0
-        self._seen_m2 = 0.0
+        self._seen_m2 = self._waited_m2 = 0.0
+        self._waits = 0
 
     def event(self, event: Event) -> Event:
         """The event itself, or "stuck again" if the robot has not arrived anywhere since it was stuck."""
@@ -40,3 +42,11 @@ class Stagnation:
             return False
         self._blocked_ways = 0
         return True
+
+    def may_wait(self, seen_m2: float) -> bool:
+        """Count a wait for people to go, when `seen_m2` have been seen in all; whether patience has not run out."""
+        if seen_m2 > self._waited_m2 + _NEW_M2:
+            self._waits = 0
+        self._waits += 1
+        self._waited_m2 = max(seen_m2, self._waited_m2)
+        return self._waits <= PATIENT_TURNS

@@ -25,7 +25,7 @@ _PAUSES_S = (0.0, 10.0)  # in a room
 _HALF_HIPS_M = 0.1
 _HALF_STEP_M = 0.2  # farthest that a leg swings before and behind the body
 _DECIDE_S = 0.1  # time between two decisions
-_KEEP_M = 0.5  # from the robot
+_KEEP_M, _BESIDE_M = 0.5, 0.1  # from the robot, in front of it and in passing
 _PATIENCE_S = 5.0
 _AHEAD_S, _AHEAD_M = 0.8, 0.4  # how far others and walls are looked out for
 _ARRIVED_M = 0.15
@@ -189,8 +189,8 @@ class Walkers:
             self._set_out(walker, here, walker.way[-1])
             return
         clear = open_ways & self._passes_others(k, walker.speed * ways)
-        if not self._blind and self._stops_for_robot(here, ways[0], robot):
-            clear[:] = False
+        if not self._blind:
+            clear &= ~self._would_touch(here, ways, robot)
         if not clear.any():
             walker.stood_s += _DECIDE_S
             if walker.stood_s >= _PATIENCE_S:
@@ -212,16 +212,19 @@ class Walkers:
         nearest = np.linalg.norm(off + time_s[..., None] * relative, axis=2)
         return np.asarray(((nearest >= 2.0 * BODY_M) | (closing >= 0.0)).all(axis=1))
 
-    def _stops_for_robot(self, here: Array, way: Array, robot: Array) -> bool:
-        """Whether someone who walks that way comes nearer to the robot than is kept from it."""
+    def _would_touch(self, here: Array, ways: Array, robot: Array) -> NDArray[np.bool_]:
+        """(T,) along which ways (T, 2) the robot is in the way, and as near as is kept from it."""
         off = robot - here
-        return bool(off @ way > 0.0 and math.hypot(off[0], off[1]) < self._contact_m + _KEEP_M)
+        ahead, aside = ways @ off, ways[:, 0] * off[1] - ways[:, 1] * off[0]
+        # Of the chord of a disc that is wider than a contact.
+        half_sq = (self._contact_m + _BESIDE_M) ** 2 - aside**2
+        return np.asarray((half_sq > 0.0) & (ahead > 0.0) & (ahead < _KEEP_M + np.sqrt(np.maximum(half_sq, 0.0))))
 
     def _step_aside(self, k: int, robot: Array) -> None:
         """Go round those who are in the way, or where they are not."""
         walker, here = self._people[k], self.at[k]
         wanted = [(place, 2.0 * BODY_M) for j, place in enumerate(self.at) if j != k]
-        wanted.append((robot, self._contact_m + (0.0 if self._blind else _KEEP_M)))
+        wanted.append((robot, self._contact_m + _BESIDE_M))
         # Not nearer than now, if it is too near already.
         avoid = [(place, min(radius_m, math.dist(place, here))) for place, radius_m in wanted]
         way = self._space.way(here, walker.way[-1], avoid)

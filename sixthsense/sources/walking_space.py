@@ -22,7 +22,8 @@ Cells = NDArray[np.int64]
 Region = tuple[float, float, float, float]
 
 _CELL_M = 0.1
-_DOOR_M = 1.2  # the widest door: rooms are what remains when the places that are as narrow are closed
+# Rooms are what remains when all places as narrow are closed: doors, and corridors where people cannot pass each other.
+_DOOR_M = 1.4
 _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, -1], [-1, 1]])
 
 
