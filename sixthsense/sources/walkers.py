@@ -190,7 +190,8 @@ class Walkers:
             return
         clear = open_ways & self._passes_others(k, walker.speed * ways)
         if not self._blind:
-            clear &= ~self._would_touch(here, ways, robot)
+            touch = self._would_touch(here, ways, robot)
+            clear &= ~(touch | touch[0])  # no way around at once: they stop for the robot
         if not clear.any():
             walker.stood_s += _DECIDE_S
             if walker.stood_s >= _PATIENCE_S:
@@ -224,7 +225,7 @@ class Walkers:
         """Go round those who are in the way, or where they are not."""
         walker, here = self._people[k], self.at[k]
         wanted = [(place, 2.0 * BODY_M) for j, place in enumerate(self.at) if j != k]
-        wanted.append((robot, self._contact_m + _BESIDE_M))
+        wanted.append((robot, self._contact_m + 2.0 * _BESIDE_M))
         # Not nearer than now, if it is too near already.
         avoid = [(place, min(radius_m, math.dist(place, here))) for place, radius_m in wanted]
         way = self._space.way(here, walker.way[-1], avoid)

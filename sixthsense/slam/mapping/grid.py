@@ -193,14 +193,8 @@ class Grid:
         """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
         stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
         reach = int(stencil.max(initial=0))
-        return np.asarray(
-            stamped(self._solid(box.grown(reach)), stencil)[reach:, reach:][
-                : box.bottom - box.top, : box.right - box.left
-            ]
-        )
-
-    def _solid(self, box: Box) -> Bools:
-        return self.part("obstacles", box)  # a subclass may add cells that are inflated
+        obstacles = self.part("obstacles", box.grown(reach))
+        return np.asarray(stamped(obstacles, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
 
     @property
     def changes(self) -> Changes:

@@ -37,11 +37,13 @@ def disc_cells(centres: Array, radius_m: float, cell_m: float) -> NDArray[np.int
     return np.unique((at[:, None] + disc(radius_m / cell_m)[None]).reshape(-1, 2), axis=0)
 
 
-def mark_cells(mask: Bools, box: Box, cells: NDArray[np.int64]) -> None:
-    """Mark those of cells (K, 2), row, col from the world's origin, that lie in the `box` that `mask` (H, W) shows."""
+def marked(box: Box, cells: NDArray[np.int64]) -> Bools:
+    """(H, W) which cells of a box are among cells (K, 2), row, col from the world's origin."""
+    mask = np.zeros((box.bottom - box.top, box.right - box.left), dtype=np.bool_)
     rows, cols = (cells - np.array([box.top, box.left])).T
     inside = (rows >= 0) & (rows < mask.shape[0]) & (cols >= 0) & (cols < mask.shape[1])
     mask[rows[inside], cols[inside]] = True
+    return mask
 
 
 @numba.njit(cache=True, error_model="numpy")
