@@ -3,8 +3,8 @@
     python benchmarks/walkers.py                          # the table, about 20 minutes on two processors
     python benchmarks/walkers.py --scenes apartment --walkers 0 3 --seeds 1
 
-A stray obstacle is a cell of the final map farther than 0.15 m from every true wall. A stray landmark is as far. NEES is
-pooled over the keyframes of a row's runs; times are simulated seconds, as a share of those without people.
+A stray obstacle is a cell of the final map farther than 0.15 m from every true wall. A stray landmark is as far. NEES
+is pooled over the keyframes of a row's runs; times are simulated seconds, as a share of those without people.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def summary(found: list[Row], without: list[Row]) -> Figures:
 
 
 COLUMNS = (
-    ("explored", "explored", ".0f"), ("coverage, least", "coverage", ".4f"), ("touches, robot's fault", "by_robot", ".0f"),
+    ("explored", "explored", ".0f"), ("coverage, least", "coverage", ".4f"), ("robot's fault", "by_robot", ".0f"),
     ("walkers'", "by_walkers", ".0f"), ("NEES", "nees", ".2f"), ("over without", "nees_ratio", ".2f"),
     ("simulated s", "sim_s", ".0f"), ("over without", "time_ratio", ".2f"), ("stray %", "stray_percent", ".3f"),
     ("stray landmarks", "stray_landmarks", ".0f"), ("ATE mm", "ate_mm", ".1f"), ("x real", "times_real", ".0f"),
