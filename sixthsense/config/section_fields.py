@@ -257,4 +257,5 @@ class SafetyFields(TypedDict, total=False):
     detour: float
     guard: bool
     buffer_m: float
+    body_m: float
     creep: float
