@@ -1,59 +1,44 @@
-"""Where in a map a robot is that does not know where it began: told once what it has seen fits one place alone.
+"""Where in a map a robot is that does not know where it began.
 
-The robot drives with a map of its own. The scans of its last metres together are searched for in the whole map.
-A place counts when the map explains most of what it can judge there, and no other place nearly as much. Two such finds,
-some metres apart, must agree.
+The robot drives with a map of its own, and looks for its place as for a loop closure: what it has seen lately is
+searched for in the whole map, one place must explain clearly more than all others, scans must align with the map there,
+and another vote some metres later must agree.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from sixthsense.config import GridConfig
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.config.scans import ScansConfig
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.map_fit import Obstacles, fitted, judged
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.branch_and_bound import Window
+from sixthsense.slam.scans.evidence import followed_back
+from sixthsense.slam.scans.map_views import MapViews
+from sixthsense.slam.scans.place_search import (
+    LEAST_POINTS,
+    RECENT_M,
+    Hypothesis,
+    Look,
+    best_place,
+    is_same_place,
+    recent_points,
+)
 from sixthsense.slam.scans.submap import Pyramid, pyramid
+from sixthsense.slam.scans.verification import verified
+from sixthsense.slam.scans.votes import Vote, Votes
 
-_STRETCH_M = 8.0  # of driving whose scans are searched for
-_SPACING_M, _M_PER_RAD = 0.4, 0.4  # between two of these scans, and what a turn counts
-_POINTS_PER_SCAN, _MOST_POINTS = 60, 400
-_LEAST_POINTS = 40
-_LEAST_SCORE, _AS_GOOD_SCORE = 0.35, 0.75  # of a place, and as a part of the best one's
-_LEAST_SHARE = 0.8  # explained of what is judged
-_CLEARLY, _TIMES = 0.04, 2.0  # elsewhere so many times as much is left unexplained, and so much more
-_LEAST_JUDGED = 0.6  # of the returns
-_APART, _SAME = Apart(0.5, 0.2), Apart(0.4, 0.1)
-_VOTES_APART_M = 2.0
+_SPACING_M, _M_PER_RAD = 0.4, 0.4  # between two scans that are kept, and what a turn counts
 
 FOUND_SIGMA = (0.1, 0.1, 0.05)
 """of a start that was found, m and rad; the first scan makes it precise"""
 MOST_DRIVEN_M = 40.0
 """without a place, the robot is taken to be elsewhere"""
-
-
-class _View(NamedTuple):
-    """What a scan saw, in the robot's own frame."""
-
-    driven_m: float
-    laser: Array
-    """(2,)"""
-    ends: Array
-    """(N, 2) of its beams that returned"""
-
-
-class _Vote(NamedTuple):
-    """A place that nothing else looks like."""
-
-    driven_m: float
-    T_map_own: Pose
 
 
 class Relocalizer:
@@ -64,82 +49,70 @@ class Relocalizer:
 
         A place that agrees with one of `expected`, each a `T_map_own`, needs no second find.
         """
-        self._obstacles = Obstacles.of(evidence, config)
-        centres = self._obstacles.centres
-        self._pyramid: Pyramid | None = pyramid(centres) if len(centres) else None
-        low, high = (centres.min(axis=0), centres.max(axis=0)) if len(centres) else (np.zeros(2), np.zeros(2))
-        self._centre, self._half_m = 0.5 * (low + high), 0.5 * float((high - low).max())
-        self._views: deque[_View] = deque()
+        self._evidence, self._config, self._expected = evidence, config, tuple(expected)
+        self._search: _Search | None = None
+        """from the first scan on"""
         self._last: Pose | None = None
-        self._vote: _Vote | None = None
-        self._expected = tuple(expected)
         self.driven_m = 0.0
         """of the scans so far"""
+        self.place: Pose | None = None
+        """`T_map_own` by what was seen so far, if that fits one place alone; not yet confirmed by a second find"""
 
     def take(self, scan: Scan, pose: Pose) -> Pose | None:
         """Take a scan at `pose` in the robot's own frame; `T_map_own` once it is certain, None before."""
-        if self._last is not None:
-            moved = self._last.inverse() @ pose
-            distance_m = math.hypot(moved.x, moved.y)
-            if distance_m + _M_PER_RAD * abs(moved.theta) < _SPACING_M:
-                return None
-            self.driven_m += distance_m
-        self._last = pose
-        self._keep(scan, pose)
-        found = self._only_place(pose)
+        moved = Pose() if self._last is None else self._last.inverse() @ pose
+        distance_m = math.hypot(moved.x, moved.y)
+        if self._last is not None and distance_m + _M_PER_RAD * abs(moved.theta) < _SPACING_M:
+            return None
+        self._last, self.driven_m = pose, self.driven_m + distance_m
+        if self._search is None:
+            self._search = _Search(MapViews(self._evidence, self._config, scan))
+        laser = pose @ scan.T_robot_laser
+        found = self._search.look(scan, laser, self.driven_m)
         if found is None:
             return None
-        if any(_are_near(T_map_own @ pose, found @ pose, _SAME) for T_map_own in self._expected):
-            return found
-        vote = self._vote
-        if vote is None or not _are_near(vote.T_map_own @ pose, found @ pose, _SAME):
-            self._vote = _Vote(self.driven_m, found)
+        self.place = Pose.from_array(found.pose) @ laser.inverse()
+        if any(is_same_place(found.pose, (T_map_own @ laser).array()) for T_map_own in self._expected):
+            return self.place
+        vote = self._search.vote(found, self.driven_m)
+        if vote is None or not self._search.votes.agreeing(vote):
             return None
-        return found if self.driven_m >= vote.driven_m + _VOTES_APART_M else None
+        return Pose.from_array(vote.pose) @ laser.inverse()
 
-    @property
-    def place(self) -> Pose | None:
-        """`T_map_own` by what was seen so far, if that fits one place alone; not yet confirmed by a second find."""
-        return None if self._vote is None else self._vote.T_map_own
 
-    def _keep(self, scan: Scan, pose: Pose) -> None:
-        points = scan.points_robot[(scan.ranges > 0.0) & (scan.ranges < scan.max_range)]
-        few = points[np.linspace(0, len(points) - 1, min(len(points), _POINTS_PER_SCAN)).astype(np.int64)]
-        self._views.append(_View(self.driven_m, pose @ scan.T_robot_laser.position, pose @ few))
-        while self._views[0].driven_m < self.driven_m - _STRETCH_M:
-            self._views.popleft()
+class _Search:
+    """Looks for scans in a map."""
 
-    def _only_place(self, pose: Pose) -> Pose | None:
-        """`T_map_own` of the one place that the scans of the stretch fit, if there is one; `pose` is the newest."""
-        own = np.concatenate([view.ends for view in self._views])
-        if self._pyramid is None or len(own) < _LEAST_POINTS:
+    def __init__(self, views: MapViews) -> None:
+        self._views = views
+        self.votes = Votes(views)
+        self._travelled = np.zeros(0)
+        """(K,) m, at each of the robot's scans; minus infinity at the views of the map"""
+        self._cells: Pyramid | None = pyramid(views.obstacles) if len(views.obstacles) else None
+
+    def look(self, scan: Scan, laser: Pose, travelled_m: float) -> Hypothesis | None:
+        """Keep a scan of the robot, and look for the place of the last ones; one that nothing else looks like."""
+        key = self._views.add(scan, laser)
+        known = np.full(key + 1 - len(self._travelled), -np.inf)
+        self._travelled = np.concatenate([self._travelled, known])
+        self._travelled[key] = travelled_m
+        points = recent_points(self._views, key, self._travelled)
+        if self._cells is None or len(points) < LEAST_POINTS:
             return None
-        few = own[np.linspace(0, len(own) - 1, min(len(own), _MOST_POINTS)).astype(np.int64)]
-        points = pose.inverse() @ few
-        window = Window(np.array([*self._centre, 0.0]), self._half_m, math.pi)
-        found = peaks(self._pyramid, points, window, _LEAST_SCORE, _APART)
-        places: list[tuple[float, Pose]] = []
-        for _, *at in found[found[:, 0] >= _AS_GOOD_SCORE * found[:, 0].max(initial=0.0)].tolist():
-            there = Pose(*at)
-            place = fitted(points, there, self._obstacles, there, 1e-3 * np.eye(3))
-            if not any(_are_near(place, other, _SAME) for _, other in places):
-                places.append((self._share(place @ pose.inverse()), place))
-        places.sort(key=lambda item: -item[0])
-        if not places or places[0][0] < _LEAST_SHARE:
-            return None
-        if len(places) > 1 and 1.0 - places[1][0] < _TIMES * (1.0 - places[0][0]) + _CLEARLY:
-            return None
-        return places[0][1] @ pose.inverse()
+        look = Look(self._cells, self._window(laser), np.zeros(3), self._views)
+        back = followed_back(self._travelled, key)
+        found = best_place(self._views, back, points, [look], ScansConfig().min_score)
+        return None if found is None or found.is_ambiguous else found
 
-    def _share(self, T_map_own: Pose) -> float:
-        """Share of the returns that the map explains at a place, of those that it judges; 0 if it judges too few."""
-        counts = np.array([judged(T_map_own @ v.ends, T_map_own @ v.laser, self._obstacles) for v in self._views])
-        explained, contradicted = counts.sum(axis=0).tolist()
-        judges = explained + contradicted >= _LEAST_JUDGED * sum(len(view.ends) for view in self._views)
-        return float(explained) / (explained + contradicted) if judges else 0.0
+    def vote(self, found: Hypothesis, travelled_m: float) -> Vote | None:
+        """A vote for a place of the newest scan, if the last ones agree about it."""
+        recent = np.flatnonzero(self._travelled > travelled_m - RECENT_M)
+        key = int(recent[-1])
+        good = verified(self._views, key, recent, found)
+        return None if good is None else Vote(key, good.pose, travelled_m, good.links)
 
-
-def _are_near(one: Pose, other: Pose, apart: Apart) -> bool:
-    return math.hypot(one.x - other.x, one.y - other.y) < apart.distance_m and (
-        abs(wrap_angle(one.theta - other.theta)) < apart.turn_rad
-    )
+    def _window(self, laser: Pose) -> Window:
+        """The whole map."""
+        low, high = self._views.obstacles.min(axis=0), self._views.obstacles.max(axis=0)
+        centre: Array = np.array([*(0.5 * (low + high)), 0.0])
+        return Window(centre, 0.5 * float((high - low).max()), math.pi)

@@ -8,34 +8,45 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.config import GridConfig
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.covariance import transformed
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.map_fit import NEAR_M, Obstacles, fitted, judged
 from sixthsense.slam.prior_map import PriorMap, PriorMapError
+from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.links import WIDE_GATE_M
+from sixthsense.slam.scans.map_views import MapViews
+from sixthsense.slam.scans.place_search import is_same_place
 from sixthsense.slam.scans.submap import pyramid
+from sixthsense.slam.scans.tracking import Tracked, aligned
+from sixthsense.slam.scans.visibility import Agreement, judged
 
 _KNOWN_M, _KNOWN_RAD = 0.03, 0.02  # sigmas below which linearization at the given pose is good
+_MARGIN_M = 0.15  # of the window beyond its sigmas
 _MOST_POINTS = 200
-_LEAST_SHARE, _LEAST_JUDGED = 0.5, 20  # of the returns that the map can judge
+_LEAST_SHARE = 0.5  # of the returns that the map can judge
 _LEAST_SCORE = 0.3
 _SIGMAS, _MOST_SQUARE = 3.0, 21.1  # of the window; of a pose in it, 0.9999 of chi-square with 3 degrees of freedom
-_APART, _STRETCH = Apart(0.5, 0.2), Apart(1.0, 0.2)
-_AS_GOOD_SHARE, _AS_GOOD_SCORE = 0.1, 0.85  # another place with a share less this, and a part of the score, is as good
+_APART, _WEAK = Apart(0.5, 0.2), 1.0  # of peaks; information where the scan alone says the pose
+_STRETCH_M = 1.0  # along a wall that hides the place along it; a shorter one is matched by landmarks
+_AS_GOOD = 0.85  # another place that explains at least this part is as good
 
 
 class _Place(NamedTuple):
-    """A pose at which the first scan fits the map."""
-
-    score: float
-    found: Pose
+    alone: Tracked
     """by the scan alone"""
-    pose: Pose
+    both: Tracked
     """by the scan and the given pose"""
 
+    @property
+    def quality(self) -> float:
+        """Share of the returns that the map explains, less what it contradicts, at either pose."""
+        return min(each.support * (1.0 - each.agreement.share) for each in self)
+
     def is_same(self, other: _Place) -> bool:
-        """Whether both are one place, or a stretch along a wall that is short enough to be matched."""
-        return _are_near(self.pose, other.pose, _APART) and _are_near(self.found, other.found, _STRETCH)
+        """Whether both are one place, or a stretch along a wall."""
+        off = self.alone.pose - other.alone.pose
+        return math.hypot(off[0], off[1]) < _STRETCH_M and is_same_place(self.both.pose, other.both.pose)
 
 
 def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridConfig) -> Pose:
@@ -45,34 +56,31 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     the pose than a `cov` this large. Raises PriorMapError where the scan does not fit the map, and where it fits two
     places.
     """
-    returned = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
-    points = scan.points_robot[returned]
-    if not len(points) or not len(prior.evidence.cells):
+    if not len(scan.points_robot[np.isfinite(scan.ranges)]) or not len(prior.evidence.cells):
         return pose
-    points = points[np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(np.int64)]
-    obstacles = Obstacles.of(prior.evidence, config)
-    laser = scan.T_robot_laser.position
+    views, laser = MapViews(prior.evidence, config, scan), pose @ scan.T_robot_laser
+    key = views.add(scan, laser)
     if max(cov[0, 0], cov[1, 1]) <= _KNOWN_M**2 and cov[2, 2] <= _KNOWN_RAD**2:
-        share = _explained(points, laser, pose, obstacles)
-        _check_share(share, prior)
+        _check_share(_share(Agreement(*judged(_views(views, key, laser.array()), laser.array()))), prior)
         return pose
-    found = _places(points, pose, cov, obstacles)
-    shares = [_explained(points, laser, place.pose, obstacles) for place in found]
-    _check_share(max(shares, default=0.0), prior)
-    best = max(range(len(found)), key=lambda k: found[k].score * (shares[k] >= _LEAST_SHARE))
-    for place, share in zip(found, shares, strict=True):
-        as_good = place.score >= _AS_GOOD_SCORE * found[best].score and share >= shares[best] - _AS_GOOD_SHARE
-        if as_good and not place.is_same(found[best]):
-            allowed = "allowed: a smaller sigma, or a start from where one scan tells places apart"
-            raise PriorMapError(f"pose_sigma: found two places of {prior.name} that the first scan fits, {allowed}")
-    return found[best].pose
+    c, s = math.cos(pose.theta), math.sin(pose.theta)
+    x, y = scan.T_robot_laser.position
+    places = _places(views, key, laser.array(), transformed(cov, 1.0, 0.0, -s * x - c * y, c * x - s * y))
+    _check_share(max((_share(place.both.agreement) for place in places), default=0.0), prior)
+    best = max(places, key=lambda place: place.quality)
+    if any(other.quality >= _AS_GOOD * best.quality and not other.is_same(best) for other in places):
+        allowed = "allowed: a smaller sigma, or a start from where one scan tells places apart"
+        raise PriorMapError(f"pose_sigma: found two places of {prior.name} that the first scan fits, {allowed}")
+    return Pose.from_array(best.both.pose) @ scan.T_robot_laser.inverse()
 
 
-def _explained(points: Array, laser: Array, pose: Pose, obstacles: Obstacles) -> float:
-    """Share of the returns (N, 2), robot's frame, that the map explains, of those that it judges; 0 of too few."""
-    explained, contradicted = judged(pose @ points, pose @ laser, obstacles)
-    count = explained + contradicted
-    return explained / count if count >= min(_LEAST_JUDGED, len(points)) else 0.0
+def _views(views: MapViews, key: int, at: Array) -> Views:
+    targets = views.partners(key, at, 1)
+    return Views(views.store.returns, key, targets, views.poses[targets])
+
+
+def _share(agreement: Agreement) -> float:
+    return 1.0 - agreement.share if agreement.hits > 0.0 else 0.0
 
 
 def _check_share(share: float, prior: PriorMap) -> None:
@@ -81,25 +89,22 @@ def _check_share(share: float, prior: PriorMap) -> None:
         raise PriorMapError(f"{found}, allowed: a map of this building, and a start at its place there")
 
 
-def _places(points: Array, pose: Pose, cov: Array, obstacles: Obstacles) -> list[_Place]:
-    """The places near `pose` where the points may have been seen, the best first; none in a map without obstacles."""
-    if not len(obstacles.centres):
+def _places(views: MapViews, key: int, laser: Array, cov: Array) -> list[_Place]:
+    """The places near `laser` (3,), of covariance `cov` (3, 3), that a scan may be from; none without obstacles."""
+    own = views.store.returns.points[key]
+    own = own[own[:, 2] > 0.0, :2].astype(np.float64)
+    if not len(views.obstacles) or not len(own):
         return []
+    own = own[np.linspace(0, len(own) - 1, min(len(own), _MOST_POINTS)).astype(np.int64)]
     sigmas = np.sqrt(np.diag(cov))
     half_rad = min(_SIGMAS * float(sigmas[2]) + _KNOWN_RAD, math.pi)
-    window = Window(pose.array(), _SIGMAS * float(sigmas[:2].max()) + NEAR_M, half_rad)
-    found = []
+    window = Window(laser, _SIGMAS * float(sigmas[:2].max()) + _MARGIN_M, half_rad)
     floor = np.diag([_KNOWN_M, _KNOWN_M, _KNOWN_RAD]) ** 2 * 1e-2
-    information = np.asarray(np.linalg.inv(cov + floor), dtype=np.float64)
-    for score, *place in peaks(pyramid(obstacles.centres), points, window, _LEAST_SCORE, _APART).tolist():
-        refined = fitted(points, Pose(*place), obstacles, pose, information)
-        off = refined.array() - pose.array()
-        off[2] = wrap_angle(float(off[2]))
-        if off @ information @ off <= _MOST_SQUARE:
-            found.append(_Place(score, Pose(*place), refined))
-    return found
-
-
-def _are_near(one: Pose, other: Pose, apart: Apart) -> bool:
-    off = one.inverse() @ other
-    return math.hypot(off.x, off.y) < apart.distance_m and abs(off.theta) < apart.turn_rad
+    prior = Prior(laser, np.asarray(np.linalg.inv(cov + floor), dtype=np.float64))
+    places = []
+    for at in peaks(pyramid(views.obstacles), own, window, _LEAST_SCORE, _APART)[:, 1:]:
+        alone = aligned(_views(views, key, at), Prior(at, _WEAK * np.eye(3)), at, WIDE_GATE_M)
+        both = aligned(_views(views, key, alone.pose), prior, alone.pose, WIDE_GATE_M)
+        if both.slip <= _MOST_SQUARE:
+            places.append(_Place(alone, both))
+    return places

@@ -80,13 +80,13 @@ MAP = map_of(ROOMS, WAY)
 
 
 def search(poses, walls=ROOMS, prior=MAP, own=None):
-    """Metres driven and `T_map_own` once a robot that drives along the poses is certain; None if it never is."""
+    """Metres driven, and the error of its pose, once a robot that drives along the poses is certain; None if never."""
     own = own or Pose(3.0, -2.0, 0.7)
     relocalizer = Relocalizer(prior.evidence, GRID)
     for k, pose in enumerate(poses):
         found = relocalizer.take(look(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:
-            return relocalizer.driven_m, found @ own @ poses[0].inverse()
+            return relocalizer.driven_m, pose.inverse() @ found @ own @ poses[0].inverse() @ pose
     return None
 
 
@@ -96,7 +96,7 @@ def test_in_one_of_two_equal_rooms_nothing_is_certain():
 
 @pytest.mark.parametrize("room", [0.0, 10.0])
 def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
-    way = along((room + 2, 2), (room + 4.5, 2), (room + 4.5, 5), (18.5, 5), (18.5, 6.2))
+    way = along((room + 2, 2), (room + 4.5, 2), (room + 4.5, 5), (18.5, 5), (18.5, 6.2), (18.5, 5), (16, 5))
     driven_m, error = search(way)
     assert driven_m > 4.0
     assert math.hypot(error.x, error.y) < 0.1 and abs(wrap_angle(error.theta)) < 0.03

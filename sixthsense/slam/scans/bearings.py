@@ -41,6 +41,13 @@ def bearings_of(scan: Scan) -> Bearings:
     return Bearings(min(float(scan.angle_min), last), spacing, count, closed, blind, max(1, round(count / _MOST_MOVED)))
 
 
+def full_turn(scan: Scan) -> Bearings:
+    """Cells all around, about as wide as those of a laser's beams."""
+    beams = max(round(2.0 * math.pi / abs(float(scan.angle_increment))), 1)
+    spacing = 2.0 * math.pi / beams
+    return Bearings(-math.pi, spacing, beams, True, 0.5 * spacing, max(1, round(beams / _MOST_MOVED)))
+
+
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def direction(x: float, y: float) -> float:
     """atan2(y, x) to 1.2e-5 rad, enough to find a cell, in a tenth of the time (Abramowitz and Stegun, eq. 4.4.49)."""

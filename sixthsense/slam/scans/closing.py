@@ -14,19 +14,17 @@ from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.graph import OLD_LOSS, RECENT_GROUP, KeyframeLink, ScanGraph
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.poses import between
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 _BACK_STEP, _BACK_GAP = 3, 12  # keyframes that are linked back, and without a link after which that ends
-_ARCS = 2  # per keyframe: further links hardly make it more certain
 _FIRST = -1  # the group of links before the first loop closure
 
 
 class Closings:
     """The loop closures so far. A link to an old keyframe belongs to the last of them, which made its pose known."""
 
-    def __init__(self, graph: ScanGraph, uncertainty: UncertaintyGraph) -> None:
-        self._graph, self._uncertainty = graph, uncertainty
+    def __init__(self, graph: ScanGraph) -> None:
+        self._graph = graph
         self._own: dict[int, list[int]] = {_FIRST: []}
         """of each loop closure that stands: ids of the links that it was closed with"""
         self._latest = _FIRST
@@ -47,12 +45,12 @@ class Closings:
 
     def link(self, key: int) -> None:
         """Link a new keyframe to those before it, and to old ones around those that they are linked to."""
-        self._add_arcs(self._graph.link(key, self._graph.near_linked(key), self._latest))
+        self._graph.link(key, self._graph.near_linked(key), self._latest)
 
     def link_old(self, key: int, targets: NDArray[np.int64]) -> None:
         """Link a keyframe to old ones near it."""
         if len(targets):
-            self._add_arcs(self._graph.link_old(key, targets, self._latest))
+            self._graph.link_old(key, targets, self._latest)
 
     def link_back(self, key: int) -> None:
         """Link the keyframes before `key` to old ones around those that later ones are linked to, as far as they agree.
@@ -71,7 +69,6 @@ class Closings:
             if (key - k) % _BACK_STEP:
                 continue
             made = self._graph.link_old(k, self._graph.near_linked_later(k), self._latest)
-            self._add_arcs(made)
             last = k if made else last
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
@@ -82,7 +79,6 @@ class Closings:
         broken = self._broken(closure)
         ids = graph.with_loss(graph.give(links, np.inf, closure), OLD_LOSS)
         self._own[closure] = ids
-        self._add_arcs(ids)
         while contradicted := [g for g in self._own if self._contradiction(g) > _CONTRADICTION]:
             self._undo(max(contradicted, key=self._contradiction))
         if closure in self._own and self._broken(closure) - broken > len(links):
@@ -91,15 +87,6 @@ class Closings:
 
     def _of(self, ids: list[int]) -> list[KeyframeLink]:
         return [self._graph.links[i] for i in ids]
-
-    def _add_arcs(self, ids: list[int]) -> None:
-        """Add arcs to the uncertainty graph for the first links of each keyframe."""
-        arcs: dict[int, int] = {}
-        for link in self._of(ids):
-            arcs[link.source] = arcs.get(link.source, 0) + 1
-            if arcs[link.source] <= _ARCS:
-                position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
-                self._uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), self._latest)
 
     def _contradiction(self, g: int) -> float:
         """Median squared Mahalanobis distance from the estimate of the links that a loop was closed with."""
@@ -122,7 +109,6 @@ class Closings:
         """Take back a loop closure and all links that followed from it."""
         del self._own[g]
         self._graph.remove([i for i, link in self._graph.links.items() if link.group == g])
-        self._uncertainty.remove([g])
         self.undone += 1
         if g == self._latest:
             self._latest = max(self._own)

@@ -35,7 +35,7 @@ from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, doubted, search, track
 
-_NEWEST_SHARE = 0.1  # of the newest scan in what is usual
+_NEWEST_SHARE, _NEWEST_JUDGED = 0.1, 0.02  # of the newest scan in the usual support and in the usual agreement
 _SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a keyframe's distance, and of the support below the usual, where much is new
 _RECENT_KEYS, _RECENT_M = 40, 8.0  # keyframes, and their distance, that a contradicted scan is searched in
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
@@ -175,7 +175,8 @@ class ScanFrontEnd:
                 self._break_track()
                 return None
         self._support += _NEWEST_SHARE * (tracked.support - self._support)
-        self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
+        self._contradicted += _NEWEST_JUDGED * (tracked.agreement.share - self._contradicted)
+        self._graph.usual_agreement = 1.0 - self._contradicted
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked

@@ -18,6 +18,7 @@ from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, Alignments,
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 RECENT_GROUP = -2
 """the group of links between keyframes of one pass"""
@@ -28,8 +29,9 @@ _LINKED_LATELY = 6  # keyframes back from the newest whose old partners' neighbo
 _ALONG = 8  # keyframes to either side of an old partner
 _REACH_M, _REACH_RAD = 3.0, 2.0  # between the poses of linked scans: the views must overlap
 _M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are selected
-_RECENT_AGREEMENT, OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through
+_RECENT_AGREEMENT, _OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through, of the usual one
 _MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
+_ARCS = 2  # of a keyframe to old ones: further links hardly make it more certain
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
 _FACTOR_KEYS, _FACTOR_LINKS = 200, 2000  # keyframes and links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 30.0  # degrees of freedom of a prior factor of 1
@@ -63,9 +65,13 @@ class ScanGraph:
         self.mount = Mount(Pose())
         self.links: dict[int, KeyframeLink] = {}
         """by the estimator's id"""
+        self.uncertainty = UncertaintyGraph()
+        """of the poses relative to each other: an arc for each motion, and for links to old keyframes"""
         self.old_links: dict[int, list[int]] = {}
         """of a keyframe: the older ones of another pass that it is linked to; follows from `links`"""
         self._is_kept = np.ones(64, dtype=np.bool_)
+        self.usual_agreement = 1.0
+        """share of the returns, of those that are judged, that scans lately agreed in where they were tracked"""
         self.count = 0
         self.first = 0
         """index of the first keyframe since the robot was put where it is, or carried"""
@@ -120,7 +126,7 @@ class ScanGraph:
     def link(self, key: int, old: NDArray[np.int64], group: int) -> list[int]:
         """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones."""
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
-        good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT))
+        good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT, self.usual_agreement))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old, group)
 
@@ -129,7 +135,7 @@ class ScanGraph:
         found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
-        good = np.flatnonzero(found.agree(self.store.returns, OLD_AGREEMENT) & near)
+        good = np.flatnonzero(found.agree(self.store.returns, _OLD_AGREEMENT, self.usual_agreement) & near)
         return self.give([(found, int(k)) for k in good], OLD_LOSS, group)
 
     def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
@@ -161,9 +167,9 @@ class ScanGraph:
     def with_loss(self, ids: list[int], loss_scale: float) -> list[int]:
         """Replace links by the same ones with another loss; their new ids."""
         links = [self.links[i] for i in ids]
+        self._drop(ids)
         new = self._add(links, [loss_scale] * len(links))
         self.estimator.unlink(ids)
-        self._drop(ids)
         self._links.update(link.source for link in links)
         self.refresh()
         return new
@@ -178,6 +184,7 @@ class ScanGraph:
         """Take keyframes out of the estimator's graph, with their links."""
         assert takes_out_poses(self.estimator)
         self._drop(self.estimator.take_out(keys))
+        self.uncertainty.take_out(keys)
         self._is_kept[keys] = False
         self.refresh()
 
@@ -189,10 +196,15 @@ class ScanGraph:
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
             if link.group != RECENT_GROUP:
-                self.old_links.setdefault(link.source, []).append(link.target)
+                old = self.old_links.setdefault(link.source, [])
+                old.append(link.target)
+                if len(old) <= _ARCS:
+                    position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
+                    self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
         return ids
 
     def _drop(self, ids: list[int]) -> None:
+        self.uncertainty.remove(ids)
         for i in ids:
             link = self.links.pop(i)
             self._links[link.source] -= 1

@@ -52,17 +52,18 @@ class Alignments:
     views: NDArray[np.int64]
     """(m, 2, 3) hits, violations and returns, of the source seen by the target and the other way round"""
 
-    def agree(self, returns: Returns, least_agreement: float) -> NDArray[np.bool_]:
+    def agree(self, returns: Returns, least_agreement: float, usual: float) -> NDArray[np.bool_]:
         """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
 
-        `least_agreement` is the least share of hits among hits and violations.
+        `least_agreement` is the least share of hits among hits and violations, where `usual` is 1: the share of a
+        scan's returns, of those that are judged, that usually agree. People hide and add some in any scan.
         """
         cells = 2 * returns.bearings.beams // returns.bearings.stride
         hits, weights = self.sums[:, HITS], self.sums[:, WEIGHT]
-        enough = (hits >= max(_LEAST_HITS, _LEAST_HIT_SHARE * cells)) & (weights >= _MEAN_WEIGHT * hits)
+        least_hits = max(_LEAST_HITS, usual * _LEAST_HIT_SHARE * cells)
         seen, through, count = self.views[:, :, 0], self.views[:, :, 1], self.views[:, :, 2]
-        shared = (seen >= _SEEN_SHARE * count).all(axis=1)
-        return np.asarray(enough & shared & (seen >= least_agreement * (seen + through)).all(axis=1))
+        is_shared = (seen >= usual * _SEEN_SHARE * count) & (seen >= usual * least_agreement * (seen + through))
+        return np.asarray((hits >= least_hits) & (weights >= _MEAN_WEIGHT * hits) & is_shared.all(axis=1))
 
 
 def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:

@@ -10,7 +10,6 @@ on, and afterwards the keyframes since are linked, too.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +20,12 @@ from sixthsense.slam.estimators import takes_out_poses
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis, PlaceSearch
-from sixthsense.slam.scans.poses import between, compose
+from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 from sixthsense.slam.scans.verification import verified
+from sixthsense.slam.scans.votes import Vote, Votes
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _AMBIGUOUS_M = 1.5  # of travel before the next search where places look alike: there is little new before that
@@ -37,20 +35,7 @@ _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked w
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
 _WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
-_VOTE_APART_M, _VOTE_LASTS_M = 1.5, 10.0  # travel between two votes that count both, and after which one is dropped
 _APART_M = 100.0  # of travel where the robot was carried: neither submap nor vote spans that
-_VOTE_M, _VOTE_M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
-_VOTE_RAD, _VOTE_RAD_PER_M = 0.05, 0.005
-
-
-class _Vote(NamedTuple):
-    """A verified hypothesis."""
-
-    key: int
-    pose: Array
-    """(3,) of the keyframe, world frame"""
-    travelled_m: float
-    links: list[tuple[Alignments, int]]
 
 
 class LoopClosures:
@@ -58,11 +43,10 @@ class LoopClosures:
 
     def __init__(self, config: ScansConfig, graph: ScanGraph) -> None:
         self._config, self._graph = config, graph
-        self._uncertainty = UncertaintyGraph()
-        self.closings = Closings(graph, self._uncertainty)
-        self._thinning = Thinning(graph, self.closings, self._uncertainty)
+        self.closings = Closings(graph)
+        self._thinning = Thinning(graph, self.closings)
         self._search = PlaceSearch(config, graph)
-        self._votes: list[_Vote] = []
+        self._votes = Votes(graph)
         self._travelled = np.zeros(64)
         """(K,) m, at each keyframe"""
         self._looked_m = self._search_from_m = 0.0
@@ -77,7 +61,7 @@ class LoopClosures:
 
     def sigmas(self, key: int) -> tuple[Array, Array]:
         """(K,) sigmas of position, m, and heading, rad, of all keyframes relative to `key`; infinite if unconnected."""
-        return self._uncertainty.sigmas(key, self._graph.poses)
+        return self._graph.uncertainty.sigmas(key, self._graph.poses)
 
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
         """Add a keyframe after the first; `odometry_information` (3, 3) is the prior's, world axes."""
@@ -100,12 +84,12 @@ class LoopClosures:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
         bias_m = _WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
-        self._uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
+        self._graph.uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def _carried(self, key: int, cov: Array) -> None:
         """Add a keyframe that was not tracked; `cov` (3, 3) is of the motion to it."""
         self._travelled[key] = self._travelled[key - 1] + _APART_M
-        self._uncertainty.add(key - 1, key, float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2]))
+        self._graph.uncertainty.add(key - 1, key, float(np.linalg.eigvalsh(cov[:2, :2])[-1]), float(cov[2, 2]))
 
     def look(self, key: int) -> None:
         """From time to time, link the newest keyframe to old ones around it, and look for a loop closure."""
@@ -119,7 +103,7 @@ class LoopClosures:
         old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - _OLD_AGE)])
         if not len(old):
             return
-        sigma_m, sigma_rad = self._uncertainty.sigmas(key, self._graph.poses)
+        sigma_m, sigma_rad = self._graph.uncertainty.sigmas(key, self._graph.poses)
         is_certain = (sigma_m < _CERTAIN_M) & (sigma_rad < _CERTAIN_RAD)
         certain = self._graph.nearest(key, old[is_certain[old]])
         self.closings.link_old(key, np.setdiff1d(certain, self._graph.linked_old(key)))
@@ -140,36 +124,19 @@ class LoopClosures:
         elif self._count(vote):
             self._search.forget()
 
-    def _verified(self, key: int, found: Hypothesis) -> _Vote | None:
+    def _verified(self, key: int, found: Hypothesis) -> Vote | None:
         recent = np.flatnonzero(self._travelled[: key + 1] > self._travelled[key] - RECENT_M)
-        good = verified(self._graph, key, recent, found._replace(old=found.old[found.old < recent[0]]))
+        good = verified(self._graph, key, recent, found)
         if good is None:
             return None
-        return _Vote(key, good.pose, float(self._travelled[key]), good.links)
+        return Vote(key, good.pose, float(self._travelled[key]), good.links)
 
-    def _count(self, vote: _Vote) -> bool:
+    def _count(self, vote: Vote) -> bool:
         """Count a vote, and close the loop if enough agree; whether that was done."""
-        self._votes = [*self._lasting(vote.key), vote]
-        agreeing = [v for v in self._votes if self._agree(v, vote)]
-        span = vote.travelled_m - agreeing[0].travelled_m
-        if span < _VOTE_APART_M or 2 * len(agreeing) <= len(self._votes):
+        agreeing = self._votes.agreeing(vote)
+        if not agreeing:
             return False
-        self._votes = []
         links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
         if self.closings.close(list(links.values())):
             self.closings.link_back(vote.key)
         return True
-
-    def _lasting(self, key: int) -> list[_Vote]:
-        """Votes that still count at a keyframe."""
-        return [vote for vote in self._votes if self._travelled[key] - vote.travelled_m < _VOTE_LASTS_M]
-
-    def _said(self, vote: _Vote, key: int) -> Array:
-        """What a vote says of the pose (3,) of a later keyframe."""
-        return compose(vote.pose, between(self._graph.poses[vote.key], self._graph.poses[key]))
-
-    def _agree(self, one: _Vote, newest: _Vote) -> bool:
-        """Whether two votes say the same of the newest keyframe's pose."""
-        off, apart = between(self._said(one, newest.key), newest.pose), newest.travelled_m - one.travelled_m
-        near = math.hypot(off[0], off[1]) < _VOTE_M + _VOTE_M_PER_M * apart
-        return near and abs(off[2]) < _VOTE_RAD + _VOTE_RAD_PER_M * apart

@@ -26,10 +26,10 @@ class Returns(NamedTuple):
 class ScanStore:
     """Keyframes, one row each; the row after the last one holds the newest scan until it is kept or replaced."""
 
-    def __init__(self, max_range_m: float) -> None:
-        """Begin empty; returns beyond `max_range_m` are not used."""
+    def __init__(self, max_range_m: float, bearings: Bearings | None = None) -> None:
+        """Begin empty; returns beyond `max_range_m` are not used. Without `bearings`, those of the first scan."""
         self._max_range_m = max_range_m
-        self._returns: Returns | None = None
+        self._returns = None if bearings is None else _empty(bearings)
         self.count = 0
         """number of scans kept"""
 
@@ -42,9 +42,7 @@ class ScanStore:
     def put(self, scan: Scan) -> int:
         """Write a scan behind those that are kept; its row."""
         if self._returns is None:
-            bearings = bearings_of(scan)
-            shape = (64, bearings.beams, 3)
-            self._returns = Returns(np.zeros(shape, np.float32), np.zeros(shape, np.float32), bearings)
+            self._returns = _empty(bearings_of(scan))
         elif self.count == len(self._returns.points):
             points, normals = (
                 np.concatenate([rows, np.zeros_like(rows)]) for rows in (self._returns.points, self._returns.normals)
@@ -60,3 +58,8 @@ class ScanStore:
         """Keep the newest scan; its row."""
         self.count += 1
         return self.count - 1
+
+
+def _empty(bearings: Bearings) -> Returns:
+    shape = (64, bearings.beams, 3)
+    return Returns(np.zeros(shape, np.float32), np.zeros(shape, np.float32), bearings)

@@ -12,7 +12,6 @@ import numpy as np
 from sixthsense.core.geometry import wrap_angle
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import RECENT, ScanGraph
-from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 _AGE = 20  # keyframes; those of the present place stay, and the newest cost the estimator least
 _BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
@@ -24,8 +23,8 @@ _LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
 class Thinning:
     """Which keyframes leave the graph."""
 
-    def __init__(self, graph: ScanGraph, closings: Closings, uncertainty: UncertaintyGraph) -> None:
-        self._graph, self._closings, self._uncertainty = graph, closings, uncertainty
+    def __init__(self, graph: ScanGraph, closings: Closings) -> None:
+        self._graph, self._closings = graph, closings
         self._next = 1
         """the first keyframe that was not judged yet"""
         self._spare: list[int] = []
@@ -39,7 +38,6 @@ class Thinning:
             self._next = k + 1
         if len(self._spare) >= _BATCH:
             self._graph.take_out(self._spare)
-            self._uncertainty.take_out(self._spare)
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:

@@ -75,12 +75,12 @@ def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
     that usually contradict: people, glass, noise. A pose that does not is taken at once. Otherwise the other starts are
     tried with a wide gate, and so is the odometry's own pose: its wheels are right unless it is contradicted.
     """
-    found = _solved(views, prior, starts[0], NEAR_GATE_M)
+    found = aligned(views, prior, starts[0], NEAR_GATE_M)
     if not found.has_slipped and found.agreement.share <= _doubt(usual):
         return found
-    firm = _solved(views, prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)
+    firm = aligned(views, prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)
     tried = doubted(prior)
-    others = [_solved(views, tried, start, WIDE_GATE_M).judged_by(prior) for start in starts]
+    others = [aligned(views, tried, start, WIDE_GATE_M).judged_by(prior) for start in starts]
     return _chosen([found, firm, *others], usual)
 
 
@@ -89,14 +89,14 @@ def search(views: Views, prior: Prior, usual: float) -> Tracked:
     returns, source, targets, at = views
     own = returns.points[source]
     own = own[own[:, 2] > 0.0, :2].astype(np.float64)
-    found = [_solved(_nearest(views, prior.pose), prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)]
+    found = [aligned(_nearest(views, prior.pose), prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)]
     if len(own) and len(targets):
         points = submap_points(returns, targets, between(prior.pose, at), _VOXEL_M)
         window = Window(np.zeros(3), _SEARCHED_SIGMAS * SLIP_M, _SEARCHED_SIGMAS * SLIP_RAD)
         loose = Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]))
         for row in peaks(pyramid(points), own, window, _LEAST_SCORE, _APART, _MOST):
             place = compose(prior.pose, row[1:])
-            found.append(_solved(_nearest(views, place), loose, place, WIDE_GATE_M).judged_by(prior))
+            found.append(aligned(_nearest(views, place), loose, place, WIDE_GATE_M).judged_by(prior))
     return _chosen(found, usual)
 
 
@@ -125,10 +125,11 @@ def _chosen(found: list[Tracked], usual: float) -> Tracked:
 
 def refine(views: Views, prior: Prior) -> Tracked:
     """As `track`, from the prior's pose, which is nearly right."""
-    return _solved(views, prior, prior.pose, 0.0)
+    return aligned(views, prior, prior.pose, 0.0)
 
 
-def _solved(views: Views, prior: Prior, start: Array, gate_m: float) -> Tracked:
+def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Tracked:
+    """The pose that a scan is aligned at among others from `start` (3,), with partners up to `gate_m` at first."""
     pose, sums = np.array(start, dtype=np.float64), np.zeros(SUMS)
     most = align(views, prior, gate_m, False, pose, sums)
     off = pose - prior.pose

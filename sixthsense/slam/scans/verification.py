@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
 from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between, compose
 
-_PARTNERS = 3  # old keyframes that each recent one is aligned with
-_REACH_M = 4.0  # between the centres of two views
+_PARTNERS = 3  # known scans that each recent one is aligned with
 _LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
-_AGREEMENT = 0.75  # least share of hits among hits and views through
+_AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
 _APART_M, _APART_RAD = 0.35, 0.06  # of the poses that good pairs imply, from their median
 
 
@@ -24,23 +23,23 @@ class Verified(NamedTuple):
     """A place that pairs of scans agree about."""
 
     pose: Array
-    """(3,) of the newest keyframe, world frame"""
+    """(3,) of the newest scan"""
     links: list[tuple[Alignments, int]]
     """the alignments and their good rows"""
 
 
-def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
-    """Align the keyframes `recent`, moved with `key` to the hypothesis, with those of its submap.
+def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hypothesis) -> Verified | None:
+    """Align the scans `recent`, moved with `key` to the hypothesis, with what is known around it.
 
     None if too few pairs align, or if they do not agree.
     """
-    poses = graph.poses
-    moved = compose(found.pose, between(poses[key], poses[recent]))
-    targets, sources, starts = _pairs(graph, found.old, recent, moved)
+    moved = compose(found.pose, between(scans.poses[key], scans.poses[recent]))
+    targets, sources, starts = _pairs(scans, found, recent, moved)
     if len(targets) < _LEAST_PAIRS:
         return None
-    aligned = align_pairs(graph.store.returns, targets, sources, starts, WIDE_GATE_M)
-    good = aligned.agree(graph.store.returns, _AGREEMENT)
+    poses = scans.poses
+    aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
+    good = aligned.agree(scans.store.returns, _AGREEMENT, scans.usual_agreement)
     least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
     if np.count_nonzero(good) < least:
         return None
@@ -55,14 +54,14 @@ def verified(graph: ScanGraph, key: int, recent: NDArray[np.int64], found: Hypot
 
 
 def _pairs(
-    graph: ScanGraph, old: NDArray[np.int64], recent: NDArray[np.int64], moved: Array
+    scans: PlacedScans, found: Hypothesis, recent: NDArray[np.int64], moved: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent keyframe is used."""
-    targets, sources, starts = [], [], []
-    for k in range(len(recent) - 1, -1, -2):
-        for q in graph.overlapping(int(recent[k]), moved[k], old, _REACH_M)[:_PARTNERS]:
-            targets.append(int(old[q]))
-            sources.append(int(recent[k]))
-            starts.append(between(graph.poses[old[q]], moved[k]))
-    ends = np.array([targets, sources], dtype=np.int64).reshape(2, -1)
-    return ends[0], ends[1], np.array(starts).reshape(-1, 3)
+    """Targets, sources and relative poses (m, 3) of pairs whose views overlap; every other recent scan is used."""
+    pairs = [
+        (target, int(recent[k]), k)
+        for k in range(len(recent) - 1, -1, -2)
+        for target in found.known.partners(int(recent[k]), moved[k], _PARTNERS).tolist()
+    ]
+    targets, sources, rows = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
+    old = ~np.isin(targets, recent)
+    return targets[old], sources[old], between(scans.poses[targets[old]], moved[rows[old]])

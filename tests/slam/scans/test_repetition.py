@@ -10,7 +10,7 @@ from test_front_end import drive, ticks
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.motion import STANDSTILL
-from sixthsense.slam.scans.evidence import Evidence, evidence_of, followed_back
+from sixthsense.slam.scans.evidence import Evidence, OldPass, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
@@ -53,7 +53,7 @@ def twice():
 def evidence_at(graph, old, shift):
     """What the newest scans say of a pose that is off along the corridor by `shift`."""
     pose = graph.poses[-1] + np.array([shift, 0.0, 0.0])
-    return evidence_of(graph, np.arange(graph.count - 1, old - 1, -2), pose[None], [np.arange(old)])[0]
+    return evidence_of(graph, np.arange(graph.count - 1, old - 1, -2), pose[None], [OldPass(graph, np.arange(old))])[0]
 
 
 def test_the_next_door_explains_a_scan_as_well_as_the_true_one(twice):
@@ -78,7 +78,9 @@ def test_an_end_that_was_seen_tells_the_doors_apart():
 
 def test_where_old_scans_saw_nothing_there_is_no_evidence(twice):
     graph, old = twice
-    far = evidence_of(graph, np.arange(graph.count - 1, old, -2), np.array([[60.0, 1.1, 0.0]]), [np.arange(old)])[0]
+    far = evidence_of(
+        graph, np.arange(graph.count - 1, old, -2), np.array([[60.0, 1.1, 0.0]]), [OldPass(graph, np.arange(old))]
+    )[0]
     assert np.isnan(far.shares).all() and far.weight == 0.0
 
 
@@ -88,9 +90,9 @@ def test_scans_of_the_way_back_tell_about_a_place(laser):
     new = [Pose(x, 1.2, math.pi) for x in np.arange(15.0, 10.0, -0.4)]
     graph = graph_of([*old, *new], corridor(), laser)
     keys = np.arange(graph.count - 1, len(old) - 1, -2)
-    found = evidence_of(graph, keys, graph.poses[-1:], [np.arange(len(old))])[0]
+    found = evidence_of(graph, keys, graph.poses[-1:], [OldPass(graph, np.arange(len(old)))])[0]
     assert np.isfinite(found.shares).sum() >= 5 and found.weight > 1.0
-    hypothesis = Hypothesis(graph.poses[-1], np.arange(len(old)), 0.8, False)
+    hypothesis = Hypothesis(graph.poses[-1], OldPass(graph, np.arange(len(old))), False)
     place = verified(graph, graph.count - 1, np.arange(graph.count - 5, graph.count), hypothesis)
     assert place is not None and np.abs(place.pose - graph.poses[-1])[1:].max() < 0.02
 
@@ -109,7 +111,7 @@ def test_a_place_that_explains_clearly_less_is_not_followed_further(twice):
     graph, old = twice
     keys, shifts = np.arange(graph.count - 1, old - 1, -1), np.array([0.0, -1.5, -PITCH])
     places = graph.poses[-1] + shifts[:, None] * (1.0, 0.0, 0.0)
-    true, worse, alike = evidence_of(graph, keys, places, [np.arange(old)] * 3)
+    true, worse, alike = evidence_of(graph, keys, places, [OldPass(graph, np.arange(old))] * 3)
     tells = [int(np.isfinite(found.shares).sum()) for found in (true, worse, alike)]
     assert tells[0] == tells[2] == len(keys) > tells[1] and true.is_clearly_better(worse)
 

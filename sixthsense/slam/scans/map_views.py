@@ -1,0 +1,128 @@
+"""Views of a map of cells: what a laser would see in it, cast on demand, and aligned with like any other scan."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import GridConfig
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+from sixthsense.slam.mapping.evidence import are_obstacles
+from sixthsense.slam.mapping.submap import Submap
+from sixthsense.slam.scans.bearings import full_turn
+from sixthsense.slam.scans.scan_store import ScanStore
+
+_APART_M = 0.5  # side of the tiles in which one view stands for all
+_UNSEEN, _FREE, _OBSTACLE = 0, 1, 2
+
+
+class MapViews:
+    """Scans of two kinds: views of the map, in its frame, and those of a robot, in a frame of its own."""
+
+    def __init__(self, evidence: Submap, config: GridConfig, scan: Scan) -> None:
+        """Begin with a map, and a scan of the laser that it is looked at with."""
+        self._cell_m = config.cell_m
+        top, left, bottom, right = evidence.box
+        self._corner = np.array([left, top]) * config.cell_m
+        self._cells = np.full((bottom - top, right - left), _UNSEEN, dtype=np.uint8)
+        rows, cols = evidence.cells[:, 0] - top, evidence.cells[:, 1] - left
+        self._cells[rows, cols] = np.where(evidence.seen, _FREE, _UNSEEN)
+        is_obstacle = are_obstacles(evidence.hits, evidence.passes, config)
+        self._cells[rows[is_obstacle], cols[is_obstacle]] = _OBSTACLE
+        hits = np.zeros(self._cells.shape, dtype=np.float32)
+        hits[rows, cols] = evidence.hits
+        self._surfaces = _surfaces(hits)
+        self._rows: dict[tuple[int, int], int] = {}
+        """of the view in each tile"""
+        self.poses = np.zeros((0, 3))
+        """of all scans, each in its own frame"""
+        self._max_range = scan.max_range
+        self.usual_agreement = 1.0
+        """nothing is known of what has changed since the map was made"""
+        self.store = ScanStore(math.inf, full_turn(scan))
+
+    @property
+    def obstacles(self) -> Array:
+        """(N, 2) centres of the obstacles' cells, map's frame."""
+        rows, cols = np.nonzero(self._cells == _OBSTACLE)
+        return (np.column_stack([cols, rows]) + 0.5) * self._cell_m + self._corner
+
+    def add(self, scan: Scan, pose: Pose) -> int:
+        """Keep a scan of the robot, whose laser is at `pose` in the robot's own frame; its row."""
+        return self._keep(scan, pose.array())
+
+    def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
+        """The row of the view from a pose (3,) in the map; `key` is the scan that is compared with it."""
+        tile = int(at[0] // _APART_M), int(at[1] // _APART_M)
+        if tile not in self._rows:
+            self._rows[tile] = self._cast(at)
+        return np.array([self._rows[tile]])
+
+    def _cast(self, at: Array) -> int:
+        """Keep the view from a place in the map; its row."""
+        first, step, beams = self.store.returns.bearings[:3]
+        x, y = (at[:2] - self._corner) / self._cell_m
+        bearings = first + step * np.arange(beams, dtype=np.float64)
+        ranges = self._cell_m * _cast(self._cells, self._surfaces, x, y, bearings, self._max_range / self._cell_m)
+        view = Scan(ranges.astype(np.float32), np.float32(first), np.float32(step), self._max_range)
+        return self._keep(view, np.array([at[0], at[1], 0.0]))
+
+    def _keep(self, scan: Scan, pose: Array) -> int:
+        self.store.put(scan)
+        self.poses = np.vstack([self.poses, pose])
+        return self.store.keep()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _surfaces(hits: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W, 2) x and y of the surface in each cell that was hit, in cells: the centre of the hits in and around it.
+
+    Where returns fall into two rows of cells, the wall lies between these.
+    """
+    height, width = hits.shape
+    out = np.zeros((height, width, 2), np.float32)
+    for j in range(height):
+        for i in range(width):
+            if hits[j, i] == 0.0:
+                continue
+            total = x = y = 0.0
+            for b in range(max(j - 1, 0), min(j + 2, height)):
+                for a in range(max(i - 1, 0), min(i + 2, width)):
+                    total, x, y = total + hits[b, a], x + hits[b, a] * (a + 0.5), y + hits[b, a] * (b + 0.5)
+            out[j, i, 0], out[j, i, 1] = x / total, y / total
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast(
+    cells: NDArray[np.uint8], surfaces: NDArray[np.float32], x: float, y: float, bearings: Array, reach: float
+) -> Array:
+    """(N,) distances to the first obstacle in each direction, in cells; infinite where none is seen.
+
+    A beam ends beside the surface in the obstacle's cell.
+    """
+    ranges = np.full(len(bearings), np.inf)
+    height, width = cells.shape
+    for k in range(len(bearings)):
+        c, s = math.cos(bearings[k]), math.sin(bearings[k])
+        i, j = math.floor(x), math.floor(y)
+        di, dj = (1 if c > 0.0 else -1), (1 if s > 0.0 else -1)
+        per_i = math.inf if c == 0.0 else abs(1.0 / c)
+        per_j = math.inf if s == 0.0 else abs(1.0 / s)
+        next_i = per_i * (i + 1 - x if c > 0.0 else x - i) if c != 0.0 else math.inf
+        next_j = per_j * (j + 1 - y if s > 0.0 else y - j) if s != 0.0 else math.inf
+        gone = 0.0
+        while gone < reach and 0 <= i < width and 0 <= j < height and cells[j, i] != _UNSEEN:
+            if cells[j, i] == _OBSTACLE:
+                ranges[k] = (surfaces[j, i, 0] - x) * c + (surfaces[j, i, 1] - y) * s
+                break
+            gone = min(next_i, next_j)
+            if next_i < next_j:
+                i, next_i = i + di, next_i + per_i
+            else:
+                j, next_j = j + dj, next_j + per_j
+    return ranges
