@@ -39,9 +39,8 @@ _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 class Exploration:
     """Drives to the view with the largest gain per time until nothing is left to see, then home.
 
-    To be seen are the unseen cells of the region beside free cells that were seen. They are looked at from the nearest
-    cell with a line of sight, and, if a turn around there does not show them, from as near as possible. Then they are
-    given up, with a reason.
+    It looks at the unseen cells of the region beside seen free ones from the nearest cell with a line of sight and, if a
+    turn around there does not show them, from as near as possible. Then it gives them up, with a reason.
     """
 
     def __init__(self, task: ExplorationTask, grid: Grid, estimate: Estimate) -> None:
@@ -49,17 +48,15 @@ class Exploration:
         self.outcome: Outcome | None = None
         self.left: list[UnseenPlace] = []
         self.state: State = "selecting"
-        self._task = task
-        self._limited = LimitedMap(task)
+        self._task, self._limited = task, LimitedMap(task)
         self._widening, self._passages = self._limited.widening, self._limited.passages
         self._target, self._failed_views = NO_TARGET, FailedViewCounts()
         self._hidden_cells, self._reachable_cells = HiddenCells(task.sensor.reach), ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
-        self._retries = 0  # of unreachable cells
-        self._stagnation = Stagnation()
-        self._retracing = False
+        self._retries, self._retracing = 0, False  # of unreachable cells; home as the robot came
+        self._stagnation = Stagnation(task.config.people)
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._limited.driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
@@ -107,7 +104,7 @@ class Exploration:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
             return "to viewpoint"
         self.left = unseen_places(self._make_view_planner(pose))
-        if self.left and self._task.config.people and self._stagnation.may_wait(self._map.grid.seen_area_m2):
+        if self.left and self._stagnation.may_wait(self._map.grid.seen_area_m2):
             self.driver.wait(pose)
             return "waiting"
         if self._task.config.explore.return_home:
@@ -139,8 +136,8 @@ class Exploration:
     def _count_failed_view(self, pose: Pose) -> State:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
         window, self._has_seen_more = self._window, True
-        cell, reach = window.cell(pose.position), self._task.sensor.gapless_reach
-        visible = visible_cells(window.obstacles, window.unknown, *cell, reach)
+        cell = window.cell(pose.position)
+        visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
         failed = (self._target.mask(window) | visible) & window.unknown
         self._failed_views.count_failure(window, failed)
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
@@ -181,8 +178,8 @@ class Exploration:
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
         """Without a path home: look at the gap that closes it, else drive back as the robot came."""
-        been = self._history.positions
-        gap = self._gaps_home.next(self._window, pose, self._distances(pose).reachable, been)
+        been, reachable = self._history.positions, self._distances(pose).reachable
+        gap = self._gaps_home.next(self._window, pose, reachable, been)
         if gap is not None:
             self.driver.head_for(gap, pose)
             return "approaching gap"
@@ -193,7 +190,10 @@ class Exploration:
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:
                 return "returning"
-        self.outcome = "goal unreachable"
+        if self._stagnation.may_wait(self._map.grid.seen_area_m2):
+            self.driver.plan(pose)
+        else:
+            self.outcome = "goal unreachable"
         return "returning"
 
     def _finish(self, pose: Pose) -> State:

@@ -12,7 +12,9 @@ _NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
 class Stagnation:
     """Counts what happens without an arrival, a target seen, or much that is new."""
 
-    def __init__(self) -> None:
+    def __init__(self, people: bool | None = None) -> None:
+        """Count from nothing; `people` is whether any are expected, for whom the robot waits."""
+        self._people = people
         self._stuck = False
         self._blocked_ways = 0
         self._seen_m2 = self._waited_m2 = 0.0
@@ -44,7 +46,9 @@ class Stagnation:
         return True
 
     def may_wait(self, seen_m2: float) -> bool:
-        """Count a wait for people to go, when `seen_m2` have been seen in all; whether patience has not run out."""
+        """Count a wait for people to go, when `seen_m2` have been seen in all; whether patience is left for it."""
+        if not self._people:
+            return False
         if seen_m2 > self._waited_m2 + _NEW_M2:
             self._waits = 0
         self._waits += 1
