@@ -2,6 +2,8 @@ from .config.version import __version__ as __version__
 from .api import merge_runs as merge_runs
 from .api import replay as replay
 from .api import run as run
+from .auditing.call import audit as audit
+from .auditing.result import Audit as Audit
 from .campaigns.call import campaign as campaign
 from .campaigns.result import Campaign as Campaign
 from .campaigns.result import load_campaign as load_campaign

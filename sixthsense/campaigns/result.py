@@ -59,8 +59,9 @@ class Campaign(Sampled):
 
     def summary(self) -> list[list[str]]:
         """A heading, and a row per scene, estimator, preset and planner with means and outcomes; empty without runs."""
-        frame = self.frame()
-        return summary(frame, AXES) if len(frame) else []
+        frame, curves = self.frame(), self._rows.curves()
+        found = [curves.get(key) for key in frame["config_hash"]] if len(frame) else []
+        return summary(frame, AXES, [None if one is None else one.nees for one in found]) if found else []
 
     def _setting(self, axes: tuple[str, ...]) -> Config:
         """The configuration of the runs with these values of `AXES`, with seed 0."""

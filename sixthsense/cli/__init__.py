@@ -28,6 +28,7 @@ COMMANDS = {
     "calibrate": ("SCENE", "measure the robot's noise, for `run --config`"),
     "campaign": ("[SCENE ...]", "many runs on many processors, with a table"),
     "report": ("RUN_DIR ...", "figures of runs, or of a campaign"),
+    "audit": ("ESTIMATE ...", "is a covariance as large as its errors?"),
     "scenes": ("", "list the shipped scenes"),
     "completion": ("SHELL", "print a completion script for bash, zsh or fish"),
 }

@@ -77,14 +77,13 @@ def command(args: list[str]) -> int:
 
 def _finish(out: Path, requested: set[str], interrupted: bool) -> int:
     from sixthsense.campaigns import Rows
-    from sixthsense.campaigns.plan import AXES
+    from sixthsense.campaigns.result import Campaign
     from sixthsense.campaigns.worker import FAILED as FAILED_RUN
-    from sixthsense.evaluation.summary import summary
     from sixthsense.evaluation.tables import text_table
 
     frame = Rows(out).frame()
     if len(frame):
-        print(text_table(summary(frame, AXES)))
+        print(text_table(Campaign(out).summary()))
     finished = frame[frame["config_hash"].isin(requested)]
     failed = finished[finished["outcome"] == FAILED_RUN]
     if len(failed):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from sixthsense.evaluation.metrics import nees_band
+from sixthsense.evaluation.effective import EFFECTIVE, band_of_runs
 
 _OUTCOMES = {
     "explored": "the robot saw all that it could",
@@ -25,8 +25,8 @@ _OUTCOMES = {
 def summary(metrics: Mapping[str, Any]) -> dict[str, str]:
     """The lines of a run's summary, label and text, from its metrics.
 
-    A run without truth has a line about its scans. A single run's mean NEES says little, since its steps are
-    correlated: only one outside the 95 % band of a single draw is called inconsistent.
+    A run without truth has a line about its scans. The steps of a run are correlated: its mean NEES is judged by the
+    95 % band for its effective number of samples, and with fewer than 30 by that of a single sample.
     """
     parts = {
         "outcome": "; ".join(_outcome(metrics)),
@@ -77,7 +77,7 @@ def _accuracy(metrics: Mapping[str, Any]) -> Iterator[str]:
 def _consistency(metrics: Mapping[str, Any]) -> str:
     if "pose_nees_world_mean" in metrics:
         nees = metrics["pose_nees_world_mean"]
-        low, high = nees_band(1)
+        low, high = band_of_runs(metrics.get(EFFECTIVE, 1.0))
         verdict, where = ("consistent", "within") if low <= nees <= high else ("overconfident", "above")
         if nees < low:
             verdict, where = "cautious", "below"

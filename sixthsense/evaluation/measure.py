@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage, visible_area
+from sixthsense.evaluation.effective import EFFECTIVE, effective_number, whitened_errors
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
@@ -161,6 +162,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
         if first < len(poses):
             nees = metrics.nees_world(poses[first:] - truth[first:], covs[first:])
             out["pose_nees_world_mean"] = float(np.mean(nees))
+            out[EFFECTIVE] = effective_number([nees], [whitened_errors(poses[first:] - truth[first:], covs[first:])])
             out["pose_nees_in_band"] = metrics.share_in_band(nees, metrics.nees_band(1))
             invariant = metrics.nees_invariant(poses[first:], truth[first:], covs[first:])
             out["pose_nees_invariant_mean"] = float(np.mean(invariant))

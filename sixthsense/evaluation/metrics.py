@@ -100,7 +100,13 @@ def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov:
 
 
 def full_rank_from(cov: Array) -> int:
-    """The first index from which NEES is defined: `cov` (K, 3, 3) has full rank there; K if it never has.
+    """The first index from which NEES is defined: `cov` (K, 3, 3) has full rank there; K if it never has."""
+    full = has_full_rank(cov)
+    return int(np.argmax(full)) if full.any() else len(cov)
+
+
+def has_full_rank(cov: Array) -> NDArray[np.bool_]:
+    """(K,) whether NEES is defined: each of `cov` (K, d, d) has full rank.
 
     The rank is that of the correlation matrix, since metres and radians are not comparable. The floor of a micrometre
     that a smoother adds to an exact start does not count.
@@ -109,14 +115,14 @@ def full_rank_from(cov: Array) -> int:
     positive = np.all(variances > 0.0, axis=1)
     sigmas = np.sqrt(np.where(positive[:, None], variances, 1.0))
     correlation = cov / (sigmas[:, :, None] * sigmas[:, None, :])
-    full = positive & (np.linalg.eigvalsh(correlation)[:, 0] > 1e-7)
-    return int(np.argmax(full)) if full.any() else len(cov)
+    return np.asarray(positive & (np.linalg.eigvalsh(correlation)[:, 0] > 1e-7))
 
 
-def nees_band(runs: int, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
+def nees_band(runs: float, dof: int = 3, confidence: float = 0.95) -> tuple[float, float]:
     """The two-sided confidence band of the mean of `runs` independent NEES with `dof` degrees of freedom.
 
-    2.02-4.16 for 20 runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+    `runs` may be an effective number of samples, which need not be whole. 2.02-4.16 for 20
+    runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     tail = 0.5 * (1.0 - confidence)
     return float(chi_square_quantile(tail, dof * runs)) / runs, float(

@@ -10,6 +10,7 @@ from sixthsense.config.extras import pandas
 from sixthsense.config.removed import note_renamed
 from sixthsense.config.suggestion import did_you_mean
 from sixthsense.evaluation import tables
+from sixthsense.evaluation.effective import EFFECTIVE
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.record.stopwatch import STAGES
@@ -87,6 +88,7 @@ def _quantities() -> dict[str, Quantity]:
         "Consistency": [
             ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
             ("pose_nees_in_band", "1", "share of keyframes with a pose NEES in its 95 % band; 0.95 is consistent"),
+            (EFFECTIVE, "1", "independent samples that this correlated NEES is worth"),
             ("prediction_nees_world_mean", "1", "NEES of the pose before each update; 3 is consistent"),
             ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
             ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),

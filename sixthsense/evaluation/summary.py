@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.metrics import nees_band
+from sixthsense.evaluation.effective import EFFECTIVE, band_of_runs, effective_samples
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,21 +21,22 @@ MEANS = (("ATE m", "ate_rmse_m"), ("NIS/dof", "nis_mean_per_dof"), ("coverage", 
 NEES = "pose_nees_world_mean"
 
 
-def summary(frame: pd.DataFrame, by: Sequence[str]) -> list[list[str]]:
+def summary(frame: pd.DataFrame, by: Sequence[str], nees: Sequence[Array | None] = ()) -> list[list[str]]:
     """Summarise a table of runs: a heading, and a row per combination of the values in the columns `by`.
 
     Means are over the runs that have the metric, with the 95 % interval of Student's t. The mean NEES, 3 for a
-    consistent estimator, is followed by the 95 % band of the mean over as many independent runs at one instant
-    (`nees_band`). A run's time average scatters less, so a consistent estimator lies well within the band.
+    consistent estimator, is followed by the 95 % band of such a mean (`band_of_runs`). `nees` has the NEES along each
+    run in the order of the frame, None where it is not known; where that is missing, each run counts as a sample.
     """
     (ate, *rest) = MEANS
     rows = [[*by, "runs", ate[0], "NEES", *(name for name, _ in rest), "outcomes"]]
-    for values, group in frame.groupby(list(by), sort=True):
+    numbered = frame.assign(row=range(len(frame)))
+    for values, group in numbered.groupby(list(by), sort=True):
         outcomes = ", ".join(f"{count} {outcome}" for outcome, count in group["outcome"].value_counts().items())
         cells = [mean_interval(_measured(group, column)) for _, column in MEANS]
         names = [Path(value).stem if name == "scene" else str(value) for name, value in zip(by, values, strict=True)]
-        nees = mean_band(_measured(group, NEES))
-        rows.append([*names, str(len(group)), cells[0], nees, *cells[1:], outcomes])
+        consistency = mean_band(_measured(group, NEES), _effective(group, nees))
+        rows.append([*names, str(len(group)), cells[0], consistency, *cells[1:], outcomes])
     return rows
 
 
@@ -49,13 +50,24 @@ def mean_interval(values: Array) -> str:
     return f"{values.mean():.3g} ± {half:.2g}"
 
 
-def mean_band(values: Array) -> str:
-    """Mean NEES, and whether it lies in the 95 % band for this number of runs."""
+def mean_band(values: Array, samples: float = 0.0) -> str:
+    """Mean NEES of runs, and whether it lies in the 95 % band for their effective number of samples."""
     if len(values) == 0:
         return ""
-    low, high = nees_band(len(values))
+    low, high = band_of_runs(samples, len(values))
     mean = float(values.mean())
     return f"{mean:.3g} {'in' if low <= mean <= high else 'not in'} {low:.2f}-{high:.2f}"
+
+
+def _effective(group: Any, nees: Sequence[Array | None]) -> float:
+    """Effective number of samples of a group's runs: pooled, and not more than each run has; 0 if it is not known."""
+    if not nees or NEES not in group or EFFECTIVE not in group:
+        return 0.0
+    measured = group[group[NEES].notna()]
+    known = [one[np.isfinite(one)] for k in measured["row"] if (one := nees[k]) is not None]
+    own = _measured(measured, EFFECTIVE)
+    complete = len(known) == len(own) == len(measured)
+    return min(effective_samples(known), float(own.sum())) if complete else 0.0
 
 
 def _measured(group: Any, column: str) -> Array:

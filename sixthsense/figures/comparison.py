@@ -104,7 +104,8 @@ class Comparison:
 
     def _summary(self) -> list[list[str]]:
         by = usual_grouping([sample.fields for sample in self.samples])
-        return summary(self.frame().reset_index(), by)
+        found = [sample.curves() for sample in self.samples]
+        return summary(self.frame().reset_index(), by, [None if one is None else one.nees for one in found])
 
     def __len__(self) -> int:
         return len(self.samples)

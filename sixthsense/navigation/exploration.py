@@ -39,7 +39,7 @@ _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 class Exploration:
     """Drives to the view with the largest gain per time until nothing is left to see, then home.
 
-    It looks at the unseen cells of the region beside seen free ones from the nearest cell with a line of sight and, if a
+    It looks at unseen cells of the region beside seen free ones from the nearest cell with a line of sight and, if a
     turn around there does not show them, from as near as possible. Then it gives them up, with a reason.
     """
 

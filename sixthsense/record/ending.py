@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.config.section import shown
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
@@ -27,6 +26,7 @@ from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.logs.tum import read_tum
 
 END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
@@ -156,23 +156,15 @@ def read_landmark_table(file: Path) -> dict[LandmarkId, Record]:
     return found
 
 
-def read_tum(file: Path, rows: int) -> Array:
-    """(rows, 3) poses of a TUM trajectory; raises RecordError, naming the line, for a file that is damaged."""
-    poses: list[list[float]] = []
-    try:
-        for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
-            try:
-                _, x, y, _, _, _, z, w = map(float, line.split())
-            except ValueError:
-                raise RecordError(f"{file}: line {number}: found {shown(line)}, allowed: 8 numbers") from None
-            poses.append(Pose(x, y, 2.0 * float(np.arctan2(z, w))).array().tolist())
-    except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise RecordError(f"{file}: is not UTF-8 text, allowed: a TUM trajectory") from None
+def read_planar_tum(file: Path, rows: int) -> Array:
+    """(rows, 3) poses of a TUM trajectory; raises an InputError, naming the line, for a file that is damaged."""
+    if rows == 0:
+        return np.zeros((0, 3))
+    _, poses = read_tum(file)
     if len(poses) != rows:
         raise RecordError(f"{file}: found {len(poses)} poses, allowed: {rows}")
-    return np.array(poses).reshape(-1, 3)
+    x, y, _, _, _, z, w = poses.T
+    return np.column_stack([x, y, wrap_angle(2.0 * np.arctan2(z, w))])
 
 
 @contextlib.contextmanager

@@ -22,7 +22,7 @@ from sixthsense.record.ending import (
     read_grid,
     read_landmark_table,
     read_landmarks,
-    read_tum,
+    read_planar_tum,
 )
 from sixthsense.record.older import trace_of_bag
 from sixthsense.record.reading import RecordError, read_stream
@@ -90,7 +90,7 @@ def _read_end(folder: Path, trace: Trace) -> set[RecordPart]:
     if (folder / END_FILE).exists():
         read_arrays(folder / END_FILE, trace)
     elif (folder / "smoothed.tum").exists():
-        trace.trajectory = read_tum(folder / "smoothed.tum", len(trace.key_stamps_ns))
+        trace.trajectory = read_planar_tum(folder / "smoothed.tum", len(trace.key_stamps_ns))
         if (folder / "landmarks.csv").exists():
             trace.records = read_landmark_table(folder / "landmarks.csv")
     else:

@@ -239,3 +239,12 @@ def test_the_doors_are_as_wide_as_they_are_said_to_be(script):
         for depth in (0.0, 0.5 * script.THICK_M) if thick else (0.0,):
             middle = script.DOOR + depth * across
             assert point_segment_distance(middle, scene.walls).min() == pytest.approx(script.RADIUS_M + 0.5 * wider_m)
+
+
+@of("covariance_audit")
+def test_audits_of_drawn_errors_are_counted(script):
+    case = (0.99, 3, 0.5)
+    figures = script.case_figures(case, [script.one_audit(seed, case) for seed in range(2)])
+    assert figures["right"] == figures["held"] == 2.0 and figures["theory"] == pytest.approx(100.5, abs=0.1)
+    assert script.frame_row(0, script.FRAMES[0]) == ("overconfident", True)
+    assert script.frame_row(0, script.FRAMES[2]) == ("consistent", False)

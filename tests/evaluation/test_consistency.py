@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sixthsense.config import preset
+from sixthsense.evaluation.effective import band_of_runs, effective_samples
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.metrics import nees_band
 from sixthsense.loop import run
 
 
@@ -21,11 +21,12 @@ def pose_nees(trace):
 
 @pytest.mark.parametrize("scene", ["rectangle", "apartment"])
 def test_a_drive_to_the_goal_is_consistent(scene):
-    """Runs are independent, the steps of one are not: the band is that of 12 runs, not of all their steps."""
+    """Runs are independent, the steps of one are not: the band is that of their effective number of samples."""
     traces = [run(preset(scene=scene, task="goal", seed=seed)) for seed in range(12)]
     assert [t.outcome for t in traces] == ["goal reached"] * 12
-    low, high = nees_band(12, confidence=0.999)
-    assert low < np.mean([pose_nees(t).mean() for t in traces]) < high
+    nees = [pose_nees(t) for t in traces]
+    low, high = band_of_runs(effective_samples(nees), len(nees), confidence=0.999)
+    assert low < np.mean([one.mean() for one in nees]) < high
     nis, dof = sum(a.nis for t in traces for a in t.associations), sum(a.dof for t in traces for a in t.associations)
     assert 0.9 < nis / dof < 1.1
 

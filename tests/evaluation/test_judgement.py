@@ -45,6 +45,14 @@ def test_the_covariance_is_judged_by_the_band_of_a_single_run(nees, told):
     assert summary(EXPLORED | {"pose_nees_world_mean": nees})["consistency"].startswith(told)
 
 
+@pytest.mark.parametrize(
+    ("samples", "told"), [(60.0, "overconfident: NEES 4, above the 2.4 to 3.7"), (29.0, "consistent")]
+)
+def test_the_band_is_that_of_the_effective_samples_if_they_are_enough_to_know_their_number(samples, told):
+    metrics = EXPLORED | {"pose_nees_world_mean": 4.0, "pose_nees_effective_samples": samples}
+    assert summary(metrics)["consistency"].startswith(told)
+
+
 def test_an_outcome_that_is_not_known_is_told_as_it_is():
     assert summary({"outcome": "something else"})["outcome"] == "something else"
     assert "it stands 4.0 mm from it" in summary({"outcome": "goal reached", "goal_error_m": 0.004})["outcome"]

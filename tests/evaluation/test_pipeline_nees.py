@@ -1,8 +1,8 @@
 """Tours in closed loop with unknown association: is the pose's covariance honest, and are the matches right?
 
 What the first scans get wrong stays in the map, and so in every pose: the keyframes of a run are not independent
-samples, and no chi-square band holds for their mean. Runs are independent, so the band follows from the spread between
-runs, which was measured. It is wide for few runs; `test_power.py` has many short ones.
+samples. Runs are independent, and the band follows from the effective number of samples of all runs together, which
+their differences limit. It is wide for few runs; `test_power.py` has many short ones.
 """
 
 import dataclasses
@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+
+from sixthsense.evaluation.effective import band_of_runs, effective_samples
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-SPREAD = 1.63
-"""standard deviation between runs of their mean pose NEES: 50 tours of 400 s, `benchmarks/pipeline_nees.py`"""
 
 SEEDS = range(1000, 1011)
 
@@ -34,9 +32,9 @@ def pipeline(monkeypatch):
     return importlib.import_module("pipeline_nees")
 
 
-def band(runs, confidence=0.99):
-    half = norm.isf(0.5 * (1.0 - confidence)) * SPREAD / np.sqrt(runs)
-    return 3.0 - half, 3.0 + half
+def band(rows, confidence=0.99):
+    nees = [np.array([value for value in row["nees3"] if value is not None]) for row in rows]
+    return band_of_runs(effective_samples(nees), len(nees), confidence)
 
 
 def configs(tours, estimator, seconds, seeds):
@@ -50,7 +48,7 @@ def test_tours_of_the_apartment_are_consistent_and_well_matched(tours, pipeline,
     found = tours.rows(configs(tours, estimator, 400.0, SEEDS), jobs=1)
     figures = pipeline.pipeline_figures(found)
     assert figures["tour_ended"] == len(SEEDS)
-    low, high = band(len(SEEDS))
+    low, high = band(found)
     assert low < figures["nees3"] < high
     assert low < figures["nees3_invariant"] < high
     assert 0.9 < figures["nis_per_dof"] < 1.1

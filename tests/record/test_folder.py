@@ -28,7 +28,8 @@ FILES = [
 ]  # fmt: skip
 KEYS = {
     "outcome", "collisions", "coverage", "ate_rmse_m", "ate_max_m", "dead_reckoning_ate_rmse_m", "heading_rmse_rad",
-    "pose_nees_world_mean", "pose_nees_in_band", "prediction_nees_world_mean", "pose_nees_invariant_mean",
+    "pose_nees_world_mean", "pose_nees_in_band", "pose_nees_effective_samples",
+    "prediction_nees_world_mean", "pose_nees_invariant_mean",
     "landmark_nees_mean", "nis_mean_per_dof", "discarded_share", "landmarks", "landmarks_culled",
     "walls_merged", "scans", "keyframes", "largest_gap_s", "area_seen_m2",
     "landmark_rmse_m", "path_length_m", "plans", "plans_below_margin", "guard_stops", "sim_time_s", "wall_time_s",

@@ -16,7 +16,6 @@ from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.poses import between
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
-_BACK_STEP, _BACK_GAP = 3, 12  # keyframes that are linked back, and without a link after which that ends
 _FIRST = -1  # the group of links before the first loop closure
 
 
@@ -51,25 +50,6 @@ class Closings:
         """Link a keyframe to old ones near it."""
         if len(targets):
             self._graph.link_old(key, targets, self._latest)
-
-    def link_back(self, key: int) -> None:
-        """Link the keyframes before `key` to old ones around those that later ones are linked to, as far as they agree.
-
-        While it was not clear where the robot was, they were not linked.
-        """
-        last, own = key, {link.source for link in self._of(self._own[self._latest])}
-        for k in range(key - 1, self._graph.first, -1):
-            if not self._graph.is_kept[k]:
-                break
-            if k in own:
-                last = k
-                continue
-            if k in self._graph.old_links or last - k > _BACK_GAP:
-                break
-            if (key - k) % _BACK_STEP:
-                continue
-            made = self._graph.link_old(k, self._graph.near_linked_later(k), self._latest)
-            last = k if made else last
 
     def close(self, links: list[tuple[Alignments, int]]) -> bool:
         """Close a loop with the links of a place, rows of alignments; whether it stays closed."""

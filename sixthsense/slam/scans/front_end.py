@@ -33,10 +33,9 @@ from sixthsense.slam.scans.odometry_prior import (
 )
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, doubted, search, track
+from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, search, track
 
-_NEWEST_SHARE, _NEWEST_JUDGED = 0.1, 0.02  # of the newest scan in the usual support and in the usual agreement
-_SHARE_WHERE_NEW, _NEW = 0.5, 0.1  # of a keyframe's distance, and of the support below the usual, where much is new
+_NEWEST_SHARE = 0.02  # of the newest scan in what is usual
 _RECENT_KEYS, _RECENT_M = 40, 8.0  # keyframes, and their distance, that a contradicted scan is searched in
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
@@ -74,11 +73,7 @@ class ScanFrontEnd:
         self._last: _Last | None = None
         self._is_carried = False
         """whether the robot was carried since the last scan: what it saw before tells nothing of where it is"""
-        self._doubts_wheels = False
-        """whether scans contradicted the odometry at the last keyframe"""
         self._scans: list[TrackedScan] = []
-        self._support = 0.0
-        """share of returns on known lines that scans have lately had"""
         self._contradicted = 0.0
         """share of returns that contradict which scans have lately had"""
         self._predict = timed("predict", estimator.predict)
@@ -114,7 +109,6 @@ class ScanFrontEnd:
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
             return None
         motion = self._since if tracked is None else self._motion(tracked)
-        self._doubts_wheels = tracked is not None and tracked.has_slipped
         self._predict(motion)
         predicted = self._estimator.estimate()
         key = self._update(tracked, motion)
@@ -165,17 +159,15 @@ class ScanFrontEnd:
         step = self._mount.laser_motion(last.odometry.inverse() @ self._since.motion)
         before = Pose.from_array(last.pose)
         # By odometry; moving as before, where wheels are wrong; and standing, where they spin.
-        motions = (last.motion, step, Pose()) if self._doubts_wheels else (step, last.motion, Pose())
+        motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
-        trusted = doubted(prior) if self._doubts_wheels else prior
-        tracked = track(self._views(row, self._references()), trusted, starts, self._contradicted).judged_by(prior)
+        tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
         if tracked.is_lost(self._contradicted):
             tracked = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
             if tracked.is_lost(self._contradicted):
                 self._break_track()
                 return None
-        self._support += _NEWEST_SHARE * (tracked.support - self._support)
-        self._contradicted += _NEWEST_JUDGED * (tracked.agreement.share - self._contradicted)
+        self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
         self._graph.usual_agreement = 1.0 - self._contradicted
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
@@ -227,16 +219,12 @@ class ScanFrontEnd:
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
 
     def _is_due(self, tracked: Tracked | None) -> bool:
-        """Whether the newest scan is far enough from the last keyframe; half as far where it sees little of the known.
-
-        Through a door the view changes within less than a keyframe's distance.
-        """
+        """Whether the newest scan is far enough from the last keyframe."""
         if tracked is None:
             return True
         motion, limits = self.since_keyframe, self._config.keyframes
         distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-        share = _SHARE_WHERE_NEW if tracked.support < self._support - _NEW else 1.0
-        is_far = distance >= share * limits.distance_m or turn >= share * limits.turn_rad
+        is_far = distance >= limits.distance_m or turn >= limits.turn_rad
         return is_far and not self._since.is_standstill()
 
     def _updated(self, tracked: Tracked | None, motion: Odometry) -> int:

@@ -251,15 +251,8 @@ class ScanGraph:
 
     def near_linked(self, key: int) -> NDArray[np.int64]:
         """Old keyframes around those that the last keyframes are linked to, the nearest first."""
-        return self._around(key, range(max(0, key - _LINKED_LATELY), key))
-
-    def near_linked_later(self, key: int) -> NDArray[np.int64]:
-        """Old keyframes around those that the next keyframes are linked to, the nearest first."""
-        return self._around(key, range(key + 1, min(key + 1 + _LINKED_LATELY, self.count)))
-
-    def _around(self, key: int, linked: range) -> NDArray[np.int64]:
         around: set[int] = set()
-        for other in linked:
+        for other in range(max(0, key - _LINKED_LATELY), key):
             for old in self.old_links.get(other, ()):
                 around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - _OLD_AGE)))
         candidates = np.array(sorted(around), dtype=np.int64)

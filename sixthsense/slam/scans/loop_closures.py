@@ -4,7 +4,7 @@ How uncertain an old keyframe is relative to the newest one, along the graph, de
 is linked directly. Uncertain ones are searched by branch and bound in submaps of one pass, for all places that look
 alike. One is believed if the scans of the last metres say clearly more for it than for any other, if pairs of scans
 align at it and agree, and if another vote some metres later, by other scans, says the same. Until then the robot drives
-on, and afterwards the keyframes since are linked, too.
+on.
 """
 
 from __future__ import annotations
@@ -137,6 +137,5 @@ class LoopClosures:
         if not agreeing:
             return False
         links = {(int(f.targets[k]), int(f.sources[k])): (f, k) for v in agreeing for f, k in v.links}
-        if self.closings.close(list(links.values())):
-            self.closings.link_back(vote.key)
+        self.closings.close(list(links.values()))
         return True

@@ -23,7 +23,7 @@ SLIP_SIGMAS = 6.0
 """scale of the loss on the odometry: wheels slip"""
 SLIP_M, SLIP_RAD = 0.5, 0.5
 """sigmas of a motion that the odometry has missed"""
-_WEAK = 0.05  # weight of odometry that is under suspicion
+_WEAK = 0.05  # weight of odometry that may have slipped
 _DOUBTED, _LOST = 0.9, 0.5  # a pose is doubted, or lost, at which less than this part of what usually agrees does
 _CLEARLY = 0.5  # another pose must leave at most this part of what contradicts
 _SEARCHED_SIGMAS = 3.0  # half the side of the window that is searched
@@ -63,11 +63,6 @@ class Tracked(NamedTuple):
         return self._replace(slip=prior.squared(self.off))
 
 
-def doubted(prior: Prior) -> Prior:
-    """The prior with the weight of odometry that is under suspicion."""
-    return prior._replace(information=_WEAK * prior.information)
-
-
 def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
     """The pose of a scan among keyframes.
 
@@ -79,7 +74,7 @@ def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:
     if not found.has_slipped and found.agreement.share <= _doubt(usual):
         return found
     firm = aligned(views, prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)
-    tried = doubted(prior)
+    tried = prior._replace(information=_WEAK * prior.information)
     others = [aligned(views, tried, start, WIDE_GATE_M).judged_by(prior) for start in starts]
     return _chosen([found, firm, *others], usual)
 

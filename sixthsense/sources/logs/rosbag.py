@@ -76,9 +76,9 @@ def read_bag(file: str | Path, laser: LaserConfig, topics: Sequence[str] = (), i
     """
     path = Path(file)
     # All of it: a bag may define a type with a known name but without the expected fields.
-    with _as_log_error(path):
+    with as_log_error(path):
         check_regular(path)
-        _check_first_line(path)
+        check_first_line(path)
         return _read_log(path, laser, topics, is_mount_given)
 
 
@@ -107,7 +107,7 @@ def _read_log(path: Path, laser: LaserConfig, topics: Sequence[str], is_mount_gi
 
 
 @contextmanager
-def _as_log_error(path: Path) -> Iterator[None]:
+def as_log_error(path: Path) -> Iterator[None]:
     """A context in which any exception of a reader on a damaged file becomes a LogError."""
     try:
         yield
@@ -122,7 +122,7 @@ def _as_log_error(path: Path) -> Iterator[None]:
         ) from None
 
 
-def _check_first_line(path: Path) -> None:
+def check_first_line(path: Path) -> None:
     """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
     if path.suffix.lower() == ".bag" and path.is_file():
         with path.open("rb") as stream:

@@ -1,7 +1,6 @@
 """The front end of scans in simulated drives: loops close, estimates are honest, wrong loop closures are undone."""
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +13,7 @@ from sixthsense.slam.estimators import register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.alignment import Views
 from sixthsense.slam.scans.closing import Closings
-from sixthsense.slam.scans.front_end import ScanFrontEnd
 from sixthsense.slam.scans.mount import Mount, seen_from
-from sixthsense.slam.scans.tracking import Tracked
 from sixthsense.slam.scans.visibility import Agreement, judged
 from sixthsense.slam.slam import Slam
 
@@ -107,16 +104,6 @@ def test_in_a_corridor_someone_who_walks_ahead_does_not_hold_the_robot_back(widt
             step = slam.take(dataclasses.replace(tick, scan=scan_at(pose, seen, laser, rng=rng)))
             errors.append(np.hypot(*(step.pose.position - pose.position)))
     assert max(errors) < 0.25 and errors[-1] < 0.05
-
-
-@pytest.mark.parametrize(
-    ("moved_m", "support", "is_due"), [(0.15, 0.55, False), (0.15, 0.45, True), (0.1, 0.45, False), (0.26, 0.55, True)]
-)
-def test_keyframes_are_nearer_to_each_other_where_a_scan_sees_little_of_the_known(moved_m, support, is_due):
-    moved = Odometry(Pose(x=moved_m), 1e-4 * np.eye(3))
-    front_end = SimpleNamespace(since_keyframe=moved.motion, _since=moved, _config=CONFIG, _support=0.6)
-    tracked = Tracked(np.zeros(3), np.eye(3), support, 0.0, np.zeros(3), Agreement(0.0, 0.0))
-    assert ScanFrontEnd._is_due(front_end, tracked) == is_due
 
 
 def seen_by(pose, poses):

@@ -121,7 +121,7 @@ def test_places_are_compared_on_scans_that_tell_about_both():
     one = Evidence(np.zeros(3), np.array([0.9, 0.9, 0.9, nothing, nothing, nothing, nothing]))
     other = Evidence(np.zeros(3), np.array([0.85, 0.85, 0.85, 0.9, 0.9, nothing, nothing]))
     assert not one.is_clearly_better(other) and not other.is_clearly_better(one)
-    poor = Evidence(np.zeros(3), np.array([0.8, 0.8, 0.7, nothing, nothing, nothing, nothing]))
+    poor = Evidence(np.zeros(3), np.array([0.75, 0.75, 0.7, nothing, nothing, nothing, nothing]))
     assert one.is_clearly_better(poor)
     unknown = Evidence(np.zeros(3), np.array([nothing, nothing, nothing, nothing, nothing, 0.9, 0.9]))
     assert not one.is_clearly_better(unknown)

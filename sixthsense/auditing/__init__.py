@@ -1,0 +1,1 @@
+"""An audit of covariances: poses of any system against the truth."""

@@ -1,0 +1,184 @@
+"""What can be audited, opened: bags, TUM files, folders of runs, and arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sixthsense.auditing.options import Options
+from sixthsense.auditing.poses import AuditError, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.core.arguments import as_array
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.sources.logs import is_bag, is_run_folder
+
+if TYPE_CHECKING:
+    from sixthsense.record.trace import Trace
+
+Source = str | Path | MeasuredRun | Sequence[ArrayLike]
+"""a bag, a TUM file, the folder of a run, a run, or arrays: stamps, poses and, of an estimate, covariances"""
+
+_STAMP_SLACK_NS = 10_000
+"""of a covariance and its pose: decimals of a stamp in seconds since 1970 that a float holds end at 0.2 us"""
+_FORMS = "(N, 3) x y theta, (N, 7) x y z qx qy qz qw, or (N, 3, 3) or (N, 4, 4) matrices"
+
+
+def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
+    """The poses of an estimate, with covariances in the order translation, rotation."""
+    if isinstance(source, MeasuredRun):
+        poses = _of_run(source.trace, source.name)
+    elif isinstance(source, (str, Path)):
+        poses = _estimate_of_file(Path(source), covariance, options.topic)
+    else:
+        poses = _of_arrays("estimate", source, ("stamps", "poses", "covariances"))
+    assert poses.covs is not None
+    check_covariances(poses)
+    if options.order == "rotation":
+        half = 2 if poses.covs.shape[1] == 3 else 3
+        poses = replace(poses, covs=np.roll(poses.covs, (half, half), axis=(1, 2)))
+    return replace(poses, frame=options.frame or poses.frame)
+
+
+def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
+    """The true poses; without a source those of the run that is audited."""
+    if source is None:
+        if not (isinstance(of, MeasuredRun) or (isinstance(of, (str, Path)) and is_run_folder(Path(of)))):
+            raise AuditError(f"truth: found nothing, allowed: the true poses of {estimate.name}")
+        source = of
+    if isinstance(source, MeasuredRun):
+        return _truth_of_run(source.trace, source.name)
+    if not isinstance(source, (str, Path)):
+        return _of_arrays("truth", source, ("stamps", "poses"))
+    path = Path(source)
+    if is_run_folder(path):
+        return _truth_of_run(_record(path), str(path))
+    if is_bag(path):
+        if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
+            return _of_transforms(path, options.truth_frames or estimate.frames)
+        from sixthsense.sources.logs.ros_poses import read_poses
+
+        own = estimate.name.removeprefix(f"{path} ")
+        found = read_poses(path, options.truth_topic, False, [own])
+        return made(f"{path} {found.topic}", found.stamps_ns, found.poses)
+    from sixthsense.sources.logs.tum import read_tum
+
+    return made(str(path), *read_tum(_file(path)))
+
+
+def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
+    if is_run_folder(path):
+        return _of_run(_record(path), str(path))
+    if is_bag(path):
+        from sixthsense.sources.logs.ros_poses import read_poses
+
+        found = read_poses(path, topic)
+        poses = made(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
+        return replace(poses, frame="world", frames=(found.parent, found.child))
+    path = _file(path)
+    if covariance is None:
+        raise AuditError(
+            f"covariance: found nothing for {path}, allowed: a file with a stamp and 6 or 21 numbers of the upper "
+            "triangle in each line"
+        )
+    from sixthsense.sources.logs.tum import read_covariances, read_tum
+
+    stamps, values = read_tum(path)
+    cov_stamps, covs = read_covariances(covariance)
+    order = np.argsort(cov_stamps, kind="stable")
+    cov_stamps, covs = cov_stamps[order], covs[order]
+    nearest = np.clip(np.searchsorted(cov_stamps, stamps - _STAMP_SLACK_NS), 0, len(cov_stamps) - 1)
+    has = np.abs(cov_stamps[nearest] - stamps) <= _STAMP_SLACK_NS
+    if not has.any():
+        raise AuditError(f"{covariance}: found no stamp of {path}, allowed: the stamps of its poses")
+    return made(str(path), stamps[has], values[has], covs[nearest[has]])
+
+
+def _file(path: Path) -> Path:
+    if not path.exists():
+        raise AuditError(f"{path}: no such file")
+    if path.is_dir():
+        kinds = "a ROS bag (.bag, .mcap, .db3, or a folder with metadata.yaml), a TUM file, the folder of a run"
+        raise AuditError(f"{path}: found a folder, allowed: {kinds}")
+    return path
+
+
+def _record(path: Path) -> Trace:
+    from sixthsense.record.load import load_record
+
+    return load_record(path).trace
+
+
+def _of_run(trace: Trace, name: str) -> Poses:
+    if not trace.key_estimates:
+        raise AuditError(f"{name}: found no keyframe, allowed: a run with estimates")
+    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates])
+    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates])
+    return replace(made(name, np.array(trace.key_stamps_ns, dtype=np.int64), poses, covs), frame="world")
+
+
+def _truth_of_run(trace: Trace, name: str) -> Poses:
+    if not trace.truths:
+        raise AuditError(f"{name}: found a run without truth, allowed: a truth from elsewhere")
+    return made(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
+
+
+def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
+    """The poses of a frame in another one, at the stamps of the link that is sent most often."""
+    if not all(frames):
+        raise AuditError("--truth-frames: found none, allowed: parent and child in /tf, such as map base_link")
+    from sixthsense.sources.logs.ros_poses import read_transforms
+
+    links = [made(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
+    moving = [link for link in links if len(link) > 1]
+    if not moving:
+        raise AuditError(f"{path} /tf: found one transform of {frames[1]}, allowed: a moving frame")
+    stamps = max(moving, key=len).stamps_ns
+    first, last = max(link.stamps_ns[0] for link in moving), min(link.stamps_ns[-1] for link in moving)
+    stamps = stamps[(stamps >= first) & (stamps <= last)]
+    position, turn = np.zeros((len(stamps), 3)), np.broadcast_to(np.eye(3), (len(stamps), 3, 3))
+    for link in links:
+        if len(link) > 1:
+            place, own = interpolated(link, stamps)
+        else:
+            place, own = (np.repeat(part, len(stamps), axis=0) for part in (link.positions, link.orientations))
+        position, turn = position + (turn @ place[:, :, None])[:, :, 0], turn @ own
+    return Poses(f"{path} /tf {' '.join(frames)}", stamps, position, turn)
+
+
+def _of_arrays(what: str, given: Sequence[ArrayLike], names: tuple[str, ...]) -> Poses:
+    """Poses from the caller's arrays; AuditError names the array, what was expected and what was found."""
+    if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
+        raise AuditError(f"{what}: found {_described(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")
+    try:
+        stamps_s = as_array(f"{what} stamps", given[0], ("N",))
+        if np.ndim(given[1]) == 3:
+            size = np.shape(given[1])[1]
+            poses = as_array(f"{what} poses", given[1], ("N", size, size))
+        else:
+            poses = as_array(f"{what} poses", given[1], ("N", np.shape(given[1])[-1] if np.ndim(given[1]) else "n"))
+        if poses.shape[1:] not in ((3,), (7,), (3, 3), (4, 4)):
+            raise ValueError(f"{what} poses: expected {_FORMS}, got shape {poses.shape}")
+        covs = None
+        if len(names) == 3:
+            size = 6 if np.shape(given[2])[-1:] == (6,) else 3
+            covs = as_array(f"{what} covariances", given[2], ("N", size, size), finite=False)
+        if len(stamps_s) == 0 or any(len(one) != len(stamps_s) for one in (poses, covs) if one is not None):
+            raise ValueError(f"{what}: expected as many stamps as poses and covariances, at least one")
+    except ValueError as error:
+        raise AuditError(str(error)) from None
+    if covs is not None and covs.shape[1] == 6 and poses.shape[1:] in ((3,), (3, 3)):
+        raise AuditError(f"{what} covariances: found 6 x 6 of planar poses, allowed: 3 x 3")
+    return made(what, _nanoseconds(stamps_s), poses, covs)
+
+
+def _described(given: object) -> str:
+    return f"{len(given)} of them" if isinstance(given, (tuple, list)) else type(given).__name__
+
+
+def _nanoseconds(stamps_s: Array) -> Stamps:
+    return np.round(stamps_s * 1e9).astype(np.int64)

@@ -1,0 +1,191 @@
+"""An estimate beside the truth: the same instants, the same frame, and the errors with their covariances."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.auditing import rotations
+from sixthsense.auditing.poses import AuditError, Frame, Poses, interpolated, is_of_plane
+from sixthsense.core.geometry import Array
+from sixthsense.evaluation.metrics import has_full_rank
+
+Align = Literal["none", "first", "all"]
+Motion = tuple[Array, Array]
+"""rotation (n, n) and shift (n,): x -> R x + t"""
+
+_GAP = 3.0
+"""Longest time between two true poses that are interpolated, in median intervals: beyond it some are missing."""
+_SAME = 1e-9
+"""Metres and radians; an estimate that is nowhere farther from the truth is the truth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """An estimate and the truth at the same N instants; what was left out is said in the notes."""
+
+    estimate: Poses
+    """with covariances of full rank, in the axes of `estimate.frame`"""
+    truth: Poses
+    """of the same stamps"""
+    notes: tuple[str, ...] = ()
+    """what the user should know, a line each"""
+
+
+@dataclass(frozen=True, slots=True)
+class Errors:
+    """Errors of N poses in the axes of the world, with the covariances that the estimate states."""
+
+    stamps_ns: NDArray[np.int64]
+    """(N,)"""
+    error: Array
+    """(N, d) estimate minus truth, translation first, the rotation as a vector"""
+    cov: Array
+    """(N, d, d)"""
+    orientations: Array
+    """(N, n, n) estimated, from the axes of the body to those of the world"""
+    shared: float = 0.0
+    """share of the variance of the mean that one draw, the first pose, has; 0 without alignment by it"""
+
+    @property
+    def nees(self) -> Array:
+        """(N,)."""
+        weighted = np.linalg.solve(self.cov, self.error[:, :, None])[:, :, 0]
+        return np.asarray(np.einsum("ki,ki->k", self.error, weighted))
+
+    def in_axes(self, frame: Frame) -> tuple[Array, Array]:
+        """Errors (N, d) and covariances (N, d, d) in the axes of the world or of the body."""
+        if frame == "world":
+            return self.error, self.cov
+        axes = rotations.transposed(rotations.axes(self.orientations))
+        return (axes @ self.error[:, :, None])[:, :, 0], axes @ self.cov @ rotations.transposed(axes)
+
+
+def same_space(estimate: Poses, truth: Poses) -> tuple[Poses, Poses, list[str]]:
+    """Both in the plane or both in space, and a note that says why it is the plane."""
+    reason = is_of_plane(estimate)
+    if not reason and truth.is_planar:
+        reason = "the truth is planar"
+    if not reason:
+        return estimate, truth, []
+    note = [] if estimate.is_planar else [f"audited as SE(2), x, y and heading: {reason}"]
+    return estimate.in_plane(), truth.in_plane(), note
+
+
+def paired(estimate: Poses, truth: Poses, offset_ns: int = 0) -> Pair:
+    """The estimate at the instants between true poses, with the truth interpolated there, `offset_ns` later.
+
+    Poses whose covariance has no full rank are left out, since their NEES is not defined, and those in a gap of the
+    truth. Raises AuditError if nothing is left, and if the estimate is the truth.
+    """
+    estimate, truth, notes = same_space(estimate, truth)
+    assert estimate.covs is not None
+    at = estimate.stamps_ns + offset_ns
+    inside = (at >= truth.stamps_ns[0]) & (at <= truth.stamps_ns[-1])
+    if len(truth) < 2 or not inside.any():
+        spans = [f"{one[0] * 1e-9:.3f} to {one[-1] * 1e-9:.3f} s" for one in (at, truth.stamps_ns)]
+        raise AuditError(
+            f"stamps: found {estimate.name} from {spans[0]} and {truth.name} from {spans[1]}, allowed: one clock, "
+            "and times that overlap"
+        )
+    after = np.clip(np.searchsorted(truth.stamps_ns, at), 1, len(truth) - 1)
+    gaps = np.diff(truth.stamps_ns)
+    known = inside & (
+        (gaps[after - 1] <= _GAP * np.median(gaps))
+        | (truth.stamps_ns[after] == at)
+        | (truth.stamps_ns[after - 1] == at)
+    )
+    defined = has_full_rank(estimate.covs)
+    used = known & defined
+    for count, why in (
+        (int(np.sum(~inside)), "before or after the truth"),
+        (int(np.sum(inside & ~known)), "in a gap of the truth"),
+        (int(np.sum(known & ~defined)), "with a covariance that is zero or singular, whose NEES is not defined"),
+    ):
+        notes += [f"left out: {count:,} of {len(estimate):,} poses {why}"] if count else []
+    if not used.any():
+        raise AuditError(
+            f"{estimate.name}: found no pose beside the truth whose covariance has full rank, allowed: covariances of "
+            f"{'x, y and heading' if estimate.is_planar else 'all six axes'}"
+        )
+    estimate = estimate.part(used)
+    positions, orientations = interpolated(truth, at[used])
+    return Pair(
+        estimate, replace(truth, stamps_ns=at[used], positions=positions, orientations=orientations), tuple(notes)
+    )
+
+
+def aligned(pair: Pair, align: Align, frame: Frame) -> Motion:
+    """The motion of the estimate onto the truth: none, by the first pose, or that with the least sum of NEES."""
+    if align == "all":
+        return _fitted(pair, frame)
+    if align == "first":
+        return _first(pair)
+    n = pair.truth.positions.shape[1]
+    return np.eye(n), np.zeros(n)
+
+
+def errors_of(pair: Pair, motion: Motion, align: Align, frame: Frame) -> Errors:
+    """The errors of the estimate after a motion, with its covariances read in the axes of `frame`.
+
+    After alignment by the first pose, whose error is then none, its covariance is carried to each other pose and added,
+    as that of an independent error.
+    """
+    found = _errors(pair, motion, frame)
+    if align != "first":
+        return found
+    if len(found.error) < 2:
+        raise AuditError(f"{pair.estimate.name}: found a single pose, allowed: two or more for an alignment")
+    carry = rotations.levers(pair.truth.positions[1:] - pair.truth.positions[0])
+    cov = found.cov[1:] + carry @ found.cov[0] @ rotations.transposed(carry)
+    weight = np.mean(rotations.transposed(carry) @ np.linalg.solve(cov, carry), axis=0) @ found.cov[0]
+    # Of a quadratic form of Gaussian errors: the variance of e^T M e is 2 tr (M P)^2.
+    shared = float(np.trace(weight @ weight)) / len(weight)
+    return Errors(found.stamps_ns[1:], found.error[1:], cov, found.orientations[1:], shared)
+
+
+def check_is_not_the_truth(pair: Pair) -> None:
+    """Raise AuditError for an estimate without errors: somebody has given the same poses twice."""
+    n = pair.truth.positions.shape[1]
+    if np.abs(_errors(pair, (np.eye(n), np.zeros(n)), "world").error).max() <= _SAME:
+        raise AuditError(f"truth: found the poses of the estimate, {pair.estimate.name}, allowed: the true ones")
+
+
+def _fitted(pair: Pair, frame: Frame, steps: int = 20) -> Motion:
+    """The motion with the least sum of NEES, by Gauss-Newton from the first pose."""
+    turn, shift = _first(pair)
+    n = len(shift)
+    for _ in range(steps):
+        found = _errors(pair, (turn, shift), frame)
+        places = pair.estimate.positions @ turn.T + shift
+        centre = places.mean(axis=0)
+        carry = rotations.levers(places - centre)
+        weighted = np.linalg.solve(found.cov, np.concatenate([carry, found.error[:, :, None]], axis=2))
+        sums = np.einsum("kij,kil->jl", carry, weighted)
+        step = -np.linalg.solve(sums[:, :-1], sums[:, -1])
+        by = rotations.exp(step[None, n:])[0]
+        turn, shift = by @ turn, by @ (shift - centre) + centre + step[:n]
+        if step @ sums[:, :-1] @ step < 1e-8:  # squared, in sigmas of the alignment
+            break
+    return turn, shift
+
+
+def _first(pair: Pair) -> Motion:
+    turn = pair.truth.orientations[0] @ pair.estimate.orientations[0].T
+    return turn, pair.truth.positions[0] - turn @ pair.estimate.positions[0]
+
+
+def _errors(pair: Pair, motion: Motion, frame: Frame) -> Errors:
+    """Errors in the axes of the truth's world: the rotation's is the vector of R_estimate R_truth^T."""
+    turn, shift = motion
+    estimate, covs = pair.estimate, pair.estimate.covs
+    assert covs is not None
+    orientations = turn @ estimate.orientations
+    places = estimate.positions @ turn.T + shift - pair.truth.positions
+    turned = rotations.log(orientations @ rotations.transposed(pair.truth.orientations))
+    axes = rotations.axes(orientations if frame == "body" else turn[None])
+    cov = axes @ covs @ rotations.transposed(axes)
+    return Errors(estimate.stamps_ns, np.concatenate([places, turned], axis=1), cov, orientations)

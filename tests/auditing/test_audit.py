@@ -1,0 +1,246 @@
+"""Errors drawn from a known covariance: the audit finds the covariance that the estimate should have stated."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
+
+import sixthsense as ss
+from sixthsense.auditing import rotations
+from sixthsense.evaluation.metrics import nees_world
+
+N = 4000
+STAMPS = 0.1 * np.arange(N)
+HEADING = 0.05 * STAMPS
+TRUTH = np.column_stack([8.0 * np.sin(HEADING), -8.0 * np.cos(HEADING), HEADING])
+COV = np.array([[64.0, 8.0, 0.0], [8.0, 9.0, 1.0], [0.0, 1.0, 1.0]]) * 1e-4
+COV6 = np.diag([0.08, 0.03, 0.05, 0.004, 0.006, 0.01]) ** 2
+TRUTH7 = np.column_stack(
+    [
+        TRUTH[:, :2], np.sin(HEADING),
+        Rotation.from_euler("zyx", np.column_stack([HEADING, 0.2 * np.sin(HEADING), 0.1 * np.cos(HEADING)])).as_quat(),
+    ]
+)  # fmt: skip
+
+
+def drawn(cov=COV, rho=0.0, seed=0, count=N):
+    """AR(1) errors of a covariance."""
+    white = np.random.default_rng(seed).standard_normal((count, len(cov)))
+    white[1:] *= math.sqrt(1.0 - rho**2)
+    return lfilter([1.0], [1.0, -rho], white, axis=0) @ np.linalg.cholesky(cov).T
+
+
+def stated(cov, count=N):
+    return np.broadcast_to(cov, (count, *cov.shape))
+
+
+def audited(poses, cov=COV, truth=TRUTH, **options):
+    covs = cov if cov.ndim == 3 else stated(cov, len(poses))
+    return ss.audit((STAMPS[: len(poses)], poses, covs), (STAMPS[: len(truth)], truth), **options)
+
+
+def moved6(error, truth=TRUTH7):
+    turned = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_quat(truth[:, 3:])
+    return np.column_stack([truth[:, :3] + error[:, :3], turned.as_quat()])
+
+
+def turned_by_heading(error):
+    c, s = np.cos(HEADING), np.sin(HEADING)
+    return np.column_stack([c * error[:, 0] - s * error[:, 1], s * error[:, 0] + c * error[:, 1], error[:, 2]])
+
+
+@pytest.mark.parametrize(("scale", "outcome"), [(0.5, "overconfident"), (1.0, "consistent"), (2.0, "cautious")])
+@pytest.mark.parametrize("rho", [0.0, 0.95])
+def test_the_verdict_and_the_factor_are_right_for_white_and_for_correlated_errors(rho, scale, outcome):
+    found = audited(TRUTH + drawn(rho=rho, seed=1), scale * COV)
+    assert found.outcome == outcome and found.verdict.startswith(outcome)
+    low, high = found.findings.factor.interval
+    assert low < 1.0 / scale < high
+    assert found.findings.samples < (1.05 * N if rho == 0.0 else 0.1 * N)
+
+
+def test_the_nees_is_that_of_world_coordinates_and_its_share_inside_is_right():
+    poses = TRUTH + drawn(seed=2)
+    found = audited(poses)
+    np.testing.assert_allclose(found.runs[0].nees, nees_world(poses - TRUTH, stated(COV)), rtol=1e-9)
+    assert found.findings.inside == pytest.approx(0.95, abs=0.02)
+    assert len(found.findings.parts) == 5 and found.findings.band[0] < 3.0 < found.findings.band[1]
+
+
+def test_a_pose_of_space_has_six_degrees_of_freedom_in_the_convention_of_ros():
+    found = audited(moved6(drawn(COV6)), COV6, TRUTH7)
+    assert (found.outcome, found.findings.dof) == ("consistent", 6)
+    assert list(found.findings.axes)[3:] == ["rotation about x", "rotation about y", "rotation about z"]
+
+
+def test_the_order_of_a_covariance_and_its_frame_are_as_told():
+    rotated = np.roll(COV6, (3, 3), axis=(0, 1))
+    assert audited(moved6(drawn(COV6)), rotated, TRUTH7, order="rotation").outcome == "consistent"
+    body = TRUTH + turned_by_heading(drawn(seed=3))
+    assert audited(body, frame="body").outcome == "consistent"
+    assert "body's axes" in repr(audited(body, frame="body")).splitlines()[0]
+    assert "world's axes" in repr(audited(body)).splitlines()[0]
+
+
+def test_a_covariance_of_space_in_the_axes_of_the_body_is_turned_by_the_whole_rotation():
+    error = drawn(COV6, seed=4)
+    axes = rotations.axes(Rotation.from_quat(TRUTH7[:, 3:]).as_matrix())
+    in_world = (axes @ error[:, :, None])[:, :, 0]
+    assert audited(moved6(in_world), COV6, TRUTH7, frame="body").outcome == "consistent"
+    assert audited(moved6(in_world), COV6, TRUTH7).outcome != "consistent"
+
+
+@pytest.mark.parametrize(("true", "read"), [("body", "world"), ("world", "body")])
+def test_the_wrong_frame_is_noticed_since_the_nees_depends_on_the_heading(true, read):
+    error = drawn(seed=5)
+    poses = TRUTH + (turned_by_heading(error) if true == "body" else error)
+    note = f"may have the axes of the {true}"
+    assert note in repr(audited(poses, frame=read))
+    assert "depends on the heading" not in repr(audited(poses, frame=true))
+    isotropic = np.diag([0.01, 0.01, 1e-4])
+    assert "depends on the heading" not in repr(audited(TRUTH + drawn(isotropic), isotropic, frame=read))
+
+
+def test_the_axis_that_is_wrong_is_named():
+    error = drawn(np.diag([1e-2, 1e-2, 1e-4]), seed=6) * [1.0, 1.0, 3.0]
+    found = audited(TRUTH + error, np.diag([1e-2, 1e-2, 1e-4]))
+    assert found.verdict.endswith("mostly in heading")
+    ratio = math.sqrt(found.findings.axes["heading"].value)
+    assert ratio == pytest.approx(3.0, rel=0.05) and found.findings.axes["x"].value == pytest.approx(1.0, abs=0.1)
+
+
+def test_poses_in_another_frame_are_aligned_by_all_of_them():
+    turn = rotations.exp(np.array([[0.7]]))[0]
+    axes = rotations.axes(turn[None])[0]
+    poses = (TRUTH + drawn(rho=0.9, seed=7)) @ axes.T + [5.0, -2.0, 0.7]
+    cov = axes @ COV @ axes.T
+    found = audited(poses, cov, align="all")
+    assert found.outcome == "consistent" and 0.0 < found.findings.removed < 0.05
+    plain = audited(poses, cov)
+    assert plain.outcome == "no verdict" and "align by all poses" in plain.verdict
+
+
+def test_the_degrees_of_freedom_of_an_alignment_are_taken_off():
+    """Over many short white runs; without it the mean NEES of 40 poses would be 2.93."""
+    short, runs = 40, range(300)
+    truth = (STAMPS[:short], TRUTH[:short])
+    estimates = [(STAMPS[:short], TRUTH[:short] + drawn(seed=k, count=short), stated(COV, short)) for k in runs]
+    found = ss.audit(estimates, [truth] * len(runs), align="all").findings
+    plain = float(
+        np.mean(np.concatenate([run.nees for run in ss.audit(estimates, [truth] * len(runs), align="all").runs]))
+    )
+    assert plain == pytest.approx(3.0 * (1.0 - 1.0 / short), abs=0.05)
+    assert found.nees == pytest.approx(plain / (1.0 - found.removed)) and found.nees > plain
+
+
+def test_an_alignment_by_the_first_pose_adds_its_covariance_and_it_is_one_sample():
+    """Over many runs the NEES has the mean 3; of one run alone there is no verdict, since all poses share one error."""
+    short, runs = 50, range(200)
+    truth = (STAMPS[:short], TRUTH[:short])
+    estimates = [(STAMPS[:short], TRUTH[:short] + drawn(seed=k, count=short), stated(COV, short)) for k in runs]
+    found = ss.audit(estimates, [truth] * len(runs), align="first").findings
+    assert found.nees == pytest.approx(3.0, abs=0.25)
+    alone = audited(TRUTH + drawn(), align="first")
+    assert alone.outcome == "no verdict" and "first pose" in alone.verdict
+    exact = np.concatenate([stated(1e-6 * COV, 1), stated(COV, N - 1)])
+    error = drawn(seed=8)
+    error[0] = 0.0
+    assert audited(TRUTH + error, exact, align="first").outcome == "consistent"
+
+
+def test_a_time_offset_is_found_and_reported():
+    late = np.column_stack([np.interp(STAMPS - 0.13, STAMPS, column) for column in TRUTH.T])
+    found = audited(late + drawn(np.diag([1e-4, 1e-4, 1e-6])), np.diag([1e-4, 1e-4, 1e-6]), time_offset=0.5)
+    assert found.time_offset_s[0] == pytest.approx(-0.13, abs=2e-3)
+    assert "-130" in repr(found) or "-129" in repr(found)
+    assert found.outcome == "consistent"
+
+
+def test_several_runs_are_pooled_as_independent():
+    runs = [(STAMPS, TRUTH + drawn(rho=0.95, seed=k), stated(COV)) for k in range(4)]
+    truth = (STAMPS, TRUTH)
+    found = ss.audit(runs, [truth] * 4).findings
+    assert found.poses == 4 * N and found.samples == pytest.approx(4 * N * (1.0 - 0.95**2) / (1.0 + 0.95**2), rel=0.2)
+    with pytest.raises(ss.InputError, match="found 1 for 4 estimates"):
+        ss.audit(runs, [truth])
+
+
+def test_an_error_that_lasts_the_whole_run_leaves_no_verdict():
+    found = audited(TRUTH + [0.2, 0.0, 0.0] + 0.1 * drawn())
+    assert found.outcome == "no verdict" and "30 are needed" in found.verdict
+    assert audited(TRUTH[:20] + drawn(count=20)).outcome == "no verdict"
+
+
+def test_truth_is_interpolated_between_its_poses_and_never_across_a_gap():
+    keep = np.ones(N, dtype=bool)
+    keep[1::2] = False
+    keep[1000:1200] = False
+    found = ss.audit((STAMPS, TRUTH + drawn(), stated(COV)), (STAMPS[keep], TRUTH[keep]))
+    assert found.outcome == "consistent"
+    assert any(note.startswith("left out: 2") and "gap of the truth" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("unmeasured", [0.0, 1e6])
+def test_a_robot_on_a_floor_is_audited_as_planar_and_it_is_said(unmeasured):
+    poses, error = np.zeros((N, 7)), drawn(seed=9)
+    flat = TRUTH + error
+    poses[:, :2], poses[:, 5], poses[:, 6] = flat[:, :2], np.sin(0.5 * flat[:, 2]), np.cos(0.5 * flat[:, 2])
+    cov = np.zeros((6, 6))
+    cov[np.ix_((0, 1, 5), (0, 1, 5))] = COV
+    cov[2, 2] = cov[3, 3] = cov[4, 4] = unmeasured
+    found = audited(poses, cov, TRUTH)
+    assert found.findings.dof == 3 and found.outcome == "consistent"
+    assert any("SE(2)" in note for note in found.notes)
+    assert found.findings.nees == pytest.approx(audited(flat).findings.nees)
+
+
+def test_rows_with_an_unknown_covariance_are_left_out_and_counted():
+    covs = np.array(stated(COV))
+    covs[:7] = 0.0
+    assert "left out: 7 of 4,000 poses with a covariance that is zero or singular" in repr(
+        audited(TRUTH + drawn(), covs)
+    )
+
+
+def test_the_numbers_are_written_as_json_and_drawn(tmp_path):
+    found = audited(TRUTH[:500] + drawn(count=500))
+    found.save(tmp_path / "audit.json")
+    table = json.loads((tmp_path / "audit.json").read_text())
+    assert table["verdict"] == found.verdict and table["nees"] == found.findings.nees
+    assert table["axes"]["heading"]["interval"] == list(found.findings.axes["heading"].interval)
+    picture = found.plot()
+    assert len(picture.axes) == 5 and picture.get_suptitle() == found.verdict
+    with pytest.raises(ss.InputError, match="cannot be written"):
+        found.save(tmp_path / "no" / "audit.json")
+
+
+ASYMMETRIC = np.array(COV)
+ASYMMETRIC[0, 1] += 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"cov": ASYMMETRIC}, "found an asymmetric matrix in the covariance at 0.000000 s"),
+        ({"cov": -COV}, "found an eigenvalue of -"),
+        ({"cov": np.nan * COV}, "found a value that is not finite"),
+        ({"cov": 0.0 * COV}, "all zero, by which many drivers say 'unknown'"),
+        ({"poses": TRUTH}, "truth: found the poses of the estimate"),
+        ({"stamps": STAMPS + 1e6}, "allowed: one clock"),
+        ({"poses": TRUTH[:, :2]}, "estimate poses: expected"),
+        ({"frame": "bdy"}, "frame: found 'bdy', did you mean body?"),
+        ({"align": "last"}, "align: found 'last', allowed: none, first, all"),
+        ({"time_offset": 0.0}, "time offset: found 0.0"),
+        ({"truth": None}, "truth: found nothing, allowed: the true poses of estimate"),
+    ],
+)  # fmt: skip
+def test_bad_input_is_told_in_one_line(change, said):
+    options = {key: value for key, value in change.items() if key in ("frame", "align", "time_offset")}
+    poses = change.get("poses", TRUTH + drawn())
+    truth = (STAMPS, TRUTH) if change.get("truth", 0) is not None else None
+    with pytest.raises(ss.InputError) as raised:
+        ss.audit((change.get("stamps", STAMPS), poses, stated(change.get("cov", COV))), truth, **options)
+    assert said in str(raised.value) and "\n" not in str(raised.value)
