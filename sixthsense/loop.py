@@ -24,10 +24,11 @@ from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
 from sixthsense.slam.slam import Slam, Step
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import Relations
-from sixthsense.sources.mission import mission
+from sixthsense.sources.mission import mission, with_people
 from sixthsense.sources.replay_input import recorded_scene
 from sixthsense.sources.rewindable import RewindableSource
 from sixthsense.sources.scene import Scene, load_scene
+from sixthsense.sources.walkers import walkers_of
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
@@ -67,9 +68,11 @@ def run(
     and PriorMapError for a prior map that cannot be used.
     """
     scene = scene or load_scene(config.scene, config.map_unknown)
+    config = with_people(scene, config)
     start, goals, radius_m = mission(scene, config)
     streams = random_streams(config.seed)
-    source: Source = World(scene.walls, start, radius_m, config, streams.world, scene.glass)
+    walkers = walkers_of(scene, config, start, radius_m)
+    source: Source = World(scene.walls, start, radius_m, config, streams.world, scene.glass, walkers)
     region = config.region or scene.region
     believed = start if prior is None or prior.pose is None else prior.pose
     if prior is not None and prior.is_lost:

@@ -53,7 +53,7 @@ class CampaignPlan:
 
         Raises ConfigError for a name or field that is not allowed, SceneError for a scene, start or goal.
         """
-        from sixthsense.sources.mission import mission
+        from sixthsense.sources.mission import mission, with_people
         from sixthsense.sources.scene import load_scene
 
         bases = [merge(preset(name), self.fields, "--") for name in self.presets]
@@ -61,7 +61,7 @@ class CampaignPlan:
         for scene in self.scenes:
             loaded = load_scene(scene, bases[0].map_unknown)
             for base in bases:
-                at_scene = dataclasses.replace(base, scene=scene)
+                at_scene = with_people(loaded, dataclasses.replace(base, scene=scene))
                 mission(loaded, at_scene)
                 for planner, estimator in itertools.product(self.planners, self.estimators):
                     names = {"planner": planner, "estimator": estimator, "seed": 0}

@@ -39,12 +39,13 @@ def command(args: list[str]) -> int:
     scene_file(config.scene)
     from sixthsense.api import with_task
     from sixthsense.running.runs import Watch, simulate
-    from sixthsense.sources.mission import mission
+    from sixthsense.sources.mission import mission, with_people
     from sixthsense.sources.scene import load_scene
 
     prior = options.prior_start()
     config = with_task(config, flags, "--")
     scene = load_scene(config.scene, config.map_unknown)
+    config = with_people(scene, config)
     mission(scene, config)
     with (
         run_folder(options, config, f"{scene.name}-{config.estimator}", prior=prior) as folder,

@@ -32,6 +32,7 @@ class _EstimateFields(TypedDict, total=False):
     front_end: Literal["landmarks", "scan-matching"]
     calibrate_wheels: bool
     no_odometry: bool
+    people: bool | None
     max_time: float | None
     laser: LaserFields
     assumed: AssumedFields

@@ -44,7 +44,7 @@ class LaserNoise(Section):
 
 @dataclass(frozen=True)
 class WorldConfig(Section):
-    """Errors of the simulated robot; the estimators never see them."""
+    """Errors of the simulated robot, and people in the building; the estimators never see either."""
 
     motion: MotionNoise = field(default_factory=MotionNoise)
     laser: LaserNoise = field(default_factory=LaserNoise)
@@ -52,6 +52,10 @@ class WorldConfig(Section):
     """True distance and turn are (1 + this) times those the wheels report."""
     drift_rad_per_m: Annotated[float, Range(-10.0, 10.0, unit="rad/m")] = 0.0
     """Turn that an unequal pair of wheels adds per metre driven."""
+    walkers: Annotated[int, Range(0, 1000)] = 0
+    """People who walk from room to room, besides those of the scene."""
+    walkers_blind: bool = False
+    """Whether people do not stop for the robot."""
 
 
 @dataclass(frozen=True)

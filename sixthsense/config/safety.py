@@ -23,5 +23,7 @@ class SafetyConfig(Section):
     """Off: commands are not checked."""
     buffer_m: NonNegative = 0.02
     """Added to the robot's radius by the guard, to allow for range noise and for the slip of a robot that turns."""
+    body_m: NonNegative = 0.2
+    """Where people are expected, kept from what moves besides: the laser sees legs, and a body is wider."""
     creep: Positive = 0.1
     """Lowest speed, m/s, to which obstacles beside the robot's arc can slow it."""

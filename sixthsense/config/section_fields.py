@@ -55,6 +55,8 @@ class WorldFields(TypedDict, total=False):
     laser: LaserNoiseFields
     wheel_scale_error: float
     drift_rad_per_m: float
+    walkers: int
+    walkers_blind: bool
 
 
 class WheelsFields(TypedDict, total=False):
@@ -255,4 +257,5 @@ class SafetyFields(TypedDict, total=False):
     detour: float
     guard: bool
     buffer_m: float
+    body_m: float
     creep: float

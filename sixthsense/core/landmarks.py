@@ -58,6 +58,10 @@ class Observation:
     are not known; for evaluation only, not recorded"""
     shape: WallShape = field(default=WallShape(), repr=False, compare=False)
     """of a wall; not recorded"""
+    shape_cov: Array | None = field(default=None, repr=False, compare=False)
+    """(2, 2) part of `cov` by the shape of a wall where it was seen; None: it is straight; not recorded"""
+    shape_kept: float = field(default=0.0, repr=False, compare=False)
+    """correlation of the error by the shape with that of the wall's last observation, 0 to 1; not recorded"""
 
     @property
     def is_wall(self) -> bool:

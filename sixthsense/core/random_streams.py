@@ -14,8 +14,9 @@ class RandomStreams(NamedTuple):
     ransac: np.random.Generator
     planner: np.random.Generator
     exploration: np.random.Generator
+    walkers: np.random.Generator
 
 
 def random_streams(seed: int) -> RandomStreams:
     """Spawn the streams of a run from its seed."""
-    return RandomStreams(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(4)))
+    return RandomStreams(*(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(5)))

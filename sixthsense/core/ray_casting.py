@@ -1,11 +1,12 @@
-"""Ray casting: the range along each beam to the nearest wall.
+"""Ray casting: the range along each beam to the nearest wall or leg.
 
-A wall is tested only against the beams of the sector in which it is seen.
+A wall or leg is tested only against the beams of the sector in which it is seen.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -22,6 +23,8 @@ _SLACK_M = 2.0
 """how far the robot moves before the walls near it are found again"""
 _MARGIN = 2e-6
 """quarter turns by which a sector is wider than the wall: `_JOIN` seen from an end as near as that, and rounding"""
+NO_LEGS = np.zeros((0, 5))
+"""legs are discs, rows of x, y, radius (m) and velocity in x and y (m/s) at the scan's stamp, world frame"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -68,8 +71,54 @@ def _cast_at_wall(wall: tuple[float, float, float, float], cos: Array, sin: Arra
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_range: float, ranges: Array) -> None:
-    """Fill `ranges` (N,) with the distance along each direction to the nearest of `walls` (M, 4), inf beyond range."""
+def _cast_at_leg(ax: float, ay: float, radius: float, cos: Array, sin: Array, ranges: Array) -> None:
+    """Shorten `ranges` (K,) of beams to where they enter a leg at (ax, ay) from the laser; 0 for a laser inside it."""
+    outside_sq = ax * ax + ay * ay - radius * radius
+    for i in range(ranges.shape[0]):
+        # |t d - a| = radius: t^2 - 2 t (a . d) + |a|^2 - radius^2 = 0
+        along = ax * cos[i] + ay * sin[i]
+        under = along * along - outside_sq
+        if outside_sq <= 0.0:
+            ranges[i] = 0.0
+        elif along > 0.0 and under >= 0.0:
+            ranges[i] = min(ranges[i], along - math.sqrt(under))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast_at_legs(
+    x: float, y: float, cos: Array, sin: Array, begins: NDArray[np.int64], legs: Array, found: Array
+) -> None:
+    """Shorten `found` (N,) of beams, sorted by sector, to where they enter any of `legs` (L, 5)."""
+    n = len(cos)
+    for j in range(legs.shape[0]):
+        ax, ay, radius = legs[j, 0] - x, legs[j, 1] - y, legs[j, 2]
+        away_sq = ax * ax + ay * ay
+        # Half of the angle under which it is seen, as a tangent; a laser that is nearer than 1.4 radii tests all beams.
+        if away_sq <= 2.0 * radius * radius:
+            _cast_at_leg(ax, ay, radius, cos, sin, found)
+            continue
+        tangent = radius / math.sqrt(away_sq - radius * radius)
+        begin, end = (
+            _quarter_turns(ax + tangent * ay, ay - tangent * ax),
+            _quarter_turns(ax - tangent * ay, ay + tangent * ax),
+        )
+        first = begins[int(((begin - _MARGIN) % 4.0) * 0.25 * n) % n]
+        last = begins[int(((end + _MARGIN) % 4.0) * 0.25 * n) % n + 1]
+        if begin <= end and begin >= _MARGIN and end < 4.0 - _MARGIN:
+            _cast_at_leg(ax, ay, radius, cos[first:last], sin[first:last], found[first:last])
+        else:
+            _cast_at_leg(ax, ay, radius, cos[first:], sin[first:], found[first:])
+            _cast_at_leg(ax, ay, radius, cos[:last], sin[:last], found[:last])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _cast_rays(
+    x: float, y: float, cos: Array, sin: Array, walls: Array, legs: Array, max_range: float, ranges: Array
+) -> None:
+    """Fill `ranges` (N,) with the distance along each direction to the nearest of `walls` (M, 4) and `legs` (L, 5).
+
+    It is inf where that is not nearer than `max_range`.
+    """
     n = len(cos)
     order, begins = _beams_by_sector(cos, sin)
     cos, sin, found = cos[order], sin[order], np.full(n, np.inf)
@@ -96,6 +145,7 @@ def _cast_rays(x: float, y: float, cos: Array, sin: Array, walls: Array, max_ran
         else:
             _cast_at_wall((ax, ay, ex, ey), cos[first:], sin[first:], found[first:])
             _cast_at_wall((ax, ay, ex, ey), cos[:last], sin[:last], found[:last])
+    _cast_at_legs(x, y, cos, sin, begins, legs, found)
     for k in range(n):
         ranges[order[k]] = found[k] if found[k] < max_range else np.inf
 
@@ -117,13 +167,38 @@ def _cast_sweep(x: Array, y: Array, cos: Array, sin: Array, walls: Array, max_ra
         ranges[i] = nearest if nearest < max_range else np.inf
 
 
-def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float) -> Array:
+@numba.njit(cache=True, error_model="numpy")
+def _sweep_at_legs(
+    x: Array, y: Array, cos: Array, sin: Array, times_s: Array, legs: Array, max_range: float, ranges: Array
+) -> None:
+    """Shorten `ranges` (N,) to where each beam enters a leg, which has moved by then as its velocity says."""
+    for i in range(ranges.shape[0]):
+        for j in range(legs.shape[0]):
+            ax, ay = legs[j, 0] + times_s[i] * legs[j, 3] - x[i], legs[j, 1] + times_s[i] * legs[j, 4] - y[i]
+            if ax * ax + ay * ay < (max_range + legs[j, 2]) ** 2:
+                _cast_at_leg(ax, ay, legs[j, 2], cos[i : i + 1], sin[i : i + 1], ranges[i : i + 1])
+        if not ranges[i] < max_range:
+            ranges[i] = np.inf
+
+
+class Moving(NamedTuple):
+    """Legs during a sweep."""
+
+    legs: Array
+    """(L, 5) at the scan's stamp, as `NO_LEGS` says"""
+    times_s: Array
+    """(N,) of each beam relative to the stamp"""
+
+
+def cast_sweep(poses: Array, bearings: Array, walls: Array, max_range: float, moving: Moving | None = None) -> Array:
     """As `cast_rays` for a moving laser: beam i is cast from row i of `poses` (N, 3), world frame."""
     angles = bearings + poses[:, 2]
     ranges = np.empty(len(angles))
     x, y = np.ascontiguousarray(poses[:, 0]), np.ascontiguousarray(poses[:, 1])
-    flat = np.ascontiguousarray(walls.reshape(-1, 4))
-    _cast_sweep(x, y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
+    flat, cos, sin = np.ascontiguousarray(walls.reshape(-1, 4)), np.cos(angles), np.sin(angles)
+    _cast_sweep(x, y, cos, sin, flat, max_range, ranges)
+    if moving is not None and len(moving.legs):
+        _sweep_at_legs(x, y, cos, sin, moving.times_s, moving.legs, max_range, ranges)
     return ranges
 
 
@@ -140,12 +215,12 @@ def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_ra
     )
 
 
-def cast_among(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
-    """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them, and without checks."""
+def cast_among(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
+    """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them and `legs` (L, 5), and without checks."""
     angles = bearings + T_world_laser.theta
     ranges = np.empty(len(angles))
     flat = np.ascontiguousarray(walls)
-    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, max_range, ranges)
+    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, legs, max_range, ranges)
     return ranges
 
 

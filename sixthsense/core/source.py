@@ -41,6 +41,10 @@ class Tick:
     """`T_world_robot`, for the record only."""
     collided: bool = False
     """Whether the robot touched a wall since the last tick; it stands where it touched."""
+    walkers: Array | None = None
+    """(N, 3) x, y and heading of people in a simulated building, for the record only; None without any."""
+    touches: tuple[int, int] = (0, 0)
+    """How often the robot and a person have touched so far, by the robot's fault and by the person's."""
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
     sightings = OldName("sightings", "observations")

@@ -31,6 +31,8 @@ def measure(trace: Trace) -> Metrics:
     out = Metrics(outcome=trace.outcome)
     if trace.truths:
         out["collisions"] = int(trace.outcome == "collided")
+        if trace.touches is not None:
+            out["touches_by_robot"], out["touches_by_walkers"] = trace.touches
         out |= _goal_error(trace) | _home_error(trace)
         out |= _errors(trace)
         if trace.scene is not None:

@@ -76,6 +76,8 @@ def _quantities() -> dict[str, Quantity]:
         "Outcome": [
             ("outcome", "", "why the run ended"),
             ("collisions", "1", "number of collisions with walls"),
+            ("touches_by_robot", "1", "touches of a person by the robot's fault: it moved in faster than the person"),
+            ("touches_by_walkers", "1", "touches of the robot by a person's fault"),
             ("goal_error_m", "m", "distance of the true position from the goal at the end"),
             ("home_error_m", "m", "distance of the true position from the start at the end"),
             ("coverage", "1", "seen share of the visible area"),

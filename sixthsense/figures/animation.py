@@ -26,12 +26,14 @@ from sixthsense.figures.plot import (
     PLAN,
     SEEN,
     TRUTH,
+    WALKER,
     WALL,
     draw_segments,
     ellipse,
     label_plane,
     map_height,
     new_figure,
+    walker_outlines,
 )
 from sixthsense.loop import replay
 from sixthsense.navigation.frontier import frontier_points
@@ -142,8 +144,8 @@ class _MapDrawing:
         """Draw what stays the same, and empty artists for what moves."""
         self._config = finished.config
         self._has_truth = bool(finished.truths)
-        scene = finished.scene
-        explores = finished.config.task == "explore" and scene is not None
+        self._tracks = finished.walkers
+        scene, explores = finished.scene, finished.config.task == "explore" and finished.scene is not None
         self._region = (finished.config.region or scene.region) if explores and scene is not None else None
         self.figure: Any = new_figure(width_in, width_in)
         ax = self.figure.add_subplot()
@@ -176,6 +178,9 @@ class _MapDrawing:
         )  # fmt: skip
         self._walls = LineCollection([], colors=LANDMARK, linewidths=1.4, label="estimated walls", zorder=4)
         self._ellipses = PolyCollection([], facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6)
+        name = "people, true" if self._tracks else None
+        self._people = LineCollection([], colors=WALKER, label=name, zorder=8)
+        ax.add_collection(self._people)
         ax.add_collection(self._walls)
         ax.add_collection(self._ellipses)
         (self._points,) = ax.plot([], [], **_DOT, markersize=2.6, color=LANDMARK, label="landmarks, 95 %", zorder=6)
@@ -225,6 +230,8 @@ class _MapDrawing:
             self._plan.set_data(*plan.T)
         if self._has_truth:
             self._true_path.set_data(*np.array(trace.truths)[:, :2].T)
+        if self._tracks:
+            self._people.set_segments(walker_outlines(self._tracks[len(trace.estimates) - 1]))
         self._path.set_data(*np.array(trace.estimates)[:, :2].T)
         self._robot.center = pose.x, pose.y
         self._heading.set_data(*np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])]).T)

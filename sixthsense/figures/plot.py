@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
+from sixthsense.sources.walking_space import BODY_M
 
 if TYPE_CHECKING:
     from sixthsense.figures.picture import Picture
@@ -26,6 +27,7 @@ WALL = "#4D4D4D"
 WALL_FOUND = "#CC79A7"
 OBSERVATION = "#56B4E9"
 SEEN = "#D3E9F7"
+WALKER = "#882255"
 CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, OBSERVATION, TRUTH)
 """Colours of numbered items such as runs and partitions."""
 
@@ -97,6 +99,23 @@ def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
     ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
 
 
+def walker_outlines(poses: Array) -> list[Array]:
+    """A line (33, 2) per person at (N, 3) poses: the circle of the body, from the middle by where it looks to."""
+    angle = np.linspace(0.0, 2.0 * math.pi, 32)
+    circle = np.vstack([np.zeros((1, 2)), BODY_M * np.stack([np.cos(angle), np.sin(angle)], axis=1)])
+    return [Pose.from_array(pose) @ circle for pose in poses]
+
+
+def draw_walkers(ax: Any, trace: Trace) -> None:
+    """Draw the tracks of people, and where they were at last."""
+    if not trace.walkers:
+        return
+    for track in np.array(trace.walkers).transpose(1, 0, 2):  # (S, 3)
+        ax.plot(track[:, 0], track[:, 1], color=WALKER, linewidth=0.5, alpha=0.35, zorder=2)
+    ax.plot([], [], color=WALKER, linewidth=1.0, label="people, true")
+    draw_segments(ax, np.array(walker_outlines(trace.walkers[-1])), colors=WALKER, linewidths=1.2, zorder=6)
+
+
 def label_plane(ax: Any) -> None:
     """Label axes in metres and give them equal aspect."""
     ax.set_aspect("equal")
@@ -125,6 +144,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
             else {"linewidth": 0.4, "alpha": 0.25}
         )
         ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
+    draw_walkers(ax, trace)
     odometry = _as_path(trace.odometry, trace)
     ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
     has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a keyframe before every scan

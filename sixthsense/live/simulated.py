@@ -24,6 +24,7 @@ from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.mission import mission
 from sixthsense.sources.scene import Scene
+from sixthsense.sources.walkers import walkers_of
 from sixthsense.sources.world import World
 
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
@@ -144,7 +145,8 @@ def drive_by_commands(robot: SimulatedRobot, config: Config, scene: Scene, timeo
     That is "collided", "time is up" after `config.max_time`, or "interrupted".
     """
     start, _, radius_m = mission(scene, config)
-    world = World(scene.walls, start, radius_m, config, random_streams(config.seed).world, scene.glass)
+    walkers, rng = walkers_of(scene, config, start, radius_m), random_streams(config.seed).world
+    world = World(scene.walls, start, radius_m, config, rng, scene.glass, walkers)
     period_s = config.robot.control_period_s
     command, commanded_s = Command(), time.monotonic()
     began_s, ticks = time.monotonic(), 0

@@ -39,9 +39,8 @@ _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 class Exploration:
     """Drives to the view with the largest gain per time until nothing is left to see, then home.
 
-    To be seen are the unseen cells of the region beside free cells that were seen. They are looked at from the nearest
-    cell with a line of sight, and, if a turn around there does not show them, from as near as possible. Then they are
-    given up, with a reason.
+    It looks at unseen cells of the region beside seen free ones from the nearest cell with a line of sight and, if a
+    turn around there does not show them, from as near as possible. Then it gives them up, with a reason.
     """
 
     def __init__(self, task: ExplorationTask, grid: Grid, estimate: Estimate) -> None:
@@ -49,19 +48,15 @@ class Exploration:
         self.outcome: Outcome | None = None
         self.left: list[UnseenPlace] = []
         self.state: State = "selecting"
-        self._task = task
-        self._limited = LimitedMap(task)
+        self._task, self._limited = task, LimitedMap(task)
         self._widening, self._passages = self._limited.widening, self._limited.passages
-        self._target = NO_TARGET
-        self._failed_views = FailedViewCounts()
-        self._hidden_cells = HiddenCells(task.sensor.reach)
-        self._reachable_cells = ReachableCells()
+        self._target, self._failed_views = NO_TARGET, FailedViewCounts()
+        self._hidden_cells, self._reachable_cells = HiddenCells(task.sensor.reach), ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
-        self._retries = 0  # of unreachable cells
-        self._stagnation = Stagnation()
-        self._retracing = False
+        self._retries, self._retracing = 0, False  # of unreachable cells; home as the robot came
+        self._stagnation = Stagnation(task.config.people)
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._limited.driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
@@ -99,8 +94,6 @@ class Exploration:
         self.state = _ACTIONS[transition.action](self, pose)
         return True
 
-    # The actions: each returns the next state.
-
     def _choose_view(self, pose: Pose) -> State:
         """Head for the view with the largest utility, or home when none is left."""
         self.driver.stop()
@@ -110,8 +103,10 @@ class Exploration:
         if target is not None:
             self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
             return "to viewpoint"
-        planner = self._make_view_planner(pose)
-        self.left = unseen_places(planner)
+        self.left = unseen_places(self._make_view_planner(pose))
+        if self.left and self._stagnation.may_wait(self._map.grid.seen_area_m2):
+            self.driver.wait(pose)
+            return "waiting"
         if self._task.config.explore.return_home:
             self.driver.head_for(self._task.home, pose)
         else:
@@ -141,8 +136,8 @@ class Exploration:
     def _count_failed_view(self, pose: Pose) -> State:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
         window, self._has_seen_more = self._window, True
-        cell, reach = window.cell(pose.position), self._task.sensor.gapless_reach
-        visible = visible_cells(window.obstacles, window.unknown, *cell, reach)
+        cell = window.cell(pose.position)
+        visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
         failed = (self._target.mask(window) | visible) & window.unknown
         self._failed_views.count_failure(window, failed)
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
@@ -151,6 +146,12 @@ class Exploration:
             planner = self._make_view_planner(pose)
             approached = cells_approached_at(planner, planner.candidates(self._widening), cell)
             self._failed_views.mark_unreachable(window, often | approached)
+        return self._choose_view(pose)
+
+    def _look_again(self, pose: Pose) -> State:
+        """Choose a view as if nothing had been given up: who was in the way may have gone."""
+        self._failed_views, self._retries = FailedViewCounts(), 0
+        self._hidden_cells.clear()
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
@@ -177,8 +178,8 @@ class Exploration:
 
     def _approach_gap_or_retrace(self, pose: Pose) -> State:
         """Without a path home: look at the gap that closes it, else drive back as the robot came."""
-        been = self._history.positions
-        gap = self._gaps_home.next(self._window, pose, self._distances(pose).reachable, been)
+        been, reachable = self._history.positions, self._distances(pose).reachable
+        gap = self._gaps_home.next(self._window, pose, reachable, been)
         if gap is not None:
             self.driver.head_for(gap, pose)
             return "approaching gap"
@@ -189,7 +190,10 @@ class Exploration:
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:
                 return "returning"
-        self.outcome = "goal unreachable"
+        if self._stagnation.may_wait(self._map.grid.seen_area_m2):
+            self.driver.plan(pose)
+        else:
+            self.outcome = "goal unreachable"
         return "returning"
 
     def _finish(self, pose: Pose) -> State:
@@ -200,8 +204,6 @@ class Exploration:
     def _give_up(self, pose: Pose) -> State:
         self.outcome = "stuck"
         return self.state
-
-    # Views.
 
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view, else the nearest one of what only cells out of reach show; None if nothing is left to see."""
@@ -270,8 +272,6 @@ class Exploration:
         reachable = self._reachable_cells.of(passable, blocked, window.first, here)
         return Distances(passable, blocked, *here, reachable)
 
-    # The map within the limits.
-
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)
         self._drawn_window = None
@@ -290,6 +290,7 @@ _ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
     "replan or choose view": Exploration._replan_or_choose_view,
     "turn around": Exploration._turn_around,
     "count failed view": Exploration._count_failed_view,
+    "look again": Exploration._look_again,
     "mark unreachable": Exploration._mark_unreachable,
     "close loop": Exploration._close_loop,
     "drop target": Exploration._drop_target,

@@ -12,10 +12,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-State = Literal["selecting", "to viewpoint", "at viewpoint", "closing a loop", "approaching gap", "returning"]
+State = Literal[
+    "selecting", "to viewpoint", "at viewpoint", "waiting", "closing a loop", "approaching gap", "returning"
+]
 """selecting: a view is chosen when the next map arrives; to viewpoint, at viewpoint: driving there, turning around
-there; closing a loop: driving to a place where the pose was certain; approaching gap: driving to a gap that cuts the
-robot off from home, to see it from nearer; returning: driving home."""
+there; waiting: turning around until people may have gone; closing a loop: driving to a place where the pose was
+certain; approaching gap: driving to a gap that cuts the robot off from home, to see it from nearer; returning: driving
+home."""
 
 Event = Literal[
     "target seen", "path blocked", "pose uncertain", "pose certain", "arrived", "turned around", "stuck", "stuck again"
@@ -30,6 +33,7 @@ Action = Literal[
     "replan or choose view",
     "turn around",
     "count failed view",
+    "look again",
     "mark unreachable",
     "close loop",
     "drop target",
@@ -48,7 +52,7 @@ class Transition:
     """the states it may lead to; the action decides"""
 
 
-_AFTER_CHOICE: tuple[State, ...] = ("to viewpoint", "returning")
+_AFTER_CHOICE: tuple[State, ...] = ("to viewpoint", "waiting", "returning")
 
 _CHOOSE = Transition("choose view", _AFTER_CHOICE)
 _COUNT_FAILED_VIEW = Transition("count failed view", _AFTER_CHOICE)  # then choose a view
@@ -86,6 +90,7 @@ TRANSITIONS: Mapping[State, Mapping[Event, Transition]] = MappingProxyType(
             "stuck": _COUNT_FAILED_VIEW,
             "stuck again": _give_up("at viewpoint"),
         },
+        "waiting": {"turned around": Transition("look again", _AFTER_CHOICE)},  # then choose a view
         "closing a loop": {
             "pose certain": Transition("drop target", ("selecting",)),
             "path blocked": _replan("closing a loop"),

@@ -18,6 +18,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 
 _TOUCH = 1e-9  # metres
+_NOTHING = np.zeros((0, 2))
 _STRAIGHT = 1e-6  # an arc with a smaller product of curvature and radius is treated as a line
 
 
@@ -97,11 +98,14 @@ class Guard:
         """Guard a robot that is a disc of `radius_m`."""
         self.stops = 0
         """how often a moving robot was stopped"""
+        self.waits_for_moving = False
+        """whether what moves is nearest in the way of the latest command"""
         self._config = config
         self._radius_m = radius_m + config.safety.buffer_m
         self._latency_s = latency_s(config)
         self._scan: Scan | None = None
         self._points = np.zeros((0, 2))  # returns in the robot's frame at the latest scan
+        self._moving = _NOTHING
         self._since = Pose()
         self._stopped = False
 
@@ -109,9 +113,9 @@ class Guard:
         """Take in the motion of a control tick from odometry, `T_before_after`."""
         self._since = self._since @ motion
 
-    def see(self, scan: Scan) -> None:
-        """Take in a scan from the robot's present pose."""
-        self._scan, self._since = scan, Pose()
+    def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
+        """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
+        self._scan, self._since, self._moving = scan, Pose(), moving_robot
 
     @property
     def stopped(self) -> bool:
@@ -139,6 +143,14 @@ class Guard:
         contact, gap = _limits(
             self._points, since.x, since.y, since.theta, command.speed, command.turn_rate, self._radius_m, reach
         )
+        self.waits_for_moving = False
+        if len(self._moving):
+            wide_m = self._radius_m + self._config.safety.body_m
+            to_body = _limits(
+                self._moving, since.x, since.y, since.theta, command.speed, command.turn_rate, wide_m, reach
+            )
+            self.waits_for_moving = to_body[0] < contact
+            contact, gap = min(contact, to_body[0]), min(gap, to_body[1])
         creep = min(self._config.safety.creep, speed)
         limit = self._speed_within(contact)
         stopped = limit < creep

@@ -16,9 +16,11 @@ from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.shortcut import path_is_free
 
 DriveEvent = Literal["arrived", "turned around", "stuck"]
-"""arrived: at the goal, on every tick there; turned around: one turn on the spot is complete, and no path was found
-during it; stuck: no progress for a while."""
+"""arrived: at the goal, on every tick there; turned around: a turn on the spot is complete, where people are expected
+several, and no path was found during it; stuck: no progress for a while."""
 
+PATIENT_TURNS = 5
+"""turns on the spot, half a minute, that a robot without a way waits for people to go"""
 _STUCK_S = 60.0  # least time without progress after which the robot is stuck
 _STUCK_M = 0.1  # progress
 
@@ -86,6 +88,7 @@ class PathDriver:
         self._planner = planner
         self._follower = follower
         self._config = config
+        self._patience_rad = 2.0 * math.pi * (PATIENT_TURNS if config.people else 1)
         self._progress = ProgressMonitor(config.robot)
         self._turn: _Turn | None = None
         self.update_map(map_, pose)
@@ -111,7 +114,7 @@ class PathDriver:
             self._turn = None
             self._follower.follow(path)
         elif self._turn is None:
-            self._turn = _Turn(pose.theta, 2.0 * math.pi)
+            self._turn = _Turn(pose.theta, self._patience_rad)
 
     def path_is_free(self, pose: Pose) -> bool:
         """Whether there is a path and the rest of it is free."""
@@ -132,11 +135,16 @@ class PathDriver:
         """Drop the path and turn on the spot."""
         self.following, self._turn = False, _Turn(pose.theta, angle_rad)
 
+    def wait(self, pose: Pose) -> None:
+        """Drop the path and turn around once: who is in the way may go."""
+        self._progress.reset()
+        self.turn_around(pose, 2.0 * math.pi)
+
     def guard_stopped(self, pose: Pose) -> None:
         """Drop the path and turn, until a keyframe has brought the obstacle into the map and a new path avoids it."""
         self.following = False
         if self._turn is None:
-            self._turn = _Turn(pose.theta, 2.0 * math.pi)
+            self._turn = _Turn(pose.theta, self._patience_rad)
 
     def step(self, pose: Pose, stamp_ns: int, mission: Mission) -> Command:
         """The command of a control tick, after `mission` has handled the events."""

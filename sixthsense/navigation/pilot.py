@@ -8,6 +8,9 @@ from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.slam.slam import Step
 
+_PATIENCE_NS = 3_000_000_000
+"""time that a stopped robot waits for what moves, before it seeks another way"""
+
 
 class Pilot:
     """Takes a command from the navigator and lets the guard slow or stop it."""
@@ -15,13 +18,14 @@ class Pilot:
     def __init__(self, navigator: Navigator, guard: Guard) -> None:
         self.navigator = navigator
         self.guard = guard
+        self._stopped_ns: int | None = None
 
     def steer(self, step: Step) -> Command:
         """The command for the next control tick."""
         if step.increment is not None:
             self.guard.moved(step.increment.motion)
         if step.scan is not None:
-            self.guard.see(step.scan)
+            self.guard.see(step.scan, step.moving.points_robot)
         if step.keyframe is not None:
             self.navigator.look(step.grid, step.keyframe.estimate)
         return self.command(step.pose, step.stamp_ns)
@@ -29,7 +33,13 @@ class Pilot:
     def command(self, pose: Pose, stamp_ns: int) -> Command:
         """The command of a robot at a pose, `T_world_robot`."""
         command = self.guard.check(self.navigator.step(pose, stamp_ns))
-        if self.guard.stopped:
+        if not self.guard.stopped:
+            self._stopped_ns = None
+            return command
+        if self._stopped_ns is None:
+            self._stopped_ns = stamp_ns
+        # Who walks by is gone in a moment; then the robot goes around.
+        if not self.guard.waits_for_moving or stamp_ns - self._stopped_ns >= _PATIENCE_NS:
             self.navigator.guard_stopped(pose)
         return command
 
@@ -48,7 +58,7 @@ class AheadPilot(Pilot):
         if step.increment is not None:
             self._since_scan = self._since_scan @ step.increment.motion
         if step.scan is not None:
-            self.guard.see(step.scan)
+            self.guard.see(step.scan, step.moving.points_robot)
             self._since_scan = self._guarded = Pose()
         if step.keyframe is not None:
             self.navigator.look(step.grid, step.keyframe.estimate)

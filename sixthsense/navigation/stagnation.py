@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from sixthsense.navigation.exploration_states import Event
+from sixthsense.navigation.path_driver import PATIENT_TURNS
 
 _BLOCKED_WAYS = 6  # without anything new to see; explorations that go on have up to three in a row
 _NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
@@ -11,10 +12,13 @@ _NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
 class Stagnation:
     """Counts what happens without an arrival, a target seen, or much that is new."""
 
-    def __init__(self) -> None:
+    def __init__(self, people: bool | None = None) -> None:
+        """Count from nothing; `people` is whether any are expected, for whom the robot waits."""
+        self._people = people
         self._stuck = False
         self._blocked_ways = 0
-        self._seen_m2 = 0.0
+        self._seen_m2 = self._waited_m2 = 0.0
+        self._waits = 0
 
     def event(self, event: Event) -> Event:
         """The event itself, or "stuck again" if the robot has not arrived anywhere since it was stuck."""
@@ -40,3 +44,13 @@ class Stagnation:
             return False
         self._blocked_ways = 0
         return True
+
+    def may_wait(self, seen_m2: float) -> bool:
+        """Count a wait for people to go, when `seen_m2` have been seen in all; whether patience is left for it."""
+        if not self._people:
+            return False
+        if seen_m2 > self._waited_m2 + _NEW_M2:
+            self._waits = 0
+        self._waits += 1
+        self._waited_m2 = max(seen_m2, self._waited_m2)
+        return self._waits <= PATIENT_TURNS

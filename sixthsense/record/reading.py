@@ -143,6 +143,10 @@ def _take_scan(table: Line, trace: Trace) -> None:
     trace.odometry.append(odometry)
     if truth is not None:
         trace.truths.append(truth)
+    if "walkers" in table:
+        trace.walkers.append(_array(table, "walkers", (-1, 3)))
+        by_robot, by_walkers = (int(count) for count in _array(table, "touches", (2,)))
+        trace.touches = by_robot, by_walkers
     trace.last_key.append(last_key)
     trace.since_key.append(since_key)
     trace.path_length_m = path_length_m

@@ -150,6 +150,8 @@ def _scan_line(trace: Trace, k: int) -> Line:
     }
     if trace.truths:
         line["truth"] = trace.truths[k].tolist()
+    if trace.walkers:
+        line["walkers"], line["touches"] = trace.walkers[k].tolist(), trace.touches
     return line
 
 

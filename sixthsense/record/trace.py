@@ -53,6 +53,10 @@ class Trace:
     """per scan: (3,) dead-reckoned pose, world frame"""
     truths: list[Array] = field(default_factory=list)
     """per scan: (3,) true pose; empty for a log"""
+    walkers: list[Array] = field(default_factory=list)
+    """per scan: (N, 3) x, y and heading of people in the simulated building; empty without any"""
+    touches: tuple[int, int] | None = None
+    """how often the robot and a person touched, by the robot's fault and by the person's; None without people"""
     last_key: list[int] = field(default_factory=list)
     """per scan: index of the last keyframe, which may be the scan itself"""
     since_key: list[Array] = field(default_factory=list)
@@ -140,6 +144,9 @@ class Trace:
         self.odometry.append(step.dead_reckoned.array())
         if tick.truth is not None:
             self.truths.append(tick.truth.array())
+        if tick.walkers is not None:
+            self.walkers.append(tick.walkers)
+            self.touches = tick.touches
         self.last_key.append(len(self.key_stamps_ns) - 1)
         self.since_key.append(step.since_keyframe.array())
 

@@ -15,6 +15,7 @@ from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.moving import NOTHING_MOVES, Moving
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,8 @@ class Step:
     """None where the tick brought no keyframe"""
     grid: Grid
     """the map as it is now; the next keyframe changes it"""
+    moving: Moving = NOTHING_MOVES
+    """returns of what moves; none where people are not expected"""
     key_scan = OldName("key_scan", "keyframe")
 
 

@@ -31,6 +31,7 @@ from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
 
@@ -76,8 +77,10 @@ class Slam:
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
         self.associator = Associator(self.config.association, None if prior_map is None else prior_map.fresh_records())
-        self._mapper = Mapper(self.config.grid, radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M)
+        radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
+        self._mapper = Mapper(self.config.grid, radius_m, self.config.safety.body_m)
         self._deskew = Deskewer(self.config.features.deskew)
+        self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()
         self._velocity = LastVelocity() if self.config.no_odometry else None
         self._unplaced = None if prior_map is None else (prior_map, cov)
@@ -106,13 +109,17 @@ class Slam:
     def take(self, tick: Tick) -> Step:
         """Process a tick: its odometry always, its observations, and its scan if it is a keyframe."""
         increment, scan = self._fold(tick)
-        keyframe = self._front_end.take(tick, scan, self._placed(scan, increment))
+        still, moving = self._without_moving(scan, increment)
+        is_matched = self.config.front_end == "scan-matching"
+        keyframe = self._front_end.take(tick, still if is_matched else scan, self._placed(scan, increment))
+        if scan is not None and self._moving is not None:
+            self._moving.keep(scan, self.pose, tick.stamp_ns)
         if keyframe is not None and self._wheels is not None:
             found = self.wheels()
             self._wheels.wheels = self._wheels.wheels if found is None else found.values
-        if scan is not None and keyframe is not None:
-            self._map(scan, keyframe)
-        return self._step(tick, increment, scan, keyframe)
+        if still is not None and keyframe is not None:
+            self._map(still, keyframe, moving)
+        return self._step(tick, increment, scan, keyframe, moving)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -197,6 +204,15 @@ class Slam:
         self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
         return increment, None if tick.scan is None else self._deskew(tick.scan)
 
+    def _without_moving(self, scan: Scan | None, increment: Odometry | None) -> tuple[Scan | None, Moving]:
+        """The scan without the returns of what moves, if people may, and these.
+
+        For the map and for scan matching: features take moving legs for what they are, something that hides a wall.
+        """
+        if scan is None or self._moving is None:
+            return scan, NOTHING_MOVES
+        return self._moving.split(scan, self.pose @ (increment or STANDSTILL).motion, self._stamp_ns)
+
     def _placed(self, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         """The increment; at the first scan also the motion from there to where the scan fits the prior map."""
         if scan is None or self._unplaced is None:
@@ -234,13 +250,15 @@ class Slam:
         self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
         return WheelOdometry(self.config.assumed)
 
-    def _mapped(self, scan: Scan, keyframe: Keyframe) -> None:
-        self._mapper.add(self.trajectory, scan, keyframe.walls_robot)
+    def _mapped(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
+        self._mapper.add(self.trajectory, scan, keyframe.walls_robot, moving.standing_robot)
 
-    def _step(self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None) -> Step:
+    def _step(
+        self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None, moving: Moving
+    ) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry
         since = self._front_end.since_keyframe
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid)
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
 
     def _increment(self, before: Pose, tick: Tick) -> Odometry:
         """The motion since the last tick, with the covariance that the log states or that of the assumed noise.

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene import Scene, SceneError, check_placement
+from sixthsense.sources.walkers import walkers_of
 
 
 def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
@@ -15,7 +18,7 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     An exploration has no goals.
 
     Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, and for
-    a start outside region and building from which the laser reaches no wall.
+    a start outside region and building from which the laser reaches no wall; and for more walkers than fit in.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
@@ -37,7 +40,16 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     if not (x0 <= start.x <= x1 and y0 <= start.y <= y1):
         _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
-    return start, goals, config.robot.radius or scene.radius
+    radius_m = config.robot.radius or scene.radius
+    walkers_of(scene, config, start, radius_m)  # whether there is room for them
+    return start, goals, radius_m
+
+
+def with_people(scene: Scene, config: Config) -> Config:
+    """The configuration of a robot that knows of people where any walk in the scene, unless it says otherwise."""
+    if config.people is None and (scene.walkers or config.world.walkers):
+        return dataclasses.replace(config, people=True)
+    return config
 
 
 def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:

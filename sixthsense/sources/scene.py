@@ -33,10 +33,11 @@ from sixthsense.sources.scene_fields import (
     read_wall,
 )
 from sixthsense.sources.scene_names import SceneError, scene_file, shipped_scenes
+from sixthsense.sources.scripted_walk import ScriptedWalk, check_walks, read_walks
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
-_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass", "campus")
+_SCENE_KEYS = ("start", "radius", "goal", "tour", "region", "walls", "polygons", "glass", "campus", "walkers")
 _OTHER_LISTS = 2_000  # at most, of a scene's tour, polygons, glass and comments
 _NO_GLASS = np.zeros((0, 2, 2))
 
@@ -63,6 +64,8 @@ class Scene:
     """Whether walls are closed outlines with the solid on their left (a ROS map), so that a point can lie inside."""
     glass: Array = field(default_factory=lambda: _NO_GLASS)
     """(G, 2, 2) segments that stop the robot and return no beam; read-only."""
+    walkers: tuple[ScriptedWalk, ...] = ()
+    """Walks of people that the file states."""
 
     def __post_init__(self) -> None:
         walls = np.array(self.walls, dtype=np.float64)
@@ -175,9 +178,11 @@ def _from_toml(path: Path) -> Scene:
         tour,
         region,
         glass=np.array(glass).reshape(-1, 2, 2),
+        walkers=read_walks(read_list("walkers", table.get("walkers", []))),
     )
     _check_inside("start", (start.x, start.y), region)
     check_placement(scene, goal=goal, tour=tour)
+    check_walks(scene.walkers, scene.solid, region)
     return scene
 
 

@@ -97,11 +97,11 @@ def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
     return tuple(float(v) for v in found)
 
 
-def read_positive(where: str, value: Any) -> float:
-    """A finite length above 0, metres."""
+def read_positive(where: str, value: Any, unit: str = "metres") -> float:
+    """A finite number above 0, by default a length."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not usable or not 0.0 < value <= _LIMIT_M:
-        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, metres")
+        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, {unit}")
     return float(value)
 
 

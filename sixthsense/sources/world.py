@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -13,8 +14,9 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw, rk4, slip_variances
 from sixthsense.core.pose_kernels import Triple, composed, driven
-from sixthsense.core.ray_casting import NearWalls, cast_among, cast_sweep
+from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, cast_among, cast_sweep
 from sixthsense.core.source import Command, Tick
+from sixthsense.sources.walkers import Walkers
 
 _MOVED_M = 1.0
 """more than a robot moves in a control tick, slip included"""
@@ -78,11 +80,14 @@ class World:
         config: Config,
         rng: np.random.Generator,
         glass: Array | None = None,
+        walkers: Walkers | None = None,
     ) -> None:
         """Place the robot, a disc of `radius_m`, at `start` among `walls` (N, 2, 2), metres, world frame.
 
-        `glass` (G, 2, 2) stops the robot as walls do, and lets every beam through.
+        `glass` (G, 2, 2) stops the robot as walls do, and lets every beam through. `walkers` are people, who stop
+        beams, not the robot.
         """
+        self._walkers = walkers
         self._radius_m = radius_m
         self._config = config
         self._place(walls, glass)
@@ -105,11 +110,17 @@ class World:
         if self._collided:
             return None
         if self._ticks > 0:
+            before = self._truth
             self._drive(command)
             self._past.append(self._truth)
+            if self._walkers is not None:
+                self._walkers.step(before, self._truth, 1e-9 * self._period_ns)
         scan = self._sense() if self._ticks % self._config.laser.period_ticks == 0 else None
         stamp_ns = self._ticks * self._period_ns
         tick = Tick(stamp_ns, self._odometry, scan, truth=self._truth, collided=self._collided)
+        if self._walkers is not None:
+            by_robot, by_walkers = self._walkers.touches
+            tick = replace(tick, walkers=self._walkers.poses, touches=(by_robot, by_walkers))
         self._ticks += 1
         return tick
 
@@ -152,10 +163,11 @@ class World:
         T_world_laser = self._truth @ Pose(*laser.mount)
         bearings = self._bearings + draw(self._rng, noise.distribution, noise.bearing_rad, laser.beams)
         walls = self._visible.at(T_world_laser.x, T_world_laser.y)
+        legs = NO_LEGS if self._walkers is None else self._walkers.legs()
         if laser.sweep_s == 0.0:
-            ranges = cast_among(T_world_laser, bearings, walls, laser.max_range)
+            ranges = cast_among(T_world_laser, bearings, walls, laser.max_range, legs)
         else:
-            ranges = cast_sweep(self._sweep(), bearings, walls, laser.max_range)
+            ranges = cast_sweep(self._sweep(), bearings, walls, laser.max_range, Moving(legs, self._times_s))
         ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)
         return Scan.from_config(np.maximum(ranges, 0.0), laser)
 

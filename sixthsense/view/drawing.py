@@ -26,9 +26,11 @@ from sixthsense.figures.plot import (
     PLAN,
     SEEN,
     TRUTH,
+    WALKER,
     WALL,
     WALL_FOUND,
     ellipse,
+    walker_outlines,
 )
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.stopwatch import STAGES
@@ -101,6 +103,8 @@ class Drawing:
             self._points("map/scan", pose @ live.scan.points_robot[returned], ODOMETRY, 1.5)
         if tick.truth is not None:
             self._points("map/true/robot", tick.truth.position[None], TRUTH, 4.0)
+        if tick.walkers is not None:
+            self._lines("map/true/walkers", walker_outlines(tick.walkers), WALKER, _THICK)
 
     def features(self, trace: Trace) -> None:
         """Send the features of the last keyframe and the 95 % ellipse of the pose after it."""

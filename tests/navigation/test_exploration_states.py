@@ -15,6 +15,7 @@ from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.map_window import NO_TARGET, UNREACHABLE
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
+from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.navigation.view_gain import SensorModel
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
@@ -22,7 +23,7 @@ from sixthsense.slam.mapping.grid import Grid
 CONFIG = Config()
 RADIUS = 0.2
 START = Pose(1.0, 1.0, 0.0)
-AFTER_CHOICE = ("to viewpoint", "returning")
+AFTER_CHOICE = ("to viewpoint", "waiting", "returning")
 
 
 def rectangle(x0: float, y0: float, x1: float, y1: float) -> list[list[list[float]]]:
@@ -302,3 +303,20 @@ def test_approaches_of_a_gap_that_are_cut_short_count_less_than_looks_and_end_to
         exploration.handle("turned around", pose)
         approaches += exploration.state == "approaching gap"
     assert stage.config.explore.tries < approaches < 100
+
+
+def test_where_people_are_expected_the_robot_waits_before_it_leaves_a_place_unseen(monkeypatch) -> None:
+    stage, left = seen_room({"people": True}), [UnseenPlace(2.0, 2.0, 1.0, "unreachable")]
+    monkeypatch.setattr("sixthsense.navigation.exploration.unseen_places", lambda planner: left)
+    states = [stage.look(START)]
+    while states[-1] == "waiting":
+        assert not stage.exploration.driver.following
+        stage.exploration.handle("turned around", START)
+        states.append(stage.exploration.state)
+    assert states == ["waiting"] * 5 + ["returning"]
+
+
+def test_a_robot_that_expects_nobody_leaves_a_place_at_once(monkeypatch) -> None:
+    stage, left = seen_room(), [UnseenPlace(2.0, 2.0, 1.0, "unreachable")]
+    monkeypatch.setattr("sixthsense.navigation.exploration.unseen_places", lambda planner: left)
+    assert stage.look(START) == "returning"

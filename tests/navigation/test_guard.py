@@ -16,6 +16,7 @@ from sixthsense.loop import recorded_drive
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import GoalNavigator
 from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
+from sixthsense.navigation.navigator import ReplayNavigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
@@ -216,3 +217,36 @@ NOISY = [
 def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: dict[str, object], seed: int) -> None:
     config = merge(dataclasses.replace(preset(name), seed=seed, max_time=60.0), changes)
     assert measure(driven(config, SuddenWall))["collisions"] == 0
+
+
+def moving_ahead(distance_m: float) -> Array:
+    return np.array([[distance_m, 0.0], [distance_m, 0.05]])
+
+
+def test_the_guard_keeps_a_body_from_what_moves_and_less_from_a_wall() -> None:
+    ahead = moving_ahead(RADIUS + 0.15)
+    guard, _ = guard_before(ahead)
+    assert guard.check(Command(0.1, 0.0)).speed > 0.0 and not guard.waits_for_moving
+    guard.see(scan_of(ahead), ahead)
+    assert guard.check(Command(0.1, 0.0)) == Command(0.0, 0.0) and guard.waits_for_moving
+    assert guard.check(Command(-0.1, 0.0)) == Command(-0.1, 0.0)
+
+
+def test_a_robot_that_someone_stops_waits_for_three_seconds_before_it_seeks_another_way() -> None:
+    told: list[float] = []
+
+    class Ahead(ReplayNavigator):
+        def step(self, pose: Pose, stamp_ns: int) -> Command:
+            self.now_s = 1e-9 * stamp_ns
+            return Command(0.5, 0.0)
+
+        def guard_stopped(self, pose: Pose) -> None:
+            told.append(self.now_s)
+
+    for distance_m, moves, expected_s in ((0.02, False, 0.0), (0.1, True, 3.0)):
+        told.clear()
+        pilot, ahead = Pilot(Ahead(), Guard(CONFIG, RADIUS)), moving_ahead(RADIUS + distance_m)
+        pilot.guard.see(scan_of(ahead), ahead if moves else np.zeros((0, 2)))
+        for k in range(50):
+            assert pilot.command(Pose(), k * 100_000_000) == Command()
+        assert told[0] == pytest.approx(expected_s)

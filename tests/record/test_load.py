@@ -289,3 +289,13 @@ def test_the_records_attributes_are_the_runs_for_one_version_with_a_warning(fold
         _ = run.nothing
     with pytest.warns(DeprecationWarning, match="ss.Trace.load is deprecated, use ss.load"):
         assert ss.Trace.load(folder).metrics == run.metrics
+
+
+def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):
+    made = ss.run("apartment", world={"walkers": 2}, max_time=2.0, out=tmp_path / "run", progress=False)
+    back = ss.load(tmp_path / "run")
+    assert np.array_equal(back.trace.walkers, made.trace.walkers) and len(back.trace.walkers) == len(made.trace.truths)
+    assert back.trace.touches == made.trace.touches == (0, 0) and back.metrics["touches_by_robot"] == 0
+    assert back.trace.config.people
+    again = ss.replay(tmp_path / "run", progress=False)
+    assert np.array_equal(again.trace.trajectory, made.trace.trajectory)

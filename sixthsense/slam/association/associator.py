@@ -15,7 +15,7 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.agreement import predicted_cov
-from sixthsense.slam.association.crookedness import Crookedness, less_certain, noise_of_pairs
+from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain, noise_of_pairs
 from sixthsense.slam.association.joint_compatibility import jointly_compatible
 from sixthsense.slam.association.matching import (
     Indices,
@@ -110,8 +110,10 @@ class Associator:
                 records[j].observations += 1
                 records[j].last_scan = self._scan
                 if known[i].is_wall:
+                    seen = ends(estimate.pose, known[i])
                     records[j].shape.add(known[i].shape)
-                    records[j].extent = joined(estimate.landmarks[j], extents[j], ends(estimate.pose, known[i]))
+                    records[j].extent = joined(estimate.landmarks[j], extents[j], seen)
+                    known[i] = records[j].seen_again(known[i], Footprint.of(estimate.pose, seen))
         is_wall = np.array([s.is_wall for s in observations])
         unmatched = np.flatnonzero(free & (fits.apart.all(axis=1) | (is_wall & confirmed))).tolist()
         new, more = self._start_landmarks(observations, unmatched, fits.sigmas, estimate)
@@ -241,10 +243,12 @@ class Associator:
                 # Of two walls of a scan that contradict each other both are taken: the returns of each are straight.
                 if not observation.is_wall or apart <= self._match_gate or self._config.assignment != "agreeing":
                     continue
-            extent = ends(estimate.pose, observation) if observation.is_wall else np.zeros((2, 2))
-            new[self._next_id] = observation
-            self.records[self._next_id] = Record(observation.kind, 1, self._scan, self._scan, float(sigmas[k]), extent)
-            self.records[self._next_id].shape.add(observation.shape)
+            record = Record(observation.kind, 1, self._scan, self._scan, float(sigmas[k]))
+            if observation.is_wall:
+                record.extent = ends(estimate.pose, observation)
+                record.footprint = Footprint.of(estimate.pose, record.extent)
+            record.shape.add(observation.shape)
+            new[self._next_id], self.records[self._next_id] = observation, record
             self._next_id += 1
         squares = {i: self.records[i].shape.square_m2(self._crookedness.excess) for i in new}
         return {i: less_certain(observation, squares[i]) for i, observation in new.items()}, pieces

@@ -3,6 +3,9 @@
 A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
 not depend on where the robot is, so that it is averaged over all observations of a landmark. A line that is fitted to
 another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
+
+That error is not drawn anew with each scan. It stays while the same stretch is seen from the same side. What a filter
+estimates is therefore the wall as it was seen last, which changes as the stretch that is seen moves on.
 """
 
 from __future__ import annotations
@@ -10,10 +13,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Observation, WallShape
 
 _SIGNIFICANT = 3.0
@@ -22,8 +26,25 @@ _TILT = 3.0
 """variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
 _LARGEST = 25.0
 """of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
+_SIDE_RAD = 0.5
+"""turn of the side that a wall is seen from, after which its shape looks another by 1 / e"""
 _MEMORY = 500.0
 """observations of walls over which their mean crookedness is taken"""
+
+
+class Footprint(NamedTuple):
+    """What was seen of a wall at once."""
+
+    ends: Array
+    """(2, 2), world frame"""
+    side_rad: float
+    """direction from its middle to the robot, world frame"""
+
+    @classmethod
+    def of(cls, pose: Pose, ends: Array) -> Footprint:
+        """That of a wall with these ends (2, 2), seen from `pose`."""
+        x, y = pose.position - ends.mean(axis=0)
+        return cls(ends, math.atan2(y, x))
 
 
 class Crookedness:
@@ -96,6 +117,16 @@ class MeanShape:
         return total
 
 
+def correlation(before: Footprint, now: Footprint) -> float:
+    """Of the errors that a wall's shape makes in two observations: the share that both see, times one of the side."""
+    along = now.ends[1] - now.ends[0]
+    (first, last), (first_before, last_before) = np.sort(now.ends @ along), np.sort(before.ends @ along)
+    both = max(0.0, min(last, last_before) - max(first, first_before))
+    either = max(last, last_before) - min(first, first_before)
+    turn = math.remainder(now.side_rad - before.side_rad, 2.0 * math.pi)
+    return both / either * math.exp(-((turn / _SIDE_RAD) ** 2)) if either > 0.0 else 0.0
+
+
 def noise_of_pairs(observations: Sequence[Observation], squares_m2: Array) -> Array:
     """(m, k, 2, 2) covariances of observations if they are of landmarks whose walls deviate by `squares_m2` (k,)."""
     noise = np.array([s.cov for s in observations])[:, None]
@@ -107,9 +138,10 @@ def noise_of_pairs(observations: Sequence[Observation], squares_m2: Array) -> Ar
 
 def less_certain(observation: Observation, square_m2: float) -> Observation:
     """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
-    if square_m2 == 0.0:
+    if square_m2 == 0.0 or not observation.is_wall:
         return observation
-    return replace(observation, cov=observation.cov + square_m2 * _unit(observation))
+    shape_cov = square_m2 * _unit(observation)
+    return replace(observation, cov=observation.cov + shape_cov, shape_cov=shape_cov)
 
 
 def _unit(observation: Observation) -> Array:

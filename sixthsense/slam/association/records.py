@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
-from sixthsense.slam.association.crookedness import MeanShape
+from sixthsense.slam.association.crookedness import Footprint, MeanShape, correlation
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,4 +53,13 @@ class Record:
     """(2, 2) ends of what was seen of a wall, world frame; unused for a point"""
     shape: MeanShape = field(default_factory=MeanShape)
     """of a wall"""
+    footprint: Footprint | None = None
+    """of the last observation of a wall; None of a wall of an earlier run"""
     sightings = OldName("sightings", "observations")
+
+    def seen_again(self, observation: Observation, footprint: Footprint) -> Observation:
+        """An observation of this wall, with what its shape's error has in common with that of the last one."""
+        before, self.footprint = self.footprint, footprint
+        if before is None or observation.shape_cov is None:
+            return observation
+        return replace(observation, shape_kept=correlation(before, footprint))

@@ -222,6 +222,10 @@ class EKF:
         _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), about_start, walls)
         by_landmark = by_landmark @ by_mean
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
+        for k, observation in enumerate(observations):
+            if observation.shape_cov is not None:
+                cov[k] -= observation.shape_cov
+                self._renew(int(slots[k]), 2.0 * (1.0 - observation.shape_kept) * observation.shape_cov, by_landmark[k])
         innovation, noise = observation_innovations(z, cov, predicted, walls)
         index = self._pose_and_landmarks(slots)  # (3 + 2m,)
         H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
@@ -240,6 +244,16 @@ class EKF:
         W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
         return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True, check_finite=False))
+
+    def _renew(self, slot: int, cov: Array, by_landmark: Array) -> None:
+        """Make a wall that is seen otherwise than before less certain, by `cov` (2, 2) of its observation.
+
+        The landmark is the wall as it was last seen: the line, and the error of its shape there. The difference of two
+        such errors of one variance has 2 (1 - correlation) times that variance. It is new to the state, while an error
+        of shape that stays is no evidence again.
+        """
+        at, back = self._head + 2 * slot, np.linalg.inv(by_landmark)
+        self._cov[at : at + 2, at : at + 2] += back @ cov @ back.T
 
     def _augment(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Append new landmarks, initialized at the pose of this update."""

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 Revision = tuple[int, int]
 """State of a map, to ask later what has changed since."""
 
@@ -39,6 +42,12 @@ class Box(NamedTuple):
         rows = slice(min(max(self.top - first[0], 0), shape[0]), min(max(self.bottom - first[0], 0), shape[0]))
         cols = slice(min(max(self.left - first[1], 0), shape[1]), min(max(self.right - first[1], 0), shape[1]))
         return rows, cols
+
+
+def box_of(cells: NDArray[np.int64]) -> Box:
+    """The box of (N, 2) cells, N > 0."""
+    (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
+    return Box(top, left, bottom + 1, right + 1)
 
 
 class Changes:

@@ -16,7 +16,7 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box, Changes
+from sixthsense.slam.mapping.changes import Box, Changes, box_of
 from sixthsense.slam.mapping.evidence import (
     Cells,
     EvidenceRules,
@@ -113,8 +113,7 @@ class Grid:
         except InputError:
             self._box = before
             raise
-        (top, left), (bottom, right) = (low + self._tiles.first).tolist(), (high + self._tiles.first).tolist()
-        box = Box(top, left, bottom + 1, right + 1)
+        box = box_of(np.stack([low, high]) + np.array(self._tiles.first))
         self._changes.add(box)
         self._scans += 1
         count_scan(self._cells, self._tiles.index, touched, self._scans, self._offsets, self._rules)
@@ -211,10 +210,9 @@ class Grid:
         """(N,) which of the cells (N, 2), row, col from the world's origin, are neither seen nor obstacles."""
         if len(cells) == 0:
             return np.zeros(0, dtype=np.bool_)
-        (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
-        box = Box(top, left, bottom + 1, right + 1)
+        box = box_of(cells)
         known = self.part("seen", box) | self.part("obstacles", box)
-        return np.asarray(~known[cells[:, 0] - top, cells[:, 1] - left])
+        return np.asarray(~known[cells[:, 0] - box.top, cells[:, 1] - box.left])
 
     @property
     def hits(self) -> Ints:

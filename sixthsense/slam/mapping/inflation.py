@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import TOUCH, Bools, FreeSpace
 
 MAX_INFLATION = 1000
@@ -27,6 +29,21 @@ def disc(radius: float) -> NDArray[np.int64]:
     offsets = np.arange(-reach, reach + 1)
     gap = np.maximum(np.abs(offsets) - 0.5, 0.0)
     return np.argwhere(np.hypot(gap[:, None], gap[None, :]) <= radius + TOUCH) - reach
+
+
+def disc_cells(centres: Array, radius_m: float, cell_m: float) -> NDArray[np.int64]:
+    """(K, 2) cells, row, col from the world's origin, of discs about centres (N, 2), metres; none of them twice."""
+    at = np.floor(centres / cell_m).astype(np.int64)[:, ::-1]
+    return np.unique((at[:, None] + disc(radius_m / cell_m)[None]).reshape(-1, 2), axis=0)
+
+
+def marked(box: Box, cells: NDArray[np.int64]) -> Bools:
+    """(H, W) which cells of a box are among cells (K, 2), row, col from the world's origin."""
+    mask = np.zeros((box.bottom - box.top, box.right - box.left), dtype=np.bool_)
+    rows, cols = (cells - np.array([box.top, box.left])).T
+    inside = (rows >= 0) & (rows < mask.shape[0]) & (cols >= 0) & (cols < mask.shape[1])
+    mask[rows[inside], cols[inside]] = True
+    return mask
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box
+from sixthsense.slam.mapping.changes import Box, box_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.inflation import disc, disc_cells, marked, stamped
 from sixthsense.slam.mapping.submap import Submap, weakened
 from sixthsense.slam.mapping.tiles import TILE
 
+_NOTHING = np.zeros((0, 2))
 SCANS_PER_SUBMAP = 10
 """Keyframes of a submap, some metres of travel: as many as the grid redraws where one of them has moved."""
 
@@ -25,6 +28,7 @@ class DrawnGrid(Grid):
 
     def __init__(self, config: GridConfig, radius_m: float, draw: Callable[[], None]) -> None:
         """Make an empty grid; `draw` adds to it what is due."""
+        self._passing: NDArray[np.int64] = np.zeros((0, 2), dtype=np.int64)
         super().__init__(config, radius_m)
         self._draw: Callable[[], None] | None = draw
 
@@ -32,6 +36,39 @@ class DrawnGrid(Grid):
         if self._draw is not None:
             self._draw()
         return self._cells
+
+    def let_pass(self, T_world_robot: Pose, standing_robot: Array, body_m: float) -> None:
+        """Block the ways through bodies of a radius about returns (M, 2), robot's frame, in place of earlier ones.
+
+        They are inflated as obstacles are, and are none: they are no evidence.
+        """
+        self._cover_passing(-1)
+        self._passing = disc_cells(T_world_robot @ standing_robot, body_m, self._config.cell_m)
+        self._cover_passing(1)
+
+    def _cover_passing(self, count: int) -> None:
+        """Add a count to the inflation of the bodies."""
+        if len(self._passing):
+            self._grow(self._passing.astype(np.float64))
+            places = self._make_room(self._passing, np.ones(len(self._passing), dtype=np.bool_))
+            covered = self._tiles.slots((places[:, None] + self._offsets[None]).ravel())
+            np.add.at(self._cells.cover, covered, count)
+            self._changes.add(box_of(self._passing))
+
+    def clear(self) -> None:
+        """Remove all evidence, and the bodies."""
+        super().clear()
+        self._passing = self._passing[:0]
+
+    def inflated(self, box: Box, margin_m: float) -> Bools:
+        """As of any grid, with the bodies."""
+        blocked = super().inflated(box, margin_m)
+        if not len(self._passing):
+            return blocked
+        stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
+        reach = int(stencil.max(initial=0))
+        bodies = marked(box.grown(reach), self._passing)
+        return np.asarray(blocked | stamped(bodies, stencil)[reach:, reach:][: blocked.shape[0], : blocked.shape[1]])
 
     def complete(self) -> None:
         """Draw what is due for the last time."""
@@ -47,8 +84,9 @@ class Mapper:
     again, and the tiles that it touches are composed of all submaps that touch them.
     """
 
-    def __init__(self, config: GridConfig, radius_m: float) -> None:
-        """Begin with an empty grid for a robot that is a disc of `radius_m`."""
+    def __init__(self, config: GridConfig, radius_m: float, body_m: float = 0.0) -> None:
+        """Begin with an empty grid for a robot that is a disc of `radius_m`; who stands there is `body_m` wide."""
+        self._body_m = body_m
         self.grid = DrawnGrid(config, radius_m, self._read)
         self.rebuilds = 0
         """number of times the grid was drawn again"""
@@ -66,6 +104,7 @@ class Mapper:
         """of the cells that each scan which is in the grid may have changed"""
         self._drawn_at = np.zeros((0, 3))
         """(D, 3) pose at which each scan that is in the grid was drawn"""
+        self._standing_robot, self._has_passing = _NOTHING, False
         self._earlier: Submap | None = None
         """evidence of an earlier run"""
         self._base: list[Submap] = []
@@ -82,11 +121,14 @@ class Mapper:
         self._earlier, self._base = evidence, [weakened(evidence, rules)]
         self._clear()
 
-    def add(self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array) -> None:
-        """Take the newest keyframe, with the walls (W, 2, 2) fitted to it.
+    def add(
+        self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array, standing_robot: Array = _NOTHING
+    ) -> None:
+        """Take the newest keyframe, with the walls (W, 2, 2) fitted to it and the returns (M, 2) of who stands in it.
 
         `trajectory` returns the present estimates (K, 3) of all keyframes' poses; it is called when the map is drawn.
         """
+        self._standing_robot = standing_robot
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
@@ -105,6 +147,7 @@ class Mapper:
             self._drawn_at, self._boxes = np.zeros((0, 3)), []
             self._submaps = {}
         self.grid.complete()
+        self._let_pass(_NOTHING)
         if self._earlier is not None:
             self.grid.mark_seen(self._earlier.cells[self._earlier.seen])
         self._scans, self._mean_ranges, self._submaps = [], [], {}
@@ -133,6 +176,13 @@ class Mapper:
         for k in range(drawn, len(poses)):
             self._boxes.append(self._add(self.grid, k, poses))
         self._drawn_at = np.vstack([self._drawn_at, poses[drawn:]])
+        self._let_pass(self._standing_robot)
+
+    def _let_pass(self, standing_robot: Array) -> None:
+        """Block the way through those who stand in the newest keyframe, and no more through those who stood before."""
+        if len(standing_robot) or self._has_passing:
+            self.grid.let_pass(Pose.from_array(self._drawn_at[-1]), standing_robot, self._body_m)
+        self._has_passing = len(standing_robot) > 0
 
     def _shift(self, poses: Array) -> Array:
         """(D,) by how much each scan that is drawn shows its surroundings elsewhere from its present pose (D, 3), m."""

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.slam.mapping.changes import Box
+from sixthsense.slam.mapping.changes import Box, box_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.tiles import ROW, SHIFT, TILE, Index, Places, Tiles, slot
@@ -33,11 +33,7 @@ class Submap(NamedTuple):
     @classmethod
     def of(cls, cells: NDArray[np.int64], hits: Ints, passes: Ints, seen: Bools) -> Submap:
         """The submap of (N,) cells, none of them twice."""
-        box = Box(0, 0, 0, 0)
-        if len(cells):
-            (top, left), (bottom, right) = cells.min(axis=0).tolist(), cells.max(axis=0).tolist()
-            box = Box(top, left, bottom + 1, right + 1)
-        return cls(cells, hits, passes, seen, box)
+        return cls(cells, hits, passes, seen, box_of(cells) if len(cells) else Box(0, 0, 0, 0))
 
     def within(self, squares: Bools, tiles: Tiles) -> Submap:
         """The part of it in squares (R, C) of the tiles' index."""

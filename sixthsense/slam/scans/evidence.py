@@ -30,7 +30,7 @@ _LEAST_HITS = 20.0
 _FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
 _SHIFT_RAD = 0.1
 _LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
-_CLEARLY = 0.4  # scans' worth of points that a place must explain beyond another one
+_CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
 _SCANS_BEYOND = 6  # or this many scans more that tell about it
 
 

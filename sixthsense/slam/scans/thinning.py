@@ -36,9 +36,10 @@ class Thinning:
             if self._is_spare(k):
                 self._spare.append(k)
             self._next = k + 1
+        # A loop may have been closed with some of them since they were judged.
+        self._spare = [k for k in self._spare if k not in self._closings.own_keys]
         if len(self._spare) >= _BATCH:
-            own_keys = self._closings.own_keys  # a loop may have been closed with one of them since it was judged
-            self._graph.take_out([k for k in self._spare if k not in own_keys])
+            self._graph.take_out(self._spare)
             self._spare = []
 
     def _is_spare(self, k: int) -> bool:

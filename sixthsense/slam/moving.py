@@ -1,0 +1,149 @@
+"""Returns of what moves: those that lie where scans of the last seconds saw through."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import replace
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan
+
+_BETWEEN_NS, _KEPT = 500_000_000, 60
+"""time between two scans that are compared with, and how many: someone who has stood for longer is as good as a wall"""
+_STANDS_NS = 3_000_000_000
+"""what no scan of so long has seen through stands"""
+_BEYOND_M = 0.15
+"""how far behind a return the earlier scan must have seen: more than a foot moves while someone stands"""
+_TOLERANCE_M = 0.05
+"""error of the pose over these seconds, across the beam: all beams as near to the return must have seen farther"""
+_TOLERANCE_RAD = 0.02
+"""the same of the heading"""
+_LEVER_M = 3.0
+"""distance at which an error of the heading is one of the pose"""
+_LEAST_SCANS = 2
+"""that saw through"""
+_MOST_SHARE = 0.5
+"""where more of a scan seems to move, it is the pose that has moved"""
+
+
+class Moving(NamedTuple):
+    """Returns of what moves."""
+
+    points_robot: Array
+    """(M, 2) metres, robot's frame"""
+    stands: NDArray[np.bool_]
+    """(M,) whether it has been there for some seconds"""
+
+    @property
+    def standing_robot(self) -> Array:
+        """(K, 2) the returns of what stands, robot's frame."""
+        return self.points_robot[self.stands]
+
+
+NOTHING_MOVES = Moving(np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+
+
+class View(NamedTuple):
+    """What an earlier scan saw."""
+
+    stamp_ns: int
+    pose: Array
+    """(3,) `T_world_laser`"""
+    first: float
+    """bearing of the first cell, radians"""
+    ranges: Array
+    """(C,) nearest return of each cell, metres, in a full circle of them; inf: none, NaN: no beam, or no evidence"""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _count_seen_through(
+    points: Array,
+    pose: Array,
+    first: float,
+    ranges: Array,
+    limits: tuple[float, float, float],
+    counts: NDArray[np.int64],
+) -> None:
+    """Add 1 to `counts` (N,) for each of `points` (N, 2), world frame, that a view saw through, up to `_LEAST_SCANS`.
+
+    `limits` are how far beyond it must have seen, and the tolerances across the beam, m, and of its direction, rad.
+    """
+    beyond_m, tolerance_m, tolerance_rad = limits
+    cells = len(ranges)
+    step = 2.0 * np.pi / cells
+    for i in range(len(points)):
+        if counts[i] >= _LEAST_SCANS:
+            continue  # that is enough
+        dx, dy = points[i, 0] - pose[0], points[i, 1] - pose[1]
+        distance = np.hypot(dx, dy)
+        if not distance > 2.0 * tolerance_m:  # also NaN
+            continue
+        middle = int(np.floor((np.arctan2(dy, dx) - pose[2] - first) / step + 0.5))
+        reach = 1 + int((tolerance_m / distance + tolerance_rad) / step)
+        through = True
+        for k in range(middle - reach, middle + reach + 1):
+            if not ranges[k % cells] > distance + beyond_m:
+                through = False
+                break
+        counts[i] += through
+
+
+class MovingReturns:
+    """Keeps the scans of the last seconds, and takes the returns of what moves out of a scan."""
+
+    def __init__(self, no_return_passes: bool) -> None:
+        """Begin without a scan; `no_return_passes` is whether a beam without a return saw up to its maximum."""
+        self._no_return = np.inf if no_return_passes else np.nan
+        self._views: deque[View] = deque(maxlen=_KEPT)
+        self._split_at = Pose()
+
+    def split(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> tuple[Scan, Moving]:
+        """The scan with NaN, no evidence, in the place of returns of what moves; and these."""
+        counts = np.zeros(len(scan.ranges), dtype=np.int64)
+        self._split_at = T_world_robot
+        points_robot = scan.points_robot
+        points = T_world_robot @ points_robot
+        recent = np.ones(len(counts), dtype=np.bool_)
+        is_recent = True
+        for view in reversed(self._views):
+            if is_recent and stamp_ns - view.stamp_ns > _STANDS_NS:
+                recent, is_recent = counts > 0, False
+            _count_seen_through(
+                points, view.pose, view.first, view.ranges, (_BEYOND_M, _TOLERANCE_M, _TOLERANCE_RAD), counts
+            )
+        returned = scan.ranges < scan.max_range
+        moving = returned & (counts >= _LEAST_SCANS)
+        count = np.count_nonzero(moving)
+        if count == 0 or count > _MOST_SHARE * np.count_nonzero(returned):
+            return scan, NOTHING_MOVES
+        return replace(scan, ranges=np.where(moving, np.float32(np.nan), scan.ranges)), Moving(
+            points_robot[moving], ~recent[moving]
+        )
+
+    def keep(self, scan: Scan, T_world_robot: Pose, stamp_ns: int) -> None:
+        """Compare later scans with this one, too, which was split last, from its pose as it is estimated now.
+
+        Where that has moved far, as after a loop closure, what earlier scans saw lies elsewhere.
+        """
+        correction = self._split_at.inverse() @ T_world_robot
+        if math.hypot(correction.x, correction.y) + _LEVER_M * abs(correction.theta) > _BEYOND_M:
+            self._views.clear()
+        if not self._views or stamp_ns - self._views[-1].stamp_ns >= _BETWEEN_NS:
+            self._views.append(self._view(scan, T_world_robot @ scan.T_robot_laser, stamp_ns))
+
+    def _view(self, scan: Scan, T_world_laser: Pose, stamp_ns: int) -> View:
+        step = abs(float(scan.angle_increment))
+        cells = max(round(2.0 * np.pi / step), 1)
+        at = np.round((scan.bearings - float(scan.angle_min)) / step).astype(np.int64) % cells
+        seen = np.where(scan.ranges < scan.max_range, scan.ranges, self._no_return).astype(np.float64)
+        seen[~(scan.ranges > 0.0)] = np.nan
+        ranges = np.full(cells, np.inf)
+        np.minimum.at(ranges, at, seen)  # NaN is passed on
+        ranges[np.setdiff1d(np.arange(cells), at)] = np.nan
+        return View(stamp_ns, T_world_laser.array(), float(scan.angle_min), ranges)

@@ -1,0 +1,68 @@
+"""Rays and legs: the kernel against a plain reference."""
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.ray_casting import NO_LEGS, Moving, cast_among, cast_rays, cast_sweep
+
+ROOM = np.array([[[-4, -3], [4, -3]], [[4, -3], [4, 3]], [[4, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=float)
+RANGE = 10.0
+
+
+def plain(pose: Pose, bearings: Array, legs: Array) -> Array:
+    """Distances to the nearest leg, all beams against all legs; inf for none."""
+    angles = bearings + pose.theta
+    off = legs[:, :2] - pose.position  # (L, 2)
+    along = off @ np.stack([np.cos(angles), np.sin(angles)])  # (L, N)
+    under = along**2 - (off**2).sum(axis=1)[:, None] + (legs[:, 2] ** 2)[:, None]
+    inside = np.hypot(*off.T) <= legs[:, 2]
+    hit = np.where((along > 0.0) & (under >= 0.0), along - np.sqrt(np.maximum(under, 0.0)), np.inf)
+    return np.where(inside[:, None], 0.0, hit).min(axis=0, initial=np.inf)
+
+
+def some_legs(rng: np.random.Generator, count: int) -> Array:
+    return np.column_stack([rng.uniform(-3.5, 3.5, (count, 2)), rng.uniform(0.02, 0.4, count), np.zeros((count, 2))])
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("beams", [7, 360])
+def test_rays_end_at_the_nearest_leg_or_wall(seed: int, beams: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose = Pose(*rng.uniform(-2.5, 2.5, 2), rng.uniform(-np.pi, np.pi))
+    bearings, legs = np.linspace(-np.pi, np.pi, beams, endpoint=False), some_legs(rng, 8)
+    expected = np.minimum(cast_rays(pose, bearings, ROOM, RANGE), plain(pose, bearings, legs))
+    assert np.allclose(cast_among(pose, bearings, ROOM.reshape(-1, 4), RANGE, legs), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("x, y", [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0), (-1.0, 1e-12), (0.05, 0.0)])
+def test_a_leg_is_seen_in_every_direction_and_from_inside(x: float, y: float) -> None:
+    bearings, leg = np.linspace(-np.pi, np.pi, 360, endpoint=False), np.array([[x, y, 0.06, 0.0, 0.0]])
+    expected = np.minimum(cast_rays(Pose(), bearings, ROOM, RANGE), plain(Pose(), bearings, leg))
+    assert np.allclose(cast_among(Pose(), bearings, ROOM.reshape(-1, 4), RANGE, leg), expected, atol=1e-9)
+
+
+def test_without_legs_ranges_are_the_same_bit_for_bit() -> None:
+    bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    walls = ROOM.reshape(-1, 4)
+    assert np.array_equal(cast_among(Pose(1.0, 0.5, 0.3), bearings, walls, RANGE, NO_LEGS),
+                          cast_rays(Pose(1.0, 0.5, 0.3), bearings, ROOM, RANGE))  # fmt: skip
+
+
+def test_a_leg_beyond_the_range_is_not_seen() -> None:
+    leg = np.array([[3.0, 0.0, 0.06, 0.0, 0.0]])
+    assert np.isinf(cast_among(Pose(), np.zeros(1), ROOM.reshape(-1, 4), 2.0, leg)).all()
+
+
+def test_during_a_sweep_each_beam_meets_a_leg_where_it_is_then() -> None:
+    bearings, times = np.zeros(3), np.array([-0.2, -0.1, 0.0])
+    moving = Moving(np.array([[2.0, 0.0, 0.1, 5.0, 0.0]]), times)
+    swept = cast_sweep(np.zeros((3, 3)), bearings, ROOM, RANGE, moving)
+    assert swept == pytest.approx([0.9, 1.4, 1.9])
+
+
+def test_a_sweep_of_legs_that_stand_sees_what_an_instant_sees() -> None:
+    rng = np.random.default_rng(3)
+    bearings, legs = np.linspace(-np.pi, np.pi, 90, endpoint=False), some_legs(rng, 5)
+    swept = cast_sweep(np.zeros((90, 3)), bearings, ROOM, RANGE, Moving(legs, rng.uniform(-0.1, 0.0, 90)))
+    assert np.allclose(swept, cast_among(Pose(), bearings, ROOM.reshape(-1, 4), RANGE, legs), atol=1e-12)

@@ -1,0 +1,84 @@
+"""Walls as they appear: what the shape of a wall has in common from one observation to the next."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.association.crookedness import Footprint, correlation, less_certain
+from sixthsense.slam.association.wall_extents import ends
+from sixthsense.slam.estimators import make_estimator
+
+FILTERS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"]
+
+
+def footprint(first, last, robot=(0.0, -2.0)):
+    """Of a wall along the x axis, seen from a place."""
+    return Footprint.of(Pose(*robot, 0.0), np.array([[first, 0.0], [last, 0.0]]))
+
+
+def test_the_same_stretch_from_the_same_place_has_the_same_error():
+    assert correlation(footprint(-1.0, 1.0), footprint(-1.0, 1.0)) == 1.0
+
+
+def test_stretches_that_do_not_overlap_have_errors_of_their_own():
+    assert correlation(footprint(-1.0, 1.0), footprint(1.5, 3.0)) == 0.0
+
+
+def test_what_is_seen_of_both_counts():
+    assert correlation(footprint(-1.0, 1.0), footprint(0.0, 2.0, (1.0, -2.0))) == pytest.approx(1.0 / 3.0)
+
+
+def test_the_other_side_of_a_wall_has_an_error_of_its_own():
+    assert correlation(footprint(-1.0, 1.0), footprint(-1.0, 1.0, (0.0, 2.0))) < 1e-6
+
+
+def wall_from(pose, cov):
+    """The wall y = 0 as it is seen from a pose."""
+    z = np.array([wrap_angle(math.pi / 2 - pose.theta), -pose.y])
+    return Observation(Kind.WALL, z, cov, (-1.0, 1.0))
+
+
+def filtered(name, seen):
+    """A filter that has seen a wall from one place, several times."""
+    estimator = make_estimator(name, Pose(0.0, -2.0, 0.3), np.zeros((3, 3)))
+    for observation in seen:
+        estimator.update({0: observation})
+    return estimator
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_an_error_of_shape_that_stays_is_counted_once(name):
+    """However often it is observed, the line is known no better than by its shape; without it, ever better."""
+    clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6]))
+    crooked = less_certain(clean, 1e-4)
+    stays = filtered(name, [crooked, *[replace(crooked, shape_kept=1.0)] * 50])
+    once = less_certain(clean, 1e-4).cov
+    variance = stays.joint_covariance([0])[4, 4]
+    assert variance < 1e-6  # as it appears from here, the wall is known well
+    anew = filtered(name, [crooked, *[replace(crooked, shape_kept=0.0)] * 50]).joint_covariance([0])[4, 4]
+    assert variance < anew < 2.0 * once[1, 1]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_wall_that_is_seen_otherwise_says_less_of_the_pose(name):
+    """The robot has moved uncertainly; a wall of which the same is seen locates it, another stretch does less."""
+    clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6]))
+    crooked = less_certain(clean, 1e-4)
+    variances = []
+    for kept in (1.0, 0.5, 0.0):
+        estimator = filtered(name, [crooked, *[replace(crooked, shape_kept=1.0)] * 5])
+        estimator.predict(Odometry(Pose(), np.diag([1e-2, 1e-2, 1e-6])))
+        estimator.update({0: replace(crooked, shape_kept=kept)})
+        variances.append(estimator.estimate().pose_cov[1, 1])
+    assert variances[0] < variances[1] < variances[2] < 1e-3
+
+
+def test_ends_of_a_wall_are_its_footprint():
+    pose = Pose(0.5, -2.0, 0.3)
+    seen = ends(pose, wall_from(pose, np.eye(2)))
+    assert np.allclose(seen[:, 1], 0.0) and Footprint.of(pose, seen).side_rad < 0.0
