@@ -20,8 +20,8 @@ class OnNetwork:
 
     domain: Annotated[int | None, arg(metavar="N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str, arg(metavar="NAME|ADDRESS")] = LOOPBACK
-    """Network interface to join. By default that of this machine alone."""
+    interface: Annotated[str, arg(metavar="NAME")] = LOOPBACK
+    """Interface or address to join. By default that of this machine alone."""
     peers: Annotated[str | None, arg(metavar="ADDRESS[,..]")] = None
     """Hosts of the robot, for networks without multicast."""
 

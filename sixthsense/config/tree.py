@@ -64,8 +64,8 @@ class Config(Section):
     max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] | None = None
     """Time limit by the clock of the source, s. None: the run ends when the task is over."""
     people: bool | None = None
-    """Whether people may walk by: what moves is then no evidence of map and scan matching, and the robot keeps its
-    distance and its patience. None: where people walk in the simulated world."""
+    """People may walk by, who are no part of the map. What moves is then no evidence of map and scan matching, and the
+    robot keeps its distance and its patience. None: where people walk in the simulated world."""
     map_unknown: Literal["wall", "free"] = "wall"
     """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
     robot: RobotConfig = field(default_factory=RobotConfig)
