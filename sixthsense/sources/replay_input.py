@@ -111,6 +111,9 @@ def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bo
         raise ConfigError(f"{prefix}robot: found on a log that is not a MRCLAM folder, allowed: on a MRCLAM folder")
     if not graph and not mrclam:
         return
+    if fields.get("no_odometry", fields.get("no-odometry")):
+        name = "no-odometry" if prefix else "no_odometry"
+        raise ConfigError(f"{prefix}{name}: found on a log that has landmarks and no scans, allowed: on a log of scans")
     for name in ("laser", "keyframes", "features", "grid", *(["assumed"] if graph else [])):
         for field_name in fields.get(name, {}):
             has = "contains its own noise" if name == "assumed" else "has landmarks and no scans"

@@ -109,6 +109,12 @@ def test_frames_that_are_not_in_tf_are_refused_in_one_line(tmp_path, capsys):
     assert "--odometry-frames: found on a log that is not a ROS bag" in found
 
 
+def test_a_log_without_scans_needs_its_odometry(tmp_path, capsys):
+    (tmp_path / "a.g2o").write_text("VERTEX_SE2 0 0 0 0\n")
+    found = complaint(["replay", str(tmp_path / "a.g2o"), "--no-odometry"], capsys)
+    assert "--no-odometry: found on a log that has landmarks and no scans" in found
+
+
 def test_a_bag_with_scans_alone_has_no_odometry_and_the_frame_of_the_mount_is_the_robot(tmp_path):
     with Bag(tmp_path / "x", "mcap") as bag:
         bag.transform("base_link", "laser_link", MOUNT)
