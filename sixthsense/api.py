@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
-    from sixthsense.sources.replay_input import Recorded
+    from sixthsense.sources.replay_input import Chosen, Recorded
 
 
 def run(
@@ -91,6 +91,7 @@ def replay(
     on_tick: OnTick | None = None,
     *,
     topics: Sequence[str] = (),
+    odometry_frames: Sequence[str] = (),
     robot: int | None = None,
     progress: bool | None = None,
     out: str | Path | None = None,
@@ -114,8 +115,9 @@ def replay(
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite, prior_map
         As of `ss.run`. The robot begins at the log's start, or at `pose`.
-    topics, robot
-        Topics to use from a bag with several of scans or odometry; robot to use from an MRCLAM folder.
+    topics, odometry_frames, robot
+        Topics to use from a bag with several of scans or odometry; parent and child of a bag's odometry in /tf; robot
+        to use from an MRCLAM folder.
     **fields
         Fields that override the configuration, as in `ss.run`, except those of the simulation.
 
@@ -131,10 +133,12 @@ def replay(
         read, with file and line; a prior map as of `ss.run`.
 
     """
+    from sixthsense.sources.replay_input import Chosen
+
     given = _register_custom(fields)
     prior = _prior_start(prior_map, given)
     if isinstance(log, (str, Path)):
-        found = _open_with_config(Path(log), config, relations, topics, robot, given, out)
+        found = _open_with_config(Path(log), config, relations, Chosen(topics, robot, odometry_frames), given, out)
     else:
         found = _opened(log, config, relations, given)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:
@@ -178,9 +182,9 @@ def merge_runs(
     """
     from sixthsense.config import load_config
     from sixthsense.running.merging import open_merged, replay_merged
-    from sixthsense.sources.replay_input import check_options, check_out
+    from sixthsense.sources.replay_input import Chosen, check_options, check_out
 
-    check_options(first, fields, False, False)
+    check_options(first, fields, Chosen())
     for run in (first, second):
         check_out(run, None if out is None else Path(out))
     config = _apply_fields(load_config(Path(first) / "config.toml"), _register_custom(fields))
@@ -226,22 +230,21 @@ def _open_with_config(
     log: Path,
     config: Config | None,
     relations: str | Path | Relations | None,
-    topics: Sequence[str],
-    robot: int | None,
+    chosen: Chosen,
     given: dict[str, Any],
     out: str | Path | None,
 ) -> Recorded:
     """Open a log's file or folder with its configuration."""
     from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
 
-    check_options(log, given, bool(topics), robot is not None)
+    check_options(log, given, chosen)
     if config is not None and "preset" in given:
         raise ConfigError(f"preset: found {shown(given['preset'])} with a complete configuration, allowed: fields")
     base = given.pop("preset", None) if config is None else config
     check_out(log, None if out is None else Path(out))
     settings = _apply_fields(base_of(log) if base is None else base, given)
     stated = tuple(given["laser"]) if isinstance(given.get("laser"), Mapping) else ()
-    return open_recorded(log, settings, relations, topics, robot, stated)
+    return open_recorded(log, settings, relations, chosen, stated)
 
 
 def _watch(on_tick: OnTick | None, progress: bool | None) -> Watch:

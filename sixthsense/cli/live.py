@@ -20,9 +20,9 @@ class OnNetwork:
 
     domain: Annotated[int | None, arg(metavar="N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str, arg(metavar="NAME|ADDRESS")] = LOOPBACK
-    """Network interface to join. By default that of this machine alone."""
-    peers: Annotated[str | None, arg(metavar="ADDRESS[,ADDRESS]")] = None
+    interface: Annotated[str, arg(metavar="NAME")] = LOOPBACK
+    """Interface or address to join. By default that of this machine alone."""
+    peers: Annotated[str | None, arg(metavar="ADDRESS[,..]")] = None
     """Hosts of the robot, for networks without multicast."""
 
     def network(self) -> Network:
@@ -43,12 +43,14 @@ class Live(OnNetwork, WithPriorMap):
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
     odom: Annotated[str, arg(metavar="TOPIC")] = "/odom"
     """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
+    odometry_frames: Annotated[str | None, arg(metavar="P,C")] = None
+    """Take odometry from /tf, such as odom,base_link. Its publisher sends the transform between the two."""
     drive: bool = False
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
     cmd_vel: Annotated[str, arg(metavar="TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
     cmd_vel_stamped: bool = False
-    """With --drive: send TwistStamped, and refuse a robot that takes Twist."""
+    """With --drive: send TwistStamped alone. A robot that takes Twist is refused."""
 
 
 _OF_A_SIMULATION = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
@@ -69,13 +71,20 @@ def command(args: list[str]) -> int:
     from sixthsense.live.session import Session, Topics, check_drive
     from sixthsense.running.runs import Watch, run_live
     from sixthsense.running.warmup import prepare
+    from sixthsense.sources.logs.tf_odometry import frame_pair
+    from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
     if options.cmd_vel_stamped and not options.drive:
         raise UsageError("--cmd-vel-stamped: found without --drive, allowed: with it")
-    topics = Topics(options.scan, options.odom, options.cmd_vel).checked()
+    frames = frame_pair(options.odometry_frames.split(",") if options.odometry_frames else ())
+    topics = Topics(options.scan, options.odom, options.cmd_vel, frames).checked()
     config = with_task(options.settings, flags, "--")
     if options.drive:
+        if config.no_odometry:
+            raise UsageError("--no-odometry: found with --drive, allowed: without it")
         check_drive(config)
+    if config.no_odometry:
+        announce(WITHOUT_ODOMETRY)
     stated = tuple(name.replace("-", "_") for name in flags.get("laser", {}))
     for name in stated:
         if name not in ("mount", "max_range"):
@@ -86,6 +95,8 @@ def command(args: list[str]) -> int:
         session.configure(stated, options.drive, options.cmd_vel_stamped)
         config = session.config
         source = {"scan": topics.scan, "odom": topics.odom}
+        if frames is not None:
+            source["odometry_frames"] = ",".join(frames)
         with (
             run_folder(options, config, f"live-{config.estimator}", source, prior) as folder,
             live_view(options) as hooks,

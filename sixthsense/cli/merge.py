@@ -32,7 +32,7 @@ def command(args: list[str]) -> int:
     if wants_help(args):
         return show_help(Merge, "merge", "log", args, OF_THE_ROBOT)
     from sixthsense.sources.logs import is_run_folder
-    from sixthsense.sources.replay_input import base_of, check_options, check_out
+    from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out
 
     folders = args[:2]
     if len(folders) < 2 or any(run.startswith("-") for run in folders):
@@ -42,7 +42,7 @@ def command(args: list[str]) -> int:
             found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
             raise ConfigError(f"{run}: found {found}, allowed: the folder of a run")
     options, flags = parse_command(Merge, "runs", base_of, [folders[0], *args[2:]])
-    check_options(folders[0], flags, False, False, "--")
+    check_options(folders[0], flags, Chosen(), "--")
     for run in folders:
         check_out(run, options.out)
     from sixthsense.running.merging import open_merged, replay_merged

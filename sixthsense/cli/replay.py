@@ -28,6 +28,8 @@ class Replay(WithPriorMap):
     """Hand-checked relations between poses, to measure errors. They are those of Kuemmerle et al. 2009."""
     topic: Annotated[str | None, arg(metavar="NAME[,NAME]")] = None
     """Topics to use from a bag with several topics of scans or odometry."""
+    odometry_frames: Annotated[str | None, arg(metavar="P,C")] = None
+    """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
     robot: Annotated[int | None, arg(metavar="N")] = None
     """Robot to use from an MRCLAM folder with several."""
 
@@ -36,10 +38,12 @@ def command(args: list[str]) -> int:
     """Replay a log."""
     if wants_help(args):
         return show_help(Replay, "replay", "log", args, OF_THE_ROBOT)
-    from sixthsense.sources.replay_input import base_of, check_options, check_out, open_recorded
+    from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, "log", base_of, args)
-    check_options(options.log, flags, options.topic is not None, options.robot is not None, "--")
+    topics, frames = (tuple(given.split(",")) if given else () for given in (options.topic, options.odometry_frames))
+    chosen = Chosen(topics, options.robot, frames)
+    check_options(options.log, flags, chosen, "--")
     if options.log is None:
         raise UsageError(
             "log: found nothing, allowed: a CARMEN file, a graph, a bag, the folder of a run, an MRCLAM folder"
@@ -48,9 +52,8 @@ def command(args: list[str]) -> int:
     from sixthsense.running.runs import Watch, replay_log
 
     prior = options.prior_start()
-    topics = options.topic.split(",") if options.topic else ()
     stated = [name.replace("-", "_") for name in flags.get("laser", {})]
-    found = open_recorded(options.log, options.settings, options.relations, topics, options.robot, stated)
+    found = open_recorded(options.log, options.settings, options.relations, chosen, stated)
     for note in found.notes:
         print(f"note: {found.name}: {note}", file=sys.stderr)
     stem = f"{found.name.split('.')[0]}-{found.config.estimator}"

@@ -43,6 +43,9 @@ class Config(Section):
     calibrate_wheels: bool = False
     """Estimate the wheels' systematic errors with the pose. For ekf-invariant and isam2, with both front ends; their
     prior is in assumed.wheels."""
+    no_odometry: bool = False
+    """Use scans alone: the last velocity predicts. A scan's motion is found by scan matching; wheels that are there are
+    ignored."""
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar or rrtstar. astar: shortest over the grid's cells; rrtstar: sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
@@ -85,12 +88,14 @@ class Config(Section):
         """What follows from named fields.
 
         A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front
-        end an estimator that can use it.
+        end an estimator that can use it. Without odometry the front end is scan matching.
         """
         table = with_current_names(table)
         for name, other in (("goal", "tour"), ("tour", "goal")):
             if table.get(name) is not None and other not in table:
                 table[other] = None
+        if table.get("no_odometry", table.get("no-odometry")) is True:
+            table = {"front_end": "scan-matching", **table}
         estimator, front_end = (
             table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
         )
@@ -108,6 +113,9 @@ class Config(Section):
             raise ConfigError(f"front_end: found scan-matching with estimator {self.estimator}, {KEEP_POSES}")
         if self.calibrate_wheels and self.estimator in FILTERS[:-1]:
             raise ConfigError(f"calibrate_wheels: found true with {self.estimator}, {CALIBRATE_WHEELS}")
+        if self.no_odometry and (self.front_end != "scan-matching" or self.calibrate_wheels):
+            found = "calibrate_wheels" if self.calibrate_wheels else f"front_end {self.front_end}"
+            raise ConfigError(f"no_odometry: found true with {found}, allowed: with front_end scan-matching alone")
         between = self.laser.period_ticks * self.robot.control_period_s
         if self.laser.sweep_s > between * (1.0 + 1e-9):
             raise ConfigError(

@@ -27,6 +27,7 @@ from sixthsense.sources.logs.ros_messages import (
     stamp_ns,
     transform,
 )
+from sixthsense.sources.logs.tf_odometry import FramePair
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -52,8 +53,9 @@ class RobotPose(NamedTuple):
 class MessageReader:
     """Reads serialized messages."""
 
-    def __init__(self) -> None:
-        self._store = Messages().store
+    def __init__(self, frames: FramePair | None = None) -> None:
+        """`frames` are those of odometry in /tf; None: it is a topic of Odometry."""
+        self._store, self._frames = Messages().store, frames
 
     def read(self, data: bytes, name: str) -> Any:
         """The message of the type of this name, with a valid header if it has one."""
@@ -67,12 +69,31 @@ class MessageReader:
             _check_header(message.header)
         return message
 
+    def has_odometry(self, data: bytes) -> bool:
+        """Whether a message is one of odometry: those of /tf are of all frames. What cannot be read counts as one."""
+        if self._frames is None:
+            return True
+        try:
+            return any(self._is_odometry(link) for link in self.read(data, TRANSFORMS).transforms)
+        except ValueError:
+            return True
+
     def odometry(self, data: bytes) -> RobotPose:
         """The robot's pose by its wheels."""
+        if self._frames is not None:
+            links = [link for link in self.read(data, TRANSFORMS).transforms if self._is_odometry(link)]
+            if not links:
+                raise ValueError(f"found no transform {self._frames}, allowed: one")
+            _check_header(links[-1].header)
+            place = planar(links[-1].transform.translation, links[-1].transform.rotation)
+            return RobotPose(stamp_ns(links[-1]), place, *self._frames)
         message = self.read(data, ODOMETRY)
         pose = planar(message.pose.pose.position, message.pose.pose.orientation)
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
+
+    def _is_odometry(self, link: Any) -> bool:
+        return (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames
 
     def command(self, data: bytes, name: str = TWIST) -> Command:
         """The command of a Twist, or of a TwistStamped if that is the type of this name."""
@@ -131,6 +152,10 @@ class FrameReader:
             parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
             if len(self._frames.transforms) < _MOST_FRAMES:
                 self._frames.transforms[child] = (parent, transform(link.transform))
+
+    def root(self, laser: str) -> str:
+        """The frame that static transforms lead to from the laser's: the robot's, where no odometry names it."""
+        return self._frames.root(laser)
 
     def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
         """`T_robot_laser`, and whether the laser is upside down; None if no transforms lead from one to the other.

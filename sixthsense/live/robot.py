@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended
+from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.joining import Anew, ScanJoiner
 from sixthsense.live.lost import NEAR_M, Search, placed
@@ -63,6 +64,7 @@ class LiveRobot:
         self._receive, self._now_ns = receive, now_ns
         self._reader, self._laser, self._notices, self._steering = reader, laser, notices, steering
         self._trace = trace
+        self._has_no_odometry = trace.config.no_odometry
         self._search: Search | None = None
         self._publishers = {is_scan: Publishers() for is_scan in (False, True)}
         self._is_restarted = False  # the driver, since the odometry that was used last
@@ -121,6 +123,9 @@ class LiveRobot:
             try:
                 if is_scan:
                     stamp_ns, scan = self._laser.scan(message.data)
+                    if self._has_no_odometry:  # it is said to stand, and moves as its scans tell
+                        ends_ns = stamp_ns - sweep_ns(len(scan.ranges), scan.time_increment)
+                        self.joiner.add_odometry(ends_ns, Pose(), arrival_ns)
                     self.joiner.add_scan(stamp_ns, scan, arrival_ns)
                 else:
                     self._take_odometry(message.data, arrival_ns)
@@ -174,7 +179,7 @@ class LiveRobot:
     def _tell(self) -> None:
         self._notices.take(self.joiner.dropped)
         now_ns = self._now_ns()
-        for sensor in (self._scans, self._odometry):
+        for sensor in (self._scans,) if self._has_no_odometry else (self._scans, self._odometry):
             if sensor.falls_silent(now_ns):
                 stopped = "" if self._steering is None else "; the robot is stopped"
                 self._say(f"{sensor.name} silent", f"{sensor.name} is silent{stopped}")

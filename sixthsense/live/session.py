@@ -35,10 +35,12 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
+from sixthsense.sources.logs.tf_odometry import FramePair
 
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
 
+_TF = "/tf"
 _WAIT_S = 0.05
 _HINT_S = 10.0  # without a message, until the user is told where else to look
 _FRAMES_S = 1.0  # static transforms have come by then, or there are none
@@ -52,10 +54,20 @@ class Topics(NamedTuple):
     scan: str = "/scan"
     odom: str = "/odom"
     cmd_vel: str = "/cmd_vel"
+    frames: FramePair | None = None
+    """of odometry in /tf, instead of a topic of Odometry"""
 
     def checked(self) -> Topics:
         """With absolute names; NetworkError for one that is not allowed."""
-        return Topics(*(checked_topic(f"--{name.replace('_', '-')}", value) for name, value in self._asdict().items()))
+        scan, odom, cmd_vel = (
+            checked_topic(f"--{name.replace('_', '-')}", getattr(self, name)) for name in ("scan", "odom", "cmd_vel")
+        )
+        return Topics(scan, odom if self.frames is None else _TF, cmd_vel, self.frames)
+
+    @property
+    def odometry(self) -> Topic:
+        """The topic of odometry."""
+        return Topic(self.odom, ODOMETRY if self.frames is None else TRANSFORMS, FAST_SENSOR)
 
 
 class Session:
@@ -68,10 +80,10 @@ class Session:
         self.config = config
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
-        self._reader = MessageReader()
+        self._reader = MessageReader(topics.frames)
         self._frames = FrameReader(self._reader)
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
-        self._odometry = self._node.reader(Topic(topics.odom, ODOMETRY, FAST_SENSOR))
+        self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
         self._wait: Callable[[float], object] = self._node.wait
         self._commands: str | None = None  # their type
@@ -93,7 +105,8 @@ class Session:
         mount = Pose(*laser.mount) if "mount" in stated or any(laser.mount) else None
         self._laser = LaserReader(self._reader, laser.max_range if "max_range" in stated else None, mount)
         topics = self._topics
-        self._say(f"waiting for {topics.scan} and {topics.odom}{f', to drive by {topics.cmd_vel}' * drive} ...")
+        needed = topics.scan if self.config.no_odometry else f"{topics.scan} and {topics.odom}"
+        self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
         stamps, self._robot, found = self._first_messages(drive, stamped)
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
@@ -127,6 +140,8 @@ class Session:
                 steering = Steering(ahead, send, lambda: writer.readers)
             self._wait = trace.stopwatch.waiting(self._node.wait)
             robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)
+            if config.no_odometry:
+                robot.odom_frame = self._frames.root(self._laser.frame)
             publisher = Publisher(self._node, robot)
 
             def on_tick(tick: Tick, trace: Trace) -> None:
@@ -151,8 +166,9 @@ class Session:
                 self._frames.add(data)
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
-        for message in self._odometry.messages():
-            yield False, message
+        for message in () if self.config.no_odometry else self._odometry.messages():
+            if self._reader.has_odometry(message.data):
+                yield False, message
         for message in self._scans.messages():
             yield True, message
 
@@ -164,7 +180,7 @@ class Session:
     def _first_messages(self, drive: bool, stamped: bool) -> tuple[list[int], RobotPose, bytes]:
         """Stamps of some scans, the first odometry, and a scan."""
         stamps: list[int] = []
-        odometry: RobotPose | None = None
+        odometry: RobotPose | None = RobotPose(0, Pose(), "odom", "") if self.config.no_odometry else None
         last = b""
         hint_s = time.monotonic() + _HINT_S
         while self._is_robot_missing(drive, stamped) or len(stamps) <= _PERIODS or odometry is None:
@@ -173,9 +189,12 @@ class Session:
             if time.monotonic() > hint_s:
                 hint_s = math.inf
                 topics = self._topics
-                heard = {topics.scan: bool(stamps), topics.odom: odometry is not None}
+                odom = topics.odom if topics.frames is None else f"{_TF} {topics.frames}"
+                heard = {topics.scan: bool(stamps), odom: odometry is not None}
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
                 missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
+                if odometry is None and topics.frames is None:
+                    missing[-1] += " (in /tf: --odometry-frames odom,base_link; none: --no-odometry)"
                 self._say(f"{' and '.join(missing)} yet; other networks: --interface, --domain, --peers")
             for is_scan, message in self._received(_WAIT_S):
                 try:
@@ -190,7 +209,8 @@ class Session:
 
     def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""
-        for reader in (self._scans, self._odometry):
+        is_topic = self._topics.frames is None and not self.config.no_odometry
+        for reader in (self._scans, self._odometry) if is_topic else (self._scans,):
             check_one_publisher(reader)
         self._commands = command_type(self._node, self._topics.cmd_vel, stamped) if drive else None
         return drive and self._commands is None
@@ -200,7 +220,10 @@ class Session:
         until_s = time.monotonic() + _FRAMES_S
         while True:
             try:
-                found = self._frames.mount(self._robot.robot, self._laser.frame)
+                robot = self._robot.robot or self._frames.root(self._laser.frame)
+                found = self._frames.mount(robot, self._laser.frame)
+                if not self._robot.robot and robot == self._laser.frame and time.monotonic() <= until_s:
+                    found = None  # there may be transforms yet
             except ValueError as error:
                 raise ConfigError(f"/tf_static: {error}, or --laser.mount X Y THETA") from None
             if found is not None:

@@ -162,6 +162,8 @@ class Trace:
 
     def carried_scans(self) -> list[int]:
         """Indices of the scans before which the robot was carried: no path leads there."""
+        if self.config.no_odometry:
+            return []  # a wide covariance is that of a guess
         keys = [k for k, motion in enumerate(self.key_odometry) if k and motion.is_carried()]
         return [self.last_key.index(k) for k in keys if k in self.last_key]
 

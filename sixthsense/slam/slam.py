@@ -28,6 +28,7 @@ from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, 
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
+from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
@@ -81,6 +82,7 @@ class Slam:
         self._deskew = Deskewer(self.config.features.deskew)
         self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()
+        self._velocity = LastVelocity() if self.config.no_odometry else None
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
             begin_with(prior_map, self.config, self.estimator, self._start, cov)
@@ -237,7 +239,7 @@ class Slam:
             raise ConfigError(f"front_end: found scan-matching with {self.config.estimator}, {KEEP_POSES}")
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
-        return ScanFrontEnd(self.config, self.estimator, self._start, timed)
+        return ScanFrontEnd(self.config, self.estimator, self._start, timed, self._velocity)
 
     def _make_wheels(self) -> WheelOdometry | None:
         """Odometry whose parameters the estimator estimates, if configured; ConfigError if it cannot."""
@@ -259,9 +261,15 @@ class Slam:
         return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
 
     def _increment(self, before: Pose, tick: Tick) -> Odometry:
-        """The motion since the last tick, with the covariance that the log states or that of the assumed noise."""
+        """The motion since the last tick, with the covariance that the log states or that of the assumed noise.
+
+        Without odometry it is what the last velocity predicts.
+        """
+        duration_s = 1e-9 * (tick.stamp_ns - self._stamp_ns)
+        if self._velocity is not None:
+            return self._velocity.increment(self._front_end.since_keyframe, duration_s, tick.scan is not None)
         if tick.increment_cov is not None:
             return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
         if self._wheels is not None:
-            return self._wheels.increment(before, tick.odometry, 1e-9 * (tick.stamp_ns - self._stamp_ns))
+            return self._wheels.increment(before, tick.odometry, duration_s)
         return odometry(before, tick.odometry, self.config.assumed)

@@ -6,9 +6,9 @@ import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sixthsense.config import Config, ConfigError, load_config
+from sixthsense.config import Config, ConfigError, load_config, merge
 from sixthsense.config.files import absolute
 from sixthsense.config.names import OF_THE_ROBOT
 from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
@@ -18,6 +18,10 @@ from sixthsense.sources.scene import Scene, SceneError, load_scene
 if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log
     from sixthsense.sources.logs.relations import Relations
+
+
+WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
+"""note of a log, and line of a live run"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +64,18 @@ def base_of(log: str | Path | None) -> str | Config:
     return "mrclam" if is_mrclam(path) else "log"
 
 
-def check_options(
-    log: str | Path | None, fields: Mapping[str, Any], has_topics: bool, has_robot: bool, prefix: str = ""
-) -> None:
+class Chosen(NamedTuple):
+    """What is chosen of a log of several sensors or robots."""
+
+    topics: Sequence[str] = ()
+    """of a bag"""
+    robot: int | None = None
+    """of an MRCLAM folder"""
+    odometry_frames: Sequence[str] = ()
+    """parent and child of a bag's odometry in /tf"""
+
+
+def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Chosen, prefix: str = "") -> None:
     """Raise ConfigError for given fields (nested) and options that do not apply to this kind of log.
 
     `prefix` precedes field names in messages, such as -- on the command line.
@@ -76,8 +89,10 @@ def check_options(
         return
     path = Path(log)
     is_run = is_run_folder(path)
-    if has_topics and (is_run or not is_bag(path)):
-        raise ConfigError(f"{prefix}topic: found on a log that is not a ROS bag, allowed: on a bag")
+    frames = "odometry-frames" if prefix else "odometry_frames"
+    for name, value in (("topic", chosen.topics), (frames, chosen.odometry_frames)):
+        if value and (is_run or not is_bag(path)):
+            raise ConfigError(f"{prefix}{name}: found on a log that is not a ROS bag, allowed: on a bag")
     if is_run and "preset" in fields:
         raise ConfigError(f"{prefix}preset: found on a run folder, allowed: single fields over its config.toml")
     if is_run or is_bag(path):
@@ -85,7 +100,7 @@ def check_options(
             if name != "mount":
                 allowed = f"allowed: {prefix}laser.mount"
                 raise ConfigError(f"{prefix}laser.{name}: found on a bag, which describes its laser, {allowed}")
-    _check_landmark_options(path, fields, has_robot, prefix)
+    _check_landmark_options(path, fields, chosen.robot is not None, prefix)
 
 
 def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bool, prefix: str) -> None:
@@ -115,8 +130,7 @@ def open_recorded(
     log: str | Path,
     config: Config,
     relations: str | Path | Relations | None = None,
-    topics: Sequence[str] = (),
-    robot: int | None = None,
+    chosen: Chosen | None = None,
     stated: Collection[str] = (),
 ) -> Recorded:
     """Open a log, and the relations to evaluate its replay; relations with a stamp that no scan has are left out.
@@ -130,8 +144,11 @@ def open_recorded(
     from sixthsense.sources.logs.rosbag import BagLog
 
     files = {"log": str(absolute(log))}
+    topics, robot, frames = chosen or Chosen()
     if topics:
         files["topic"] = ",".join(topics)
+    if frames:
+        files["odometry_frames"] = ",".join(frames)
     if robot is not None:
         files["robot"] = str(robot)
     from_file = isinstance(relations, (str, Path))
@@ -140,7 +157,7 @@ def open_recorded(
         given: Relations | None = read_relations(relations)
     else:
         given = relations
-    opened = open_log(log, config.laser, topics, robot, config.assumed, stated)
+    opened = open_log(log, config.laser, topics, robot, config.assumed, stated, frames, not config.no_odometry)
     notes: list[str] = []
     if given is not None:
         given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
@@ -149,11 +166,16 @@ def open_recorded(
     if isinstance(opened, MrclamLog) and opened.misread:
         notes.append(f"{opened.misread} measurements with an unknown barcode are skipped")
     notes += opened.remarks()
-    return Recorded(absolute(log).name, opened, of_log(config, opened), given, files, tuple(notes))
+    config = of_log(config, opened)
+    if config.no_odometry:
+        notes.append(WITHOUT_ODOMETRY)
+    return Recorded(absolute(log).name, opened, config, given, files, tuple(notes))
 
 
 def of_log(config: Config, log: Log) -> Config:
-    """The configuration with the laser as the log describes it, if it does."""
+    """The configuration with the laser as the log describes it, if it does, and without odometry if it has none."""
+    if not log.has_odometry:
+        config = merge(config, {"no_odometry": True})
     return config if log.laser is None else dataclasses.replace(config, laser=log.laser)
 
 

@@ -12,6 +12,7 @@ from sixthsense.core.source import Command
 from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.sources.logs.tf_odometry import FramePair
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
@@ -51,6 +52,21 @@ def test_odometry_is_read_with_its_frames():
     found = MessageReader().odometry(odometry_message())
     assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
     np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
+
+
+def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transforms_are_none():
+    reader = MessageReader(FramePair("odom", "base_link"))
+    own, other = (
+        MAKE.serialized(MAKE.transform(STAMP, parent, "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
+        for parent in ("odom", "map")
+    )
+    assert reader.has_odometry(own) and not reader.has_odometry(other)
+    assert reader.has_odometry(b"damaged")  # which is named when it is read
+    found = reader.odometry(own)
+    assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
+    np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
+    with pytest.raises(ValueError, match=r"found no transform odom -> base_link, allowed: one"):
+        reader.odometry(other)
 
 
 @pytest.mark.parametrize("value", [math.inf, math.nan, -1.0, 5000.0])

@@ -6,7 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sixthsense.config import preset
+from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
@@ -38,7 +38,7 @@ class Forward(ReplayNavigator):
 class Bench:
     """A robot that stands, and whose sensors can be switched off; time passes while it waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: Config | None = None) -> None:
         self.now_ms = 0
         self.has_scans = self.has_odometry = True
         self.odd: bytes | None = None
@@ -53,7 +53,7 @@ class Bench:
         steering = Steering(self.pilot, send, lambda: self.subscribers)
         laser = LaserReader(reader, None, Pose())
         notices = Notices(self.lines.append)
-        trace = Trace(preset(), None, 0.2)
+        trace = Trace(config or preset(), None, 0.2)
         self.robot = LiveRobot(self._receive, reader, laser, notices, trace, steering, lambda: self.now_ms * MS)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
@@ -92,6 +92,14 @@ def test_a_robot_with_scans_and_odometry_drives_at_the_rate_of_odometry(bench):
     driving = [ms for ms, command in bench.sent if command == Command(0.2, 0.0)]
     assert len(driving) > 70 and max(np.diff(driving)) <= 40
     assert bench.lines == []
+
+
+def test_without_odometry_each_scan_is_a_tick_and_nothing_is_missed():
+    bench = Bench(preset(no_odometry=True))
+    bench.has_odometry = False
+    bench.run(3000)
+    bench.slam.close()
+    assert bench.robot.joiner.dropped.total() == 0 and bench.lines == []
 
 
 @pytest.mark.parametrize("sensor", ["has_scans", "has_odometry"])

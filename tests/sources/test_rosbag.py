@@ -97,12 +97,13 @@ class Bag:
         )
         self.write(topic, LASER_SCAN, message, stamp_ns + late_ns)
 
-    def transform(self, parent: str, child: str, place: Pose, turn=None, up: float = 0.0) -> None:
+    def transform(self, parent: str, child: str, place: Pose, turn=None, up: float = 0.0, stamp_ns: int = -1) -> None:
+        """A static transform, or with a stamp one of /tf."""
         turn = turn or (0.0, 0.0, math.sin(place.theta / 2), math.cos(place.theta / 2))
         shift = self.make("geometry_msgs/msg/Vector3", place.x, place.y, up)
         link = self.make("geometry_msgs/msg/Transform", shift, self.make("geometry_msgs/msg/Quaternion", *turn))
-        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(0, parent), child, link)
-        self.write("/tf_static", TF, self.make(TF, [stamped]), 0)
+        stamped = self.make("geometry_msgs/msg/TransformStamped", self.header(max(stamp_ns, 0), parent), child, link)
+        self.write("/tf_static" if stamp_ns < 0 else "/tf", TF, self.make(TF, [stamped]), max(stamp_ns, 0))
 
 
 def way(seconds: float) -> Pose:

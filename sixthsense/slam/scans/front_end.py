@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config
+from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -19,6 +20,7 @@ from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
+from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
@@ -54,8 +56,16 @@ class _Last(NamedTuple):
 class ScanFrontEnd:
     """Aligns every scan with keyframes, and gives the estimator links between keyframes."""
 
-    def __init__(self, config: Config, estimator: PoseGraphEstimator, start: Pose, timed: Timed) -> None:
-        """Begin at `start`, `T_world_robot`."""
+    def __init__(
+        self,
+        config: Config,
+        estimator: PoseGraphEstimator,
+        start: Pose,
+        timed: Timed,
+        velocity: LastVelocity | None = None,
+    ) -> None:
+        """Begin at `start`, `T_world_robot`; `velocity` is the source of increments if these are no odometry."""
+        self._velocity = velocity
         self._config, self._estimator, self._pose = config, estimator, start
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
@@ -99,13 +109,15 @@ class ScanFrontEnd:
         if increment is not None:
             self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
             self._pose = self._pose @ increment.motion
-            self._is_carried |= increment.is_carried()
+            self._is_carried |= self._velocity is None and increment.is_carried()
         if scan is None:
             return None
         if scan.T_robot_laser is not self._mount.T_robot_laser:
             self._mount = Mount(scan.T_robot_laser)
         tracked = self._track(scan)
+        found = self._found(tracked)
         if not self._is_due(tracked):
+            self._since = found
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
             return None
         motion = self._since if tracked is None else self._motion(tracked)
@@ -125,7 +137,7 @@ class ScanFrontEnd:
 
     def finish(self) -> Array | None:
         """Predict up to the last tick, and align the scans between keyframes once more."""
-        self._estimator.predict(self._since)
+        self._estimator.predict(self._since if self._velocity is None else self._velocity.lasting(self._since))
         if not self._config.scans.final_pass:
             return None
         return refined(self._store, self._graph.poses, self._scans, self._mount)
@@ -162,16 +174,33 @@ class ScanFrontEnd:
         motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
         tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
-        if tracked.is_lost(self._contradicted):
-            tracked = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
+        is_guessed = self._velocity is not None
+        if tracked.is_lost(self._contradicted) or (is_guessed and tracked.is_doubted(self._contradicted)):
+            found = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
+            tracked = found if tracked.is_lost(self._contradicted) or not found.has_slipped else tracked
             if tracked.is_lost(self._contradicted):
                 self._break_track()
                 return None
+        tracked = tracked.remapped(prior) if is_guessed else tracked
         self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
         self._graph.usual_agreement = 1.0 - self._contradicted
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
+
+    def _found(self, tracked: Tracked | None) -> Odometry:
+        """The motion since the last keyframe to go on from: by odometry, or as tracked where there is none."""
+        if self._velocity is None:
+            return self._since
+        if tracked is None or self._prior is None:
+            self._velocity.lost()
+            return self._since
+        cov = np.asarray(np.linalg.inv(self._prior.information + tracked.information))
+        key = self._graph.poses[-1]
+        of_laser = Odometry(Pose.from_array(between(key, tracked.pose)), turned_covariance(cov, -key[2]))
+        found = self._mount.robot_odometry(of_laser)
+        self._velocity.measured(self._since, found)
+        return found
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets])
@@ -207,6 +236,8 @@ class ScanFrontEnd:
 
     def _since_with_errors(self) -> Odometry:
         """The odometry since the last keyframe, as the estimator is given it."""
+        if self._velocity is not None:
+            return self._velocity.lasting(self._since)
         return with_wheel_errors(self._since) if self._wheels is None else with_unsteady_errors(self._since)
 
     def _since_of_laser(self) -> Odometry:
@@ -255,6 +286,8 @@ class ScanFrontEnd:
 
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
+        if self._velocity is not None:
+            self._velocity.at_keyframe()
         estimate, self._wheels = self._reported(self._estimator.estimate()), self._wheel_estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)

@@ -34,7 +34,8 @@ _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
 _SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
 _FLOOR_M = 3e-4
-_FEW_RETURNS = 3.0  # returns' worth that wrong partners may feign
+FEW_RETURNS = 3.0
+"""returns' worth of information that wrong partners may feign"""
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a matrix's entries in its upper triangle
 _UNOBSERVED = 10.0  # sigma, m or rad, along a direction of which the scans say nothing
 
@@ -84,7 +85,7 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     upper = sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6]
     returns, axes = np.linalg.eigh(0.5 * upper[:, _SYMMETRIC])
     share = 2.0 / (np.maximum(shared_by, 2.0) * variance)
-    values = share[:, None] * np.maximum(returns - _FEW_RETURNS, 0.0)
+    values = share[:, None] * np.maximum(returns - FEW_RETURNS, 0.0)
     spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)
     shape = floor[:, None, None] * np.diag([1.0, 1.0, _LEVER_M**-2])
     return np.asarray((axes * spread[:, None, :]) @ axes.transpose(0, 2, 1) + shape)

@@ -14,7 +14,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix
 from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
-from sixthsense.slam.scans.links import NEAR_GATE_M, WIDE_GATE_M
+from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import pyramid, submap_points
 from sixthsense.slam.scans.visibility import Agreement, judged
@@ -30,6 +30,8 @@ _SEARCHED_SIGMAS = 3.0  # half the side of the window that is searched
 _LEAST_SCORE = 0.3  # share of the returns that a submap must explain where a scan is searched
 _VOXEL_M, _MOST = 0.05, 8  # of the submap, and places in it that are looked at
 _NEAREST = 3  # keyframes that a scan is aligned with at a place
+_FEW = 0.5 * FEW_RETURNS  # those of a link count both ways
+_LEAST = 1e-3  # 1/m^2, 1/rad^2: information of next to nothing
 _APART = Apart(0.5, 0.2)  # two poses that are nearer are of one place
 
 
@@ -58,9 +60,29 @@ class Tracked(NamedTuple):
         """Whether much less agrees than usually; `usual` is the share that usually contradicts."""
         return self.agreement.share > 1.0 - _LOST * (1.0 - usual)
 
+    def is_doubted(self, usual: float) -> bool:
+        """Whether less agrees than usually, as `is_lost`."""
+        return self.agreement.share > _doubt(usual)
+
     def judged_by(self, prior: Prior) -> Tracked:
         """The same, with the slip by another prior of the same pose."""
         return self._replace(slip=prior.squared(self.off))
+
+    def remapped(self, prior: Prior) -> Tracked:
+        """The same, where a direction of which only a few returns tell is left to the prior.
+
+        Along a corridor a few wrong partners hold a scan where it was. Solution remapping, Zhang, Kaess and Singh 2016,
+        "On degeneracy of optimization-based state estimation problems", with information in place of a threshold.
+        """
+        values, axes = np.linalg.eigh(self.information)
+        values = np.maximum(values, _LEAST)
+        told = np.maximum(values - _FEW / SIGMA_M**2, 0.0)
+        information, share = (axes * told) @ axes.T, (axes * (told / values)) @ axes.T
+        by_scans = share @ (prior.information + (axes * values) @ axes.T) @ self.off
+        off = np.linalg.solve(prior.information + information, by_scans)
+        pose = prior.pose + off
+        pose[2] = wrap_angle(float(pose[2]))
+        return self._replace(pose=pose, information=information, slip=prior.squared(off), off=off)
 
 
 def track(views: Views, prior: Prior, starts: Array, usual: float) -> Tracked:

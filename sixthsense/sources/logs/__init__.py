@@ -25,11 +25,14 @@ def open_log(
     robot: int | None = None,
     assumed: AssumedConfig | None = None,
     stated: Collection[str] = (),
+    odometry_frames: Sequence[str] = (),
+    odometry: bool = True,
 ) -> Log:
     """Open a log, a file or a folder, with the reader of its kind, which is recognised by the name.
 
     The log says what its laser is. Fields of `laser` take precedence that are not at the default of LaserConfig or are
-    named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `robot` a robot of a MRCLAM
+    named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames` the parent and
+    the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot of a MRCLAM
     folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. Raises LogError
     for an unknown kind, with the known ones, and for a file that the reader cannot read.
     """
@@ -52,9 +55,12 @@ def open_log(
 
         return read_run(path, laser or LaserConfig())
     if is_bag(path):
+        from sixthsense.sources.logs.bag_recording import BagOptions
         from sixthsense.sources.logs.rosbag import read_bag
+        from sixthsense.sources.logs.tf_odometry import frame_pair
 
-        return read_bag(path, laser or LaserConfig(), topics, "mount" in stated)
+        options = BagOptions(topics, frame_pair(odometry_frames), odometry)
+        return read_bag(path, laser or LaserConfig(), options, "mount" in stated)
     if is_mrclam(path):
         from sixthsense.config import preset
         from sixthsense.sources.logs.mrclam import read_mrclam

@@ -5,10 +5,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 
+import numpy as np
+
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
+
+_COMPARED = 20  # scans, evenly over the log
+_MOVED_M, _FAR_M, _MOST = 0.3, 100.0, 0.5  # by which a range has changed, m; at most; and the share of beams
 
 
 class Log:
@@ -22,6 +27,8 @@ class Log:
     """The laser as the log describes it; None where it does not."""
     backward_stamps: int
     """Number of scans whose stamp in the log is earlier than that of the previous scan."""
+    has_odometry: bool = True
+    """Whether the log has odometry; without it, its poses say nothing."""
 
     def __init__(self, ticks: Sequence[Tick], laser: LaserConfig | None = None, remarks: Sequence[str] = ()) -> None:
         """Make a log of at least one tick, with ascending `stamp_ns`; `remarks` are what its reader has to say."""
@@ -51,9 +58,25 @@ class Log:
         stamps = self._own_stamps
         if len(stamps) > 1 and min(stamps) == max(stamps):
             lines.append(f"all {len(stamps)} scans have the stamp {stamps[0]:.6f}; replayed in the order of the file")
-        if len(self.scans) > 1 and all(tick.odometry == self.start for tick in self.ticks):
-            lines.append("the odometry never changes: the robot is taken to stand still, and the first scan is its map")
+        if self.has_odometry and len(self.scans) > 1 and all(tick.odometry == self.start for tick in self.ticks):
+            if self._scans_move():
+                lines.append("the odometry never changes, but the scans do: use --no-odometry")
+            else:
+                lines.append(
+                    "the odometry never changes: the robot is taken to stand still, and the first scan is its map"
+                )
         return lines
+
+    def _scans_move(self) -> bool:
+        """Whether scans differ in most of their beams: people who walk by change fewer."""
+        first = self.scans[0].ranges
+        others = [scan.ranges for scan in self.scans[:: max(1, len(self.scans) // _COMPARED)]]
+        changed = []
+        for ranges in others:
+            count = min(len(first), len(ranges))
+            here, there = np.minimum(first[:count], _FAR_M), np.minimum(ranges[:count], _FAR_M)
+            changed.append(float(np.mean(np.abs(here - there) > _MOVED_M)))
+        return max(changed) > _MOST
 
     def rewind(self) -> None:
         """Restart at the first tick."""

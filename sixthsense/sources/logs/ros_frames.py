@@ -30,6 +30,10 @@ class Frames:
         root, T_root_laser = self._root(self.laser)
         return mount(np.linalg.inv(T_root_robot) @ T_root_laser) if robot == root else None
 
+    def root(self, frame: str) -> str:
+        """The root of a frame's chain of transforms; ValueError for transforms in a circle."""
+        return self._root(frame)[0]
+
     def _root(self, frame: str) -> tuple[str, Array]:
         """The root of a frame's chain of transforms, and (4, 4) T_root_frame."""
         T_root_frame = np.eye(4)

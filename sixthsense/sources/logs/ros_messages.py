@@ -67,6 +67,11 @@ def transform(message: Any) -> Array:
     return out
 
 
+def planar_of(T: Array) -> Pose:
+    """A (4, 4) matrix projected onto the plane; exact for a rotation about z."""
+    return Pose(T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]))
+
+
 def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
     """The planar mount of the laser from a (4, 4) matrix, and whether the laser is upside down."""
     if abs(T_robot_laser[2, 2]) < _LEAST_UPRIGHT:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from sixthsense.config.section import shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
+from sixthsense.sources.logs.bag_recording import LARGEST_STAMP_NS, TRANSFORM_TYPES, as_log_error, check_first_line
 from sixthsense.sources.logs.decompress import bounded, check_regular
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.ros_frames import frame_name
 from sixthsense.sources.logs.ros_messages import ODOMETRY, stamp_ns
-from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, as_log_error, check_first_line
 from sixthsense.sources.logs.text_lines import LARGEST
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
 WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 @dataclass(slots=True)
@@ -92,7 +91,7 @@ def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[n
     """
     links: dict[str, _Link] = {}
     with _opened(path) as reader:
-        known = [c for c in reader.connections if c.msgtype in TRANSFORMS]
+        known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
         for connection, record_ns, raw in reader.messages(known) if known else ():
             message: Any = reader.deserialize(raw, connection.msgtype)
             is_static = connection.topic.endswith("tf_static")

@@ -14,11 +14,12 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
+from sixthsense.sources.logs.bag_recording import LARGEST_STAMP_NS
 from sixthsense.sources.logs.decompress import check_regular, decompressed
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.observation_cloud import CLOUD, from_cloud
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
-from sixthsense.sources.logs.rosbag import LARGEST_STAMP_NS, BagLog
+from sixthsense.sources.logs.rosbag import BagLog
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"

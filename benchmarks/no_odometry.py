@@ -1,0 +1,100 @@
+"""Scans alone: logs and simulated tours without odometry beside the same with it.
+
+    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py            # all, about 15 minutes
+    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py aces 3     # one log, and three seeds
+
+A log's row: relations error, mean and largest, the share beyond 0.5 m, and the share of those beyond 3 sigmas of what
+the graph of keyframes says of the relation (for each of its two keyframes relative to the other). A tour's row: ATE and
+NEES over the seeds.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import sixthsense as ss
+from sixthsense.config import Config
+from sixthsense.evaluation.metrics import relations_error
+from sixthsense.slam.scans.front_end import ScanFrontEnd
+from sixthsense.slam.scans.poses import compose
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.replay_input import open_recorded
+
+LOGS = ("fr079", "intel", "aces")
+TOURS = ("apartment", "office")
+SEEDS, TOUR_S = 10, 120.0
+
+
+def log_row(name: str, data: Path, no_odometry: bool) -> str:
+    """Replay a log; its row."""
+    config: Config = ss.preset("log", no_odometry=no_odometry)
+    found = open_recorded(data / name / f"{name}.clf.bz2", config, data / name / f"{name}.relations")
+    assert found.relations is not None
+    stamps: list[float] = []
+    keys: list[int] = []
+    since: list[np.ndarray] = []
+    with Slam(found.config, found.log.start) as slam:
+        key = -1
+        for tick in found.log.ticks:
+            step = slam.take(tick)
+            key += step.keyframe is not None
+            if tick.log_stamp_s is not None:
+                stamps.append(tick.log_stamp_s)
+                keys.append(key)
+                since.append(step.since_keyframe.array())
+        result = slam.finish()
+        front_end = slam._front_end
+        assert isinstance(front_end, ScanFrontEnd)
+        motions = np.array(since) if result.since_key is None else result.since_key
+        poses = compose(result.trajectory[np.array(keys)], motions)
+        off_m, _ = relations_error(np.array(stamps), poses, found.relations.stamps, found.relations.poses)
+        far = np.flatnonzero(off_m > 0.5)
+        scans = {stamp: k for stamp, k in zip(stamps, keys, strict=True)}
+        ends = [[scans[min(scans, key=lambda s: abs(s - at))] for at in found.relations.stamps[k]] for k in far]
+        sigmas = [front_end.loop_closures.sigmas(b)[0][a] for a, b in ends]
+    beyond = float(np.mean(off_m[far] > 3.0 * np.array(sigmas))) if len(far) else 0.0
+    mode = "scans alone" if no_odometry else "odometry"
+    return (
+        f"| {name} | {mode} | {off_m.mean():.4f} m | {off_m.max():.2f} m | {100 * len(far) / len(off_m):.2f} % "
+        f"| {100 * beyond:.0f} % |"
+    )
+
+
+def tour_row(scene: str, seeds: int, no_odometry: bool) -> str:
+    """Tours of a scene; their row."""
+    ate, nees = [], []
+    for seed in range(seeds):
+        run = ss.run(
+            scene, task="tour", seed=seed, max_time=TOUR_S, progress=False,
+            front_end="scan-matching", no_odometry=no_odometry,
+        )  # fmt: skip
+        ate.append(run.metrics["ate_rmse_m"])
+        nees.append(run.metrics["pose_nees_world_mean"])
+    mode = "scans alone" if no_odometry else "odometry"
+    return (
+        f"| {scene}, {seeds} seeds | {mode} | ATE {1e3 * np.mean(ate):.1f} mm, at most {1e3 * np.max(ate):.1f} "
+        f"| NEES {np.mean(nees):.2f} | {np.min(nees):.2f} to {np.max(nees):.2f} | |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    data = os.environ.get("SIXTHSENSE_DATA")
+    names = [word for word in sys.argv[1:] if word in LOGS] or list(LOGS)
+    seeds = next((int(word) for word in sys.argv[1:] if word.isdigit()), SEEDS)
+    print("| what | motion by | mean | largest | beyond 0.5 m | of these beyond 3 sigmas |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name in names if data else ():
+        for without in (False, True):
+            print(log_row(name, Path(str(data)), without), flush=True)
+    for scene in TOURS:
+        for without in (False, True):
+            print(tour_row(scene, seeds, without), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,119 @@
+"""Motion without odometry: the last velocity, with the covariance of that guess.
+
+The robot's velocity is a first-order Gauss-Markov (Ornstein-Uhlenbeck) process about standstill: of stationary sigma V
+and correlation time tau, so that it is kept over a scan and forgotten over a gap. Singer 1970, "Estimating optimal
+tracking filter performance for manned maneuvering targets". Scan matching measures it from one scan to the next.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sixthsense.core.geometry import Pose, rotation, wrap_angle
+from sixthsense.core.motion import Odometry, compose_jacobians
+
+_SIGMAS = np.array([1.0, 1.0, 1.0])  # m/s, m/s, rad/s: somebody who walks, and looks around
+_TAUS_S = np.array([4.0, 4.0, 1.0])  # correlation times: one goes on for some steps, and turns for a moment
+_USUAL, _LEAST_WEIGHT = 4.0, 0.02  # sigmas of the stamps' jitter up to which a period is as usual; weight of the newest
+
+
+class ScanClock:
+    """The time between scans: a laser's period is steadier than its stamps, which only tell where scans are missing."""
+
+    def __init__(self) -> None:
+        self._count, self._mean_s, self._square = 0, 0.0, 0.0
+
+    def period(self, stated_s: float) -> float:
+        """The time since the scan before, seconds, of that which the stamps state."""
+        off_s = stated_s - self._mean_s
+        limit_s = _USUAL * math.sqrt(self._square)
+        if self._count > 1.0 / _LEAST_WEIGHT and abs(off_s) > max(limit_s, self._mean_s):
+            return max(stated_s, self._mean_s)
+        self._count += 1
+        weight = max(1.0 / self._count, _LEAST_WEIGHT)
+        self._mean_s += weight * off_s
+        self._square += weight * (off_s * off_s - self._square) if self._count > 1 else 0.0
+        return self._mean_s
+
+
+class LastVelocity:
+    """Predicts the motion between scans by a Kalman filter, which is told what scan matching has found.
+
+    Its state is the motion since the last keyframe and the robot's velocity, in its own axes.
+    """
+
+    def __init__(self) -> None:
+        self._clock = ScanClock()
+        self._velocity = np.zeros(3)
+        """(3,) m/s and rad/s"""
+        self._cov = np.diag(_SIGMAS**2)
+        """(3, 3) of the velocity"""
+        self._cross = np.zeros((3, 3))
+        """(3, 3) of the motion since the last keyframe with the velocity"""
+        self._since_key_s = 0.0
+        """time since the last keyframe"""
+        self._stated_s = self._predicted_s = 0.0
+        """time since the last scan by the stamps, and what of it is predicted"""
+
+    def increment(self, since: Pose, duration_s: float, is_scan: bool) -> Odometry:
+        """The motion since the last tick, `duration_s` ago; `since` is that from the last keyframe until then.
+
+        `is_scan` is whether there is a scan now.
+        """
+        self._stated_s += duration_s
+        elapsed_s = self._clock.period(self._stated_s) if is_scan else self._stated_s
+        step_s, self._predicted_s = max(elapsed_s - self._predicted_s, 0.0), max(elapsed_s, self._predicted_s)
+        ratio = step_s / _TAUS_S
+        kept, way_s = np.exp(-ratio), -_TAUS_S * np.expm1(-ratio)
+        x, y, turn = (way_s * self._velocity).tolist()
+        chord = rotation(0.5 * turn) @ np.array([x, y])
+        motion = Pose(chord[0], chord[1], turn)
+        by_since, by_motion = compose_jacobians(since.theta, motion)
+        # Moments of the integral of the process and of the process, Singer 1970.
+        of_way = _SIGMAS**2 * _TAUS_S**2 * (2.0 * ratio - 3.0 + 4.0 * kept - kept**2)
+        of_both, of_velocity = _SIGMAS**2 * _TAUS_S * (1.0 - kept) ** 2, _SIGMAS**2 * (1.0 - kept**2)
+        by_velocity = by_motion * way_s
+        self._since_key_s += step_s
+        mixed = by_since @ self._cross @ by_velocity.T
+        added = mixed + mixed.T + by_velocity @ self._cov @ by_velocity.T
+        added += by_motion @ np.diag(np.maximum(of_way, 0.0)) @ by_motion.T
+        values, axes = np.linalg.eigh(by_motion.T @ added @ by_motion)
+        self._cross = (by_since @ self._cross + by_velocity @ self._cov) * kept + by_motion * of_both
+        self._cov = self._cov * np.outer(kept, kept) + np.diag(of_velocity)
+        self._velocity = kept * self._velocity
+        return Odometry(motion, (axes * np.maximum(values, 0.0)) @ axes.T)
+
+    def measured(self, guessed: Odometry, found: Odometry) -> None:
+        """Take in the motion since the last keyframe as guessed, and as scan matching has corrected it."""
+        gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
+        off = found.motion.array() - guessed.motion.array()
+        off[2] = wrap_angle(off[2])
+        self._velocity = self._velocity + gain.T @ off
+        self._cov = self._cov - gain.T @ (guessed.cov - found.cov) @ gain
+        self._cov = 0.5 * (self._cov + self._cov.T)
+        self._cross = found.cov @ gain
+        self._stated_s = self._predicted_s = 0.0
+
+    def lasting(self, since: Odometry) -> Odometry:
+        """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.
+
+        A velocity that no scan tells is wrong by the same for its correlation time tau. Motions over a time T, each
+        wrong by T times such a velocity, add up to the variance of the whole way, 2 tau T times the velocity's, if each
+        counts as independent with 2 tau / T times its own.
+        """
+        if not self._since_key_s:
+            return since
+        factors = np.sqrt(1.0 + 2.0 * _TAUS_S / self._since_key_s)
+        return Odometry(since.motion, since.cov * np.outer(factors, factors))
+
+    def at_keyframe(self) -> None:
+        """Begin anew at a keyframe."""
+        self._cross, self._since_key_s = np.zeros((3, 3)), 0.0
+
+    def lost(self) -> None:
+        """Take in that scan matching has found no motion."""
+        self._velocity, self._cov = np.zeros(3), np.diag(_SIGMAS**2)
+        self._stated_s = self._predicted_s = 0.0
+        self.at_keyframe()

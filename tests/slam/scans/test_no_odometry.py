@@ -1,0 +1,96 @@
+"""Scan matching without odometry: the last velocity predicts, and its covariance is honest."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from rooms import CORNERS, RING, ROOM, drive, ticks
+
+from sixthsense.config import ConfigError, preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.slam.last_velocity import LastVelocity, ScanClock
+from sixthsense.slam.slam import Slam
+
+CONFIG = preset(no_odometry=True)
+
+
+def run(poses, walls, **changes):
+    """The result, and the steps' poses; the ticks' odometry is nonsense."""
+    with Slam(CONFIG, poses[0]) as slam:
+        steps = []
+        for tick in ticks(poses, walls):
+            tick = dataclasses.replace(tick, odometry=Pose(float(tick.stamp_ns % 7), 0.0, 0.0), **changes)
+            steps.append(slam.take(tick).pose.array())
+        return slam.finish(), np.array(steps)
+
+
+def test_the_configuration_says_so_in_one_field_which_needs_scan_matching():
+    assert (CONFIG.front_end, CONFIG.estimator) == ("scan-matching", "isam2")
+    with pytest.raises(ConfigError, match="no_odometry: found true with front_end landmarks, allowed"):
+        preset(no_odometry=True, estimator="ekf-invariant", front_end="landmarks")
+    with pytest.raises(ConfigError, match="no_odometry: found true with calibrate_wheels"):
+        preset(no_odometry=True, calibrate_wheels=True)
+
+
+@pytest.mark.parametrize(
+    ("start", "goals", "walls"),
+    [
+        (Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1)], ROOM),
+        (Pose(-9.0, -6.0, 0.0), CORNERS, RING),
+    ],
+)
+def test_a_drive_is_tracked_without_its_odometry(start, goals, walls):
+    poses = drive(start, goals)
+    _, steps = run(poses, walls)
+    off = steps - np.array([pose.array() for pose in poses])
+    assert np.hypot(off[:, 0], off[:, 1]).max() < 0.1 and np.abs(wrap_angle(off[:, 2])).max() < 0.03
+
+
+def test_turning_in_place_and_standing_are_tracked():
+    turning = [Pose(-2.0, 1.0, 0.15 * k) for k in range(40)]
+    poses = [Pose(-2.0, 1.0, 0.0)] * 20 + turning + [turning[-1]] * 20
+    _, steps = run(poses, ROOM)
+    off = steps - np.array([pose.array() for pose in poses])
+    assert np.abs(off[:, :2]).max() < 0.03 and np.abs(wrap_angle(off[:, 2])).max() < 0.02
+
+
+def test_a_gap_of_the_clock_is_bridged():
+    poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2), (-3, 1)])
+    with Slam(CONFIG, poses[0]) as slam:
+        steps = [
+            (k, slam.take(tick).pose.array())
+            for k, tick in enumerate(ticks(poses, ROOM))
+            if not len(poses) // 2 < k < len(poses) // 2 + 6
+        ]
+        off = np.array([pose - poses[k].array() for k, pose in steps])
+    assert np.abs(off[-10:, :2]).max() < 0.05
+
+
+def test_of_a_bare_corridor_the_covariance_says_that_the_motion_is_hidden():
+    walls = np.array([[[-100, -1], [100, -1]], [[-100, 1], [100, 1]]], dtype=np.float64)
+    poses = [Pose(0.05 * k, 0.0, 0.0) for k in range(100)]
+    with Slam(CONFIG, poses[0]) as slam:
+        for tick in ticks(poses, walls):
+            slam.take(tick)
+        slam.finish()
+        estimate = slam.estimate()
+    along, across, _ = np.sqrt(np.diag(estimate.pose_cov))
+    assert abs(estimate.pose.x - poses[-1].x) < 3.0 * along
+    assert across < 0.05 < along
+
+
+def test_the_guess_grows_with_time_and_is_least_known_at_first():
+    velocity = LastVelocity()
+    first = velocity.increment(Pose(), 0.2, True)
+    assert first.motion == Pose() and np.sqrt(first.cov[0, 0]) == pytest.approx(0.2, rel=0.1)
+    parts, whole = LastVelocity(), LastVelocity()
+    two = parts.increment(Pose(), 0.1, False).cov + parts.increment(Pose(), 0.1, False).cov
+    np.testing.assert_allclose(two, whole.increment(Pose(), 0.2, False).cov, rtol=1e-9)
+
+
+def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():
+    clock = ScanClock()
+    rng = np.random.default_rng(0)
+    periods = [clock.period(stated) for stated in rng.choice([0.0, 0.4], 200)]
+    assert np.abs(np.array(periods[100:]) - 0.2).max() < 0.1
+    assert clock.period(3.0) == 3.0
