@@ -49,7 +49,7 @@ class Config(Section):
     planner: Annotated[str, PLANNERS] = "astar"
     """Path planner: astar or rrtstar. astar: shortest over the grid's cells; rrtstar: sampled in the plane."""
     task: Literal["explore", "goal", "tour"] = "explore"
-    """What the robot does: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
+    """Task: explore, goal or tour. explore: see all of the region, then drive home; goal: drive to a
     goal; tour: drive to a list of goals, again and again until max-time, or once without it."""
     goal: tuple[float, float] | None = None
     """x y, world frame, m; none: the scene's."""
@@ -64,8 +64,8 @@ class Config(Section):
     max_time: Annotated[float, Range(0.0, 1e9, open_low=True)] | None = None
     """Time limit by the clock of the source, s. None: the run ends when the task is over."""
     people: bool | None = None
-    """People may walk by, who are no part of the map. What moves is then no evidence of map and scan matching, and the
-    robot keeps its distance and its patience. None: where people walk in the simulated world."""
+    """People may walk by: what moves is no evidence. Neither the map nor scan matching counts it, and the robot keeps
+    its distance and its patience. None: where people walk in the simulated world."""
     map_unknown: Literal["wall", "free"] = "wall"
     """Unknown cells of a map_server map: wall or free. Free cells are transparent."""
     robot: RobotConfig = field(default_factory=RobotConfig)
