@@ -63,7 +63,7 @@ def draw_nees(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
     end = max(float(_seconds(run)[-1]) for run in runs)
     edges = np.linspace(0.0, end, len(found.parts) + 1)
     ax.stairs(np.array(found.parts), edges, baseline=None, color=TRUTH, linewidth=1.6, label="mean of each part")
-    ax.axhspan(*found.band, color="#999999", alpha=0.8, linewidth=0.0, zorder=2.5, label="95 % band of the mean")
+    ax.axhspan(*found.band, label="95 % band of the mean", **_BAND)
     ax.set_yscale("log")
     together = np.concatenate([run.nees for run in runs])
     ax.set_ylim(max(float(np.percentile(together, 1.0)), 0.02), 1.5 * max(float(together.max()), 2.0 * found.band[1]))
