@@ -22,15 +22,14 @@ from sixthsense.slam.scans.evidence import followed_back
 from sixthsense.slam.scans.map_views import MapViews
 from sixthsense.slam.scans.place_search import (
     LEAST_POINTS,
-    RECENT_M,
     Hypothesis,
     Look,
     best_place,
     is_same_place,
     recent_points,
 )
-from sixthsense.slam.scans.submap import Pyramid, pyramid
-from sixthsense.slam.scans.verification import verified
+from sixthsense.slam.scans.submap import pyramid
+from sixthsense.slam.scans.verification import vote_for
 from sixthsense.slam.scans.votes import Vote, Votes
 
 _SPACING_M, _M_PER_RAD = 0.4, 0.4  # between two scans that are kept, and what a turn counts
@@ -74,7 +73,7 @@ class Relocalizer:
         self.place = Pose.from_array(found.pose) @ laser.inverse()
         if any(is_same_place(found.pose, (T_map_own @ laser).array()) for T_map_own in self._expected):
             return self.place
-        vote = self._search.vote(found, self.driven_m)
+        vote = self._search.vote(found)
         if vote is None or not self._search.votes.agreeing(vote):
             return None
         return Pose.from_array(vote.pose) @ laser.inverse()
@@ -88,7 +87,9 @@ class _Search:
         self.votes = Votes(views)
         self._travelled = np.zeros(0)
         """(K,) m, at each of the robot's scans; minus infinity at the views of the map"""
-        self._cells: Pyramid | None = pyramid(views.obstacles) if len(views.obstacles) else None
+        obstacles = views.obstacles
+        self._where = (pyramid(obstacles), _everywhere(obstacles)) if len(obstacles) else None
+        """cells to search in, and the window; None in a map without obstacles"""
 
     def look(self, scan: Scan, laser: Pose, travelled_m: float) -> Hypothesis | None:
         """Keep a scan of the robot, and look for the place of the last ones; one that nothing else looks like."""
@@ -97,22 +98,19 @@ class _Search:
         self._travelled = np.concatenate([self._travelled, known])
         self._travelled[key] = travelled_m
         points = recent_points(self._views, key, self._travelled)
-        if self._cells is None or len(points) < LEAST_POINTS:
+        if self._where is None or len(points) < LEAST_POINTS:
             return None
-        look = Look(self._cells, self._window(laser), np.zeros(3), self._views)
+        look = Look(*self._where, np.zeros(3), self._views)
         back = followed_back(self._travelled, key)
         found = best_place(self._views, back, points, [look], ScansConfig().min_score)
         return None if found is None or found.is_ambiguous else found
 
-    def vote(self, found: Hypothesis, travelled_m: float) -> Vote | None:
+    def vote(self, found: Hypothesis) -> Vote | None:
         """A vote for a place of the newest scan, if the last ones agree about it."""
-        recent = np.flatnonzero(self._travelled > travelled_m - RECENT_M)
-        key = int(recent[-1])
-        good = verified(self._views, key, recent, found)
-        return None if good is None else Vote(key, good.pose, travelled_m, good.links)
+        return vote_for(self._views, len(self._travelled) - 1, self._travelled, found)
 
-    def _window(self, laser: Pose) -> Window:
-        """The whole map."""
-        low, high = self._views.obstacles.min(axis=0), self._views.obstacles.max(axis=0)
-        centre: Array = np.array([*(0.5 * (low + high)), 0.0])
-        return Window(centre, 0.5 * float((high - low).max()), math.pi)
+
+def _everywhere(obstacles: Array) -> Window:
+    """The whole map."""
+    low, high = obstacles.min(axis=0), obstacles.max(axis=0)
+    return Window(np.array([*(0.5 * (low + high)), 0.0]), 0.5 * float((high - low).max()), math.pi)

@@ -56,7 +56,8 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
     the pose than a `cov` this large. Raises PriorMapError where the scan does not fit the map, and where it fits two
     places.
     """
-    if not len(scan.points_robot[np.isfinite(scan.ranges)]) or not len(prior.evidence.cells):
+    returned = (scan.ranges > 0.0) & (scan.ranges < scan.max_range)
+    if not returned.any() or not len(prior.evidence.cells):
         return pose
     views, laser = MapViews(prior.evidence, config, scan), pose @ scan.T_robot_laser
     key = views.add(scan, laser)
@@ -93,7 +94,8 @@ def _places(views: MapViews, key: int, laser: Array, cov: Array) -> list[_Place]
     """The places near `laser` (3,), of covariance `cov` (3, 3), that a scan may be from; none without obstacles."""
     own = views.store.returns.points[key]
     own = own[own[:, 2] > 0.0, :2].astype(np.float64)
-    if not len(views.obstacles) or not len(own):
+    obstacles = views.obstacles
+    if not len(obstacles) or not len(own):
         return []
     own = own[np.linspace(0, len(own) - 1, min(len(own), _MOST_POINTS)).astype(np.int64)]
     sigmas = np.sqrt(np.diag(cov))
@@ -102,7 +104,7 @@ def _places(views: MapViews, key: int, laser: Array, cov: Array) -> list[_Place]
     floor = np.diag([_KNOWN_M, _KNOWN_M, _KNOWN_RAD]) ** 2 * 1e-2
     prior = Prior(laser, np.asarray(np.linalg.inv(cov + floor), dtype=np.float64))
     places = []
-    for at in peaks(pyramid(views.obstacles), own, window, _LEAST_SCORE, _APART)[:, 1:]:
+    for at in peaks(pyramid(obstacles), own, window, _LEAST_SCORE, _APART)[:, 1:]:
         alone = aligned(_views(views, key, at), Prior(at, _WEAK * np.eye(3)), at, WIDE_GATE_M)
         both = aligned(_views(views, key, alone.pose), prior, alone.pose, WIDE_GATE_M)
         if both.slip <= _MOST_SQUARE:

@@ -98,3 +98,9 @@ def test_a_map_without_obstacles_is_refused_in_one_line(sigma):
     bare = replace(ROOM_MAP, evidence=empty._replace(hits=0 * empty.hits, passes=empty.passes + 1))
     with pytest.raises(PriorMapError, match="of which the first scan shows 0 %"):
         located(look(ROOM, TRUE), bare, TRUE, np.diag([sigma] * 3) ** 2, GRID)
+
+
+def test_a_scan_without_a_return_says_nothing_against_the_given_pose():
+    scan = look(ROOM, TRUE)
+    blank = replace(scan, ranges=np.full_like(scan.ranges, scan.max_range))
+    assert located(blank, ROOM_MAP, TRUE, np.diag([0.3, 0.3, 0.2]) ** 2, GRID) is TRUE

@@ -10,10 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.graph import OLD_LOSS, RECENT_GROUP, KeyframeLink, ScanGraph
 from sixthsense.slam.scans.links import Alignments
-from sixthsense.slam.scans.poses import between
 
 _CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
 _FIRST = -1  # the group of links before the first loop closure
@@ -71,19 +69,12 @@ class Closings:
     def _contradiction(self, g: int) -> float:
         """Median squared Mahalanobis distance from the estimate of the links that a loop was closed with."""
         own = self._of(self._own[g])
-        return float(np.median(self._squared(own))) if own else 0.0
+        return float(np.median(self._graph.squares(own))) if own else 0.0
 
     def _broken(self, newest: int) -> int:
         """How many links of all loop closures but the newest one contradict the estimate."""
         others = [link for link in self.links if link.group != newest]
-        return int(np.count_nonzero(self._squared(others) > _CONTRADICTION)) if others else 0
-
-    def _squared(self, links: list[KeyframeLink]) -> Array:
-        """Squared Mahalanobis distances of links from the estimate."""
-        targets, sources, measured, covs, _ = (np.array(column) for column in zip(*links, strict=True))
-        off = measured - between(self._graph.poses[targets], self._graph.poses[sources])
-        off[:, 2] = wrap_angle(off[:, 2])
-        return np.asarray(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covs), off))
+        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION)) if others else 0
 
     def _undo(self, g: int) -> None:
         """Take back a loop closure and all links that followed from it."""

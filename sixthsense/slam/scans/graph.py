@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -233,10 +234,19 @@ class ScanGraph:
         ends = np.array([(link.target, link.source) for link in links] + [(k - 1, k) for k in keys])
         poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys])
         covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys])
-        off = poses - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
-        off[:, 2] = wrap_angle(off[:, 2])
-        squares = float(np.einsum("ni,nij,nj->", off, np.linalg.inv(covs), off))
+        squares = float(self._squares(ends, poses, covs).sum())
         return (squares + _FACTOR_PRIOR) / (3.0 * len(links) + _FACTOR_PRIOR)
+
+    def squares(self, links: Sequence[KeyframeLink]) -> Array:
+        """(n,) squared Mahalanobis distances of links from the estimate."""
+        ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
+        poses = np.array([link.pose for link in links]).reshape(-1, 3)
+        return self._squares(ends, poses, np.array([link.cov for link in links]).reshape(-1, 3, 3))
+
+    def _squares(self, ends: NDArray[np.int64], relative: Array, covs: Array) -> Array:
+        off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
+        off[:, 2] = wrap_angle(off[:, 2])
+        return np.asarray(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covs), off))
 
     def robot_links(self) -> PoseLinks:
         """All links, between poses of the robot."""

@@ -20,11 +20,11 @@ from sixthsense.slam.estimators import takes_out_poses
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis, PlaceSearch
+from sixthsense.slam.scans.place_search import PlaceSearch
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
-from sixthsense.slam.scans.verification import verified
+from sixthsense.slam.scans.verification import vote_for
 from sixthsense.slam.scans.votes import Vote, Votes
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
@@ -118,18 +118,11 @@ class LoopClosures:
             self._refused += 1
             self._search_from_m = float(self._travelled[key]) + _AMBIGUOUS_M
             return
-        vote = self._verified(key, found)
+        vote = vote_for(self._graph, key, self._travelled, found)
         if vote is None:
             self._refused += 1
         elif self._count(vote):
             self._search.forget()
-
-    def _verified(self, key: int, found: Hypothesis) -> Vote | None:
-        recent = np.flatnonzero(self._travelled[: key + 1] > self._travelled[key] - RECENT_M)
-        good = verified(self._graph, key, recent, found)
-        if good is None:
-            return None
-        return Vote(key, good.pose, float(self._travelled[key]), good.links)
 
     def _count(self, vote: Vote) -> bool:
         """Count a vote, and close the loop if enough agree; whether that was done."""

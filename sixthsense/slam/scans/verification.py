@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
-from sixthsense.slam.scans.place_search import Hypothesis
+from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis
 from sixthsense.slam.scans.poses import between, compose
+from sixthsense.slam.scans.votes import Vote
 
 _PARTNERS = 3  # known scans that each recent one is aligned with
 _LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
@@ -51,6 +52,13 @@ def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hyp
     if len(rows) < least or len(set(sources[rows].tolist())) < 2:
         return None
     return Verified(middle, [(aligned, int(k)) for k in rows])
+
+
+def vote_for(scans: PlacedScans, key: int, travelled_m: Array, found: Hypothesis) -> Vote | None:
+    """A vote for a place of scan `key`, if those of the last metres agree about it; `travelled_m` (K,) is at each."""
+    recent = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
+    good = verified(scans, key, recent, found)
+    return None if good is None else Vote(key, good.pose, float(travelled_m[key]), good.links)
 
 
 def _pairs(
