@@ -1,0 +1,167 @@
+"""What do the figures of scan matching hang on? Constants by group, halved and doubled, on one log.
+
+    SIXTHSENSE_DATA=FOLDER python benchmarks/sensitivity.py              # Freiburg 079, all constants
+    python benchmarks/sensitivity.py --only evidence                     # constants whose key begins so
+    python benchmarks/sensitivity.py --only none                         # the table of what is recorded
+
+Each run replays the log with the defaults by a copy of the package in which one constant is changed. A least share is
+moved to half and to double its distance from 1. Figures are kept in `sensitivity.json`; a second call resumes, and
+measures again where the constant's value has changed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from harness import print_table, replay_errors
+
+from sixthsense.config import preset
+from sixthsense.sources.replay_input import base_of, open_recorded
+
+HERE = Path(__file__).resolve()
+PACKAGE = HERE.parent.parent / "sixthsense"
+JSON = HERE.with_suffix(".json")
+LOG = "fr079"
+GROUPS = {
+    "aligner": ("alignment.SIGMA_M", "alignment._SCALE_M", "alignment._NARROWEST_M", "alignment.NORMALS_AGREE"),
+    "normals": ("normals._REACH_M", "normals._GRAZING_RAD", "normals._MAX_THICKNESS_M"),
+    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links._SEEN_SHARE", "links._MEAN_WEIGHT"),
+    "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),
+    "links": (
+        "graph.RECENT", "graph._OLD", "graph._REACH_M", "graph._RECENT_AGREEMENT", "graph._OLD_AGREEMENT",
+        "graph._MAX_SHIFT_M",
+    ),
+    "visibility": ("visibility._TOLERANCE_M", "visibility._LEAST_JUDGED"),
+    "odometry": ("odometry_prior._M_PER_M", "odometry_prior._RAD_PER_RAD", "odometry_prior._UNSTEADY"),
+    "slips": (
+        "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._LOST", "tracking._CLEARLY", "front_end._NEWEST_SHARE",
+    ),
+    "uncertainty": (
+        "loop_closures._DRIFT_M", "loop_closures._DRIFT_RAD", "loop_closures._WHEELS_M_PER_M",
+        "loop_closures._CERTAIN_M",
+    ),
+    "place search": (
+        "place_search.RECENT_M", "place_search._SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
+        "place_search._CANDIDATES",
+    ),
+    "evidence": ("evidence._CLEARLY", "evidence._LEAST_SEEN", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),
+    "verification": ("verification._AGREEMENT", "verification._GOOD_SHARE", "verification._APART_M"),
+    "votes": ("votes._APART_M", "votes._NEAR_M", "closing._CONTRADICTION"),
+    "thinning": ("thinning._AGE", "thinning._ENOUGH", "thinning._NEAR_M"),
+    "final pass": ("final_pass._MOST", "final_pass._REACH_M"),
+}  # fmt: skip
+SHARES = {"NORMALS_AGREE", "_RECENT_AGREEMENT", "_OLD_AGREEMENT", "_DOUBTED", "_AGREEMENT", "_AS_GOOD"}
+"""least shares, which cannot be doubled"""
+
+
+class Constant(NamedTuple):
+    """A number in the source."""
+
+    path: Path
+    line: int
+    columns: tuple[int, int]
+    value: float
+
+
+def constant(name: str) -> Constant:
+    """The number that a module of scan matching binds to a name, alone or in a tuple; `name` is `module.NAME`."""
+    module, _, wanted = name.partition(".")
+    path = PACKAGE / "slam" / "scans" / f"{module}.py"
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign):
+            target = node.targets[0]
+            targets = target.elts if isinstance(target, ast.Tuple) else [target]
+            values = node.value.elts if isinstance(node.value, ast.Tuple) else [node.value]
+            for at, value in zip(targets, values, strict=False):
+                if isinstance(at, ast.Name) and at.id == wanted and isinstance(value, ast.Constant):
+                    assert isinstance(value.value, int | float)
+                    assert value.end_col_offset is not None
+                    return Constant(path, value.lineno, (value.col_offset, value.end_col_offset), value.value)
+    raise SystemExit(f"sensitivity: found no number {name} in {path.name}")
+
+
+def changed(name: str, value: float) -> tuple[float, float]:
+    """The two values that a constant is given."""
+    if name.partition(".")[2] in SHARES:
+        return 1.0 - 2.0 * (1.0 - value), 1.0 - 0.5 * (1.0 - value)
+    if isinstance(value, int):
+        return max(1, value // 2), 2 * value
+    return 0.5 * value, 2.0 * value
+
+
+def errors_with(name: str, value: float) -> dict[str, float]:
+    """Errors of the log, replayed by a copy of the package with another value of a constant."""
+    found = constant(name)
+    with tempfile.TemporaryDirectory() as folder:
+        # With its kernels, which are compiled again only where they may hold the constant.
+        shutil.copytree(PACKAGE, Path(folder) / "sixthsense", copy_function=shutil.copy2)
+        room = Path(folder) / "sixthsense" / found.path.relative_to(PACKAGE).parent
+        path = room / found.path.name
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        line, (first, last) = lines[found.line - 1], found.columns
+        lines[found.line - 1] = f"{line[:first]}{value:.9g}{line[last:]}"
+        path.write_text("".join(lines), encoding="utf-8")
+        if "numba" in path.read_text(encoding="utf-8"):
+            shutil.rmtree(room / "__pycache__", ignore_errors=True)
+        environment = {**os.environ, "PYTHONPATH": folder, "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, str(HERE), "--replay"]
+        done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def replayed() -> dict[str, float]:
+    """Errors of the log by the package that is imported."""
+    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / LOG
+    path, relations = folder / f"{LOG}.clf.bz2", folder / f"{LOG}.relations"
+    base = base_of(path)
+    recorded = open_recorded(path, preset(base) if isinstance(base, str) else base, relations)
+    assert recorded.relations is not None
+    found = replay_errors(recorded.log, recorded.config, recorded.relations)
+    return {key: found[key] for key in ("mean_m", "largest_m")}
+
+
+def shown(group: str, name: str, row: dict[str, Any]) -> tuple[str, ...]:
+    """A row of the table."""
+    low, high = (
+        (f"{row[at]:g}", f"{row[f'at_{at}']['mean_m']:.4f}", f"{row[f'at_{at}']['largest_m']:.2f}")
+        for at in ("low", "high")
+    )
+    return (group, name, f"{row['value']:g}", *low, *high)
+
+
+def main() -> None:
+    """Measure what is not recorded, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="*", default=[""], metavar="KEY", help="groups that begin so; none: the table")
+    parser.add_argument("--replay", action="store_true", help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.replay:
+        print(json.dumps(replayed()))
+        return
+    rows = json.loads(JSON.read_text(encoding="utf-8")) if JSON.exists() else {}
+    for group, names in GROUPS.items():
+        for name in names if any(group.startswith(key) for key in args.only) else ():
+            value = constant(name).value
+            if rows.get(name, {}).get("value") == value:
+                continue
+            low, high = changed(name, value)
+            rows[name] = {"value": value, "low": low, "high": high} | {
+                at: errors_with(name, other) for at, other in (("at_low", low), ("at_high", high))
+            }
+            JSON.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+            print(name, rows[name], flush=True)
+    head = ("group", "constant", "value", "lower", "mean, m", "largest, m", "higher", "mean, m", "largest, m")
+    print_table([head, *(shown(group, name, rows[name]) for group in GROUPS for name in GROUPS[group] if name in rows)])
+
+
+if __name__ == "__main__":
+    main()
