@@ -1,7 +1,5 @@
 import dataclasses
-import importlib
 import itertools
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,15 +173,3 @@ def test_the_current_way_point_is_the_first_one_ahead(ax):
 def test_the_robot_is_drawn_with_its_heading(ax):
     figures.draw_robot(ax, Pose(1.0, 2.0, np.pi / 2), 0.5)
     np.testing.assert_allclose(ax.get_lines()[0].get_xydata(), [[1.0, 2.0], [1.0, 2.5]])
-
-
-def test_the_benchmark_writes_small_figures_with_their_subjects(tmp_path, monkeypatch, capsys):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    script = importlib.import_module("report_figures")
-    monkeypatch.setattr("sys.argv", ["report_figures.py", "--out", str(tmp_path), "--only", "3", "7"])
-    script.main()
-    files = sorted(tmp_path.iterdir())
-    assert [file.name for file in files] == ["figure03_partitions.png", "figure07_replanning.png"]
-    assert all(file.stat().st_size < 150_000 for file in files)
-    assert [*script.FIGURES] == list(range(2, 13))
-    assert figures.worst_culled(figures.record(preset("default", **script.ROUGH))).off_m > 0.3

@@ -236,18 +236,3 @@ def test_the_columns_of_victoria_park_are_covariances():
     """Innovations are as large as they say: taken as information they would be two hundred times as large, or small."""
     figures = measure(replay(victoria_park(), preset("victoria", estimator="ekf-invariant")))
     assert 0.5 < figures["nis_mean_per_dof"] < 1.5
-
-
-def test_the_benchmark_compares_the_smoother_with_gtsam(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    script = importlib.import_module("victoria_park")
-    log = victoria_park()
-    steps = script.steps_of(log)
-    assert len(steps) == 3331 and sum(len(step.seen) for step in steps) == 3640
-    figures, smoother = script.smoother_figures(steps[:200], preset("victoria").isam2, 1)
-    assert figures["graph_error_ratio"] == pytest.approx(1.0, abs=1e-3)
-    others, ways = script.filter_figures(steps[:200], smoother.trajectory())
-    assert others["ekf_invariant.rms_from_smoothed_m"] < 1.0
-    script.draw(log, ways | {"isam2": smoother.trajectory()}, smoother.estimate().landmarks, tmp_path / "park.png")
-    assert (tmp_path / "park.png").is_file()
-    assert all(len(row) == 5 for row in script.rows(figures | others))

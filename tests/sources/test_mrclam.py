@@ -1,7 +1,6 @@
 import contextlib
 import csv
 import gzip
-import importlib
 import io
 import math
 import os
@@ -300,17 +299,6 @@ def test_the_option_robot_is_only_for_mrclam(tmp_path):
     (tmp_path / "g.txt").write_text("ODOMETRY 0 1 1 0 0 1e-4 0 0 1e-4 0 1e-4\n")
     done = command("replay", tmp_path / "g.txt", "--robot", 1)
     assert done.returncode == 2 and "--robot: found on a log that is not a MRCLAM folder" in done.stderr
-
-
-def test_the_benchmark_measures_each_estimator_and_odometry(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
-    script = importlib.import_module("mrclam")
-    log = read_mrclam(folder(tmp_path), ASSUMED)
-    figures = script.log_figures(log, preset("mrclam"), ("ekf", "isam2"))
-    assert all(math.isfinite(value) for value in figures.values())
-    assert figures["isam2.position_rmse_per_axis_m"] < 0.05
-    assert figures["dead_reckoning.position_rmse_per_axis_m"] == pytest.approx(0.0, abs=1e-3)
-    assert len({len(row) for row in script.rows(figures)}) == 1
 
 
 @pytest.mark.skipif("SIXTHSENSE_DATA" not in os.environ, reason="SIXTHSENSE_DATA=FOLDER with mrclam6/ adds real data")

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from laws.short_walls import drive_past_short_walls
 
 from sixthsense.evaluation.metrics import nees_band, nees_world
-from sixthsense.testing.short_walls import drive_past_short_walls
 
 RUNS = 12
 

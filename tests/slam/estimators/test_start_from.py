@@ -2,23 +2,22 @@
 
 import numpy as np
 import pytest
+from laws.prior_map import LAWS, begun, prior_from
+from laws.wheels import PRIOR, TRUE, calibrated, increment
 
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS, takes_prior_map
 from sixthsense.testing.batch import to_robot
-from sixthsense.testing.check import PRIOR_MAP_LAWS
 from sixthsense.testing.estimation import POINTS, make, noisy, sight, step
-from sixthsense.testing.prior_map import begun, prior_from
-from sixthsense.testing.wheels import PRIOR, TRUE, calibrated, increment
 
 WALLS = np.array([[0.0, 5.0], [0.5 * np.pi, 4.0]])
 LANDMARKS = np.vstack([POINTS, WALLS])
 START_COV = np.diag([0.05, 0.05, 0.02]) ** 2
 
 
-@pytest.mark.parametrize("law", PRIOR_MAP_LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_estimators_that_begin_with_a_prior_map_keep_the_laws(name, law):
     law.check(name)

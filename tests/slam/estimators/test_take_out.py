@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from laws.links import linked
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
 from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.slam.estimators import Link, takes_out_poses
 from sixthsense.testing.estimation import assert_same, driven, joint_state, make, step
-from sixthsense.testing.links import linked
 
 
 def seen(smoother, before, after, off=0.01):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from laws.wheels import LAWS, PRIOR, calibrated, estimate_of
 
 import sixthsense as ss
 from sixthsense.config import ConfigError, preset
@@ -9,9 +10,7 @@ from sixthsense.core.geometry import wrap_angle
 from sixthsense.core.wheels import Wheels
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS, estimates_wheels
-from sixthsense.testing.check import WHEEL_LAWS
 from sixthsense.testing.estimation import make
-from sixthsense.testing.wheels import PRIOR, calibrated, estimate_of
 
 CALIBRATING = [name for name in ESTIMATORS if estimates_wheels(make(name))]
 
@@ -20,7 +19,7 @@ def test_the_invariant_filter_and_the_smoother_estimate_wheels():
     assert CALIBRATING == ["ekf-invariant", "isam2"]
 
 
-@pytest.mark.parametrize("law", WHEEL_LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 @pytest.mark.parametrize("name", CALIBRATING)
 def test_estimated_wheels_keep_the_laws(name, law):
     law.check(name)
