@@ -164,16 +164,3 @@ def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, capsys, m
     said = complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
     assert "x.partial: No space left on device" in said
     assert len(load(tmp_path / "x.partial").trace.estimates) > 20
-
-
-def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert "cannot be written" in complaint([*RUN, "--out", str(tmp_path / "file" / "x")], capsys)
-
-
-def test_a_folder_without_a_bag_is_named(tmp_path):
-    kept = folder.RunFolder(tmp_path / "run", preset())
-    with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: a run folder with a bag"):
-        load(kept.partial)
-    with pytest.raises(ValueError, match=r"found no config.toml in it, allowed: the folder of a run"):
-        load(tmp_path)

@@ -84,12 +84,6 @@ def test_each_run_makes_the_map_better_and_says_so(name):
 
 
 @pytest.mark.parametrize("name", ["ekf-invariant", "isam2"])
-def test_without_noise_a_second_run_ends_at_the_truth(name):
-    (first, _), (second, _) = runs_in_a_row(name, 0, 1e-5, 1e-12 * np.eye(3), runs=2)
-    assert np.abs(first).max() < 3e-4 and np.abs(second).max() < 3e-4
-
-
-@pytest.mark.parametrize("name", ["ekf-invariant", "isam2"])
 def test_wheels_are_estimated_beside_a_prior_map(name):
     """Landmarks of an earlier run say as much of the wheels as the same landmarks say in one run."""
     rng, sigma = np.random.default_rng(3), 0.01
