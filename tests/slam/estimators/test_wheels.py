@@ -27,8 +27,8 @@ def test_estimated_wheels_keep_the_laws(name, law):
 
 @pytest.mark.parametrize("name", CALIBRATING)
 def test_with_wheels_from_the_prior_pose_and_parameters_are_consistent(name):
-    """16 runs, each with other wheels."""
-    runs, of_pose, of_wheels = 16, [], []
+    """Each run with other wheels."""
+    runs, of_pose, of_wheels = 8 if name == "isam2" else 40, [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         wheels = Wheels.from_array(np.linalg.cholesky(PRIOR.cov) @ rng.standard_normal(4))
