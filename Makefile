@@ -33,14 +33,13 @@ check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-bench: $(VENV)/installed  ## the figures in benchmarks/RESULTS.md
-	$(BIN)/python benchmarks/kernels.py
-	$(BIN)/python benchmarks/ekf_scaling.py
+bench: $(VENV)/installed kernels  ## speed of the hot loops beside their limits; 5 minutes
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/kernels.py
 
-evidence: $(VENV)/installed kernels  ## the headline tables of README.md and RESULTS.md; resumes; SCALE=0.1: a tenth
+evidence: $(VENV)/installed kernels  ## a part, 10 minutes, of the headline tables; again until nothing is left; SCALE=0.1: a tenth
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence.py --seeds-scale $(SCALE)
 
-evidence-logs: $(VENV)/installed kernels  ## scan matching on logs, damaged logs and repeating buildings; resumes; 30 minutes
+evidence-logs: $(VENV)/installed kernels  ## the same of scan matching on logs, damaged logs and repeating buildings
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/evidence_logs.py
 
 guard: $(VENV)/installed kernels  ## has a headline figure become worse than its spread explains?

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
+from harness import Figures, arguments, check_at_least, finish, pooled
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
@@ -124,16 +124,11 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
     options = parser.parse_args()
     check_at_least(parser, options, seeds=2, jobs=1)
-    print(machine())
-    print(f"{options.seeds} seeds of {POSES:,} poses")
-    seeds, figures = range(options.seeds), {}
+    seeds = range(options.seeds)
     lines = [["errors", "space", "covariance", "right", "held", "factor", "width", "effective", "theory"]]
     for case in CASES:
         rho, dof, stated = case
         found = case_figures(case, list(pooled(partial(one_audit, case=case), seeds, options.jobs)))
-        figures |= {
-            f"ar{rho:g}.se{dof // 2 if dof == 6 else 2}.x{stated:g}.{key}": value for key, value in found.items()
-        }
         lines.append(
             [
                 f"AR(1) {rho:g}" if rho else "white", f"SE({2 if dof == 3 else 3})", f"× {stated:g}",  # noqa: RUF001
@@ -141,15 +136,12 @@ def main() -> None:
                 f"{found['effective']:,.0f}", f"{found['theory']:,.0f}",
             ]
         )  # fmt: skip
-    print_table(lines)
-    lines = [["covariance and frame", "consistent", "says that it may be the other frame"]]
+    of_frames = [["covariance and frame", "consistent", "says that it may be the other frame"]]
     for name in FRAMES:
         rows = list(pooled(partial(frame_row, case=name), seeds, options.jobs))
         consistent, said = sum(outcome == "consistent" for outcome, _ in rows), sum(other for _, other in rows)
-        figures |= {f"{name}.consistent": float(consistent), f"{name}.said": float(said)}
-        lines.append([name, str(consistent), str(said)])
-    print_table(lines)
-    write_json(options.json, figures)
+        of_frames.append([name, str(consistent), str(said)])
+    finish(options, "covariance_audit", lines, of_frames)
 
 
 if __name__ == "__main__":

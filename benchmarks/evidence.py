@@ -1,41 +1,34 @@
-"""The headline tables: runs on seeds from 1,000 on, with the default configuration, into one JSON and two pages.
+"""The headline tables: runs on seeds from 1,000 on, with the default configuration, into `evidence.json`.
 
 Each run's figures are kept in a folder named after the code's commit, so that the same command resumes; a row is
-measured again when the code has changed. `evidence.json` has the figures of every run, and README.md and RESULTS.md
-have tables rendered from it, between HTML comments.
+measured again when the code has changed. A part begins no run after eight minutes; a row is recorded when all of its
+runs are there.
 
-    python benchmarks/evidence.py                      # all rows; about 25 minutes on two cores
+    python benchmarks/evidence.py                      # the next part; again until nothing is left
+    python benchmarks/evidence.py --minutes 1000       # all parts
     python benchmarks/evidence.py --seeds-scale 0.1    # a tenth of the seeds
     python benchmarks/evidence.py --rows tour.office   # rows whose key begins so; others stay as they are
-    python benchmarks/evidence.py --render             # tables only
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from evidence_rows import KINDS, ROWS, Figures, Row
-from evidence_tables import placed, rendered
-from harness import check_at_least, kept, machine, pooled
+from harness import CACHE, PACKAGE, PART_MIN, check_at_least, code_commit, kept, machine, pooled, rows_as_json
+from tables import EVIDENCE, write_pages
 
 from sixthsense.running.warmup import warm_up
 
-HERE = Path(__file__).resolve().parent
-JSON = HERE / "evidence.json"
-CACHE = HERE / ".evidence"
-PAGES = {"readme": HERE.parent / "README.md", "results": HERE / "RESULTS.md"}
-CODE = ("sixthsense", "scenes", "benchmarks/evidence_rows.py", "benchmarks/tours.py")
+CODE = (*PACKAGE, "benchmarks/evidence_rows.py", "benchmarks/tours.py")
 """what the figures depend on"""
-
-
 CPU = "processor_s"
 """kept with a run's figures, to tell what the whole takes"""
 
@@ -53,22 +46,8 @@ class Due(NamedTuple):
         return self.folder / f"{self.row.key}-{self.seed}.json"
 
 
-def code_commit(code: Sequence[str] = CODE) -> str:
-    """The last commit that changed the code, with a hash of what is not committed; RuntimeError outside a clone."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words, "--", *code], cwd=HERE.parent, capture_output=True, text=True)
-        if done.returncode:
-            raise RuntimeError(f"git: {done.stderr.strip() or 'failed'}, allowed: a clone of the repository")
-        return done.stdout
-
-    changed = git("diff", "HEAD")
-    commit = git("log", "-1", "--format=%h", "--abbrev=10").strip()
-    return f"{commit}+{hashlib.sha256(changed.encode()).hexdigest()[:6]}" if changed else commit
-
-
-def measured(due: Due) -> Figures:
-    """The figures of a run, from its file if it has been made before."""
+def measured(until: float, due: Due) -> Figures | None:
+    """The figures of a run, from its file if it has been made before; None after the time `until`, s."""
 
     def make() -> Figures:
         began = time.process_time()
@@ -77,7 +56,7 @@ def measured(due: Due) -> Figures:
             raise KeyboardInterrupt  # what a run cut short has measured is not kept
         return found
 
-    return kept(due.file, make)
+    return kept(due.file, make) if due.file.exists() or time.time() < until else None
 
 
 def collected(row: Row, seeds: Sequence[int], runs: Sequence[Figures], commit: str) -> dict[str, Any]:
@@ -95,29 +74,18 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else float(f"{value:.6g}")
 
 
-def measure_rows(rows: Sequence[Row], scale: float, jobs: int, commit: str) -> dict[str, dict[str, Any]]:
-    """The rows of the JSON by key, computed by `jobs` processes."""
-    folder = CACHE / commit
-    due = [Due(row, seed, folder) for row in rows for seed in row.seed_list(scale)]
-    found = dict(zip(((d.row.key, d.seed) for d in due), pooled(measured, due, jobs, warm_up), strict=True))
+def measure_rows(rows: Sequence[Row], scale: float, jobs: int, commit: str, minutes: float) -> dict[str, Any]:
+    """The rows of the JSON by key that are complete after so many minutes, computed by `jobs` processes."""
+    due = [Due(row, seed, CACHE / commit) for row in rows for seed in row.seed_list(scale)]
+    function = partial(measured, time.time() + 60.0 * minutes)
+    found = dict(zip(((d.row.key, d.seed) for d in due), pooled(function, due, jobs, warm_up), strict=True))
     made = {}
     for row in rows:
         seeds = row.seed_list(scale)
-        made[row.key] = collected(row, seeds, [found[row.key, seed] for seed in seeds], commit)
+        runs = [own for seed in seeds if (own := found[row.key, seed]) is not None]
+        if len(runs) == len(seeds):
+            made[row.key] = collected(row, seeds, runs, commit)
     return made
-
-
-def as_json(evidence: dict[str, Any]) -> str:
-    """The JSON with a row per line."""
-    rows = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in evidence["rows"].items())
-    return f'{{\n "rows": {{\n{rows}\n }}\n}}\n'
-
-
-def write_pages(evidence: dict[str, Any]) -> None:
-    """Put the tables of the evidence into README.md and RESULTS.md."""
-    texts = rendered(evidence)
-    for name, page in PAGES.items():
-        page.write_text(placed(page.read_text(encoding="utf-8"), name, texts[name]), encoding="utf-8")
 
 
 def selected(prefixes: Sequence[str]) -> list[Row]:
@@ -134,31 +102,29 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="rows whose key begins so (all)")
     parser.add_argument("--seeds-scale", type=float, default=1.0, metavar="F", help="factor of the seeds per row (1)")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
-    parser.add_argument("--render", action="store_true", help="write the tables again, measure nothing")
+    parser.add_argument("--minutes", type=float, default=PART_MIN, metavar="M", help=f"of a part ({PART_MIN:g})")
     options = parser.parse_args()
-    check_at_least(parser, options, jobs=1, seeds_scale=0.0)
+    check_at_least(parser, options, jobs=1, seeds_scale=0.0, minutes=0.0)
     return options
 
 
 def main() -> int:
     options = parse()
-    evidence: dict[str, Any] = json.loads(JSON.read_text()) if JSON.exists() else {"rows": {}}
-    if not options.render:
-        began = time.perf_counter()
-        try:
-            commit = code_commit()
-            made = measure_rows(selected(options.rows), options.seeds_scale, options.jobs, commit)
-        except RuntimeError as error:
-            print(f"evidence.py: {error}", file=sys.stderr)
-            return 2
-        except KeyboardInterrupt:
-            print("evidence.py: interrupted; the same command resumes", file=sys.stderr)
-            return 130
-        kept = {row.key: evidence["rows"][row.key] for row in ROWS if row.key in evidence["rows"]}
-        evidence = {"rows": kept | made}
-        JSON.write_text(as_json(evidence))
-        print(f"{len(made)} rows of {commit} in {(time.perf_counter() - began) / 60.0:.1f} minutes")
-    write_pages(evidence)
+    rows: dict[str, Any] = json.loads(EVIDENCE.read_text())["rows"] if EVIDENCE.exists() else {}
+    try:
+        commit, chosen = code_commit(CODE), selected(options.rows)
+        made = measure_rows(chosen, options.seeds_scale, options.jobs, commit, options.minutes)
+    except RuntimeError as error:
+        print(f"evidence.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("evidence.py: interrupted; the same command resumes", file=sys.stderr)
+        return 130
+    rows |= made
+    EVIDENCE.write_text(rows_as_json({row.key: rows[row.key] for row in ROWS if row.key in rows}))
+    write_pages()
+    left = [row.key for row in chosen if row.key not in made]
+    print(f"{len(made)} of {len(chosen)} rows of {commit}; left for the same command: {', '.join(left) or 'none'}")
     return 0
 
 

@@ -1,13 +1,14 @@
 """Scan matching on logs, damaged logs, repeating buildings and short drives: one table of asked, measured and met.
 
-    SIXTHSENSE_DATA=FOLDER python benchmarks/evidence_logs.py    # all, at most 30 minutes on two cores
+    SIXTHSENSE_DATA=FOLDER python benchmarks/evidence_logs.py    # the next part; again until nothing is left
     python benchmarks/evidence_logs.py --rows clean coarse       # rows whose key begins so
     python benchmarks/evidence_logs.py --rows damages.aces       # the damages of one log
     python benchmarks/evidence_logs.py --rows damages --seed 2   # other draws of all damages
     python benchmarks/evidence_logs.py --rows none               # the table of what is recorded
 
-Figures of each run are kept in a folder named after the code's commit, so that the same command resumes. Those of all
-rows are in `evidence_logs.json`; rows that are not selected stay there as they were measured.
+Figures of each run are kept in a folder named after the code's commit, so that the same command resumes; a part begins
+no run after eight minutes. Those of all rows are in `evidence_logs.json`; rows that are not selected stay there as they
+were measured.
 
 - `clean`: a log as it is, with the defaults. Errors are those of the relations (Kümmerle et al. 2009).
 - `damages`: a log's scans as `damaged_logs` changes them; times are processor times, without reading.
@@ -26,17 +27,30 @@ import json
 import math
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from damaged_logs import DAMAGES, damaged
-from evidence import CACHE, as_json, code_commit
-from evidence_tables import mean_and_error
-from harness import check_at_least, command_figures, kept, machine, pooled, print_table, replay_errors, run
+from harness import (
+    CACHE,
+    PACKAGE,
+    PART_MIN,
+    check_at_least,
+    code_commit,
+    command_figures,
+    kept,
+    pooled,
+    print_table,
+    replay_errors,
+    rows_as_json,
+    run,
+)
 from repetition import make_row, summary
 from repetition_scenes import SCENES
+from tables import LOGS, mean_and_error, write_pages
 from tours import judge, nees_of, short_drive
 
 from sixthsense.config import merge, preset
@@ -47,8 +61,7 @@ Figures = dict[str, Any]
 Found = Mapping[str, Figures]
 """figures by the key of their case"""
 
-JSON = Path(__file__).resolve().parent / "evidence_logs.json"
-CODE = ("sixthsense", "scenes", *(f"benchmarks/{name}.py" for name in (
+CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
     "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")))  # fmt: skip
 """what the figures depend on"""
 
@@ -138,8 +151,14 @@ def figures_of(case: Case) -> Figures:
     return replay_errors(log, of_log(preset("log"), log), known)
 
 
-def measured(folder: Path, case: Case) -> Figures:
-    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised."""
+def measured(folder: Path, until: float, case: Case) -> Figures | None:
+    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised.
+
+    None after the time `until`, s.
+    """
+    file = folder / f"logs-{case.key.replace(' ', '_')}.json"
+    if not file.exists() and time.time() > until:
+        return None
 
     def make() -> Figures:
         found = figures_of(case)
@@ -148,7 +167,7 @@ def measured(folder: Path, case: Case) -> Figures:
         return found
 
     try:
-        return kept(folder / f"logs-{case.key.replace(' ', '_')}.json", make)
+        return kept(file, make)
     except Exception as error:  # one case that fails must not cost the table
         return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
 
@@ -270,17 +289,22 @@ def warm() -> None:
     warm_up_scans()
 
 
-def measure(chosen: Sequence[Case], jobs: int, commit: str) -> dict[str, Figures]:
-    """The figures of the cases by key; commands one after the other, before all else."""
-    function = partial(measured, CACHE / commit)
+def measure(chosen: Sequence[Case], jobs: int, commit: str, minutes: float) -> dict[str, Figures]:
+    """The figures by key of the cases begun within so many minutes; commands one after the other, before all else."""
+    function = partial(measured, CACHE / commit, time.time() + 60.0 * minutes)
     made: dict[str, Figures] = {}
     for alone in (True, False):
         due = [case for case in chosen if (case.kind == "command") == alone]
         if alone and due:
             warm()  # into the cache that the commands read
         found = pooled(function, due, 1 if alone else jobs, warm) if due else iter(())
-        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True)}
+        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True) if own is not None}
     return made
+
+
+def seeds_of(found: Found) -> list[int]:
+    """The seeds of the damages that were measured."""
+    return sorted({int(key.rsplit(".", 1)[1]) for key in found if key.startswith("damages.")})
 
 
 def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:
@@ -297,15 +321,16 @@ def main() -> int:
     parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="rows whose key begins so (all); none")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the damages (1)")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    parser.add_argument("--minutes", type=float, default=PART_MIN, metavar="M", help=f"of a part ({PART_MIN:g})")
     options = parser.parse_args()
-    check_at_least(parser, options, jobs=1, seed=0)
-    rows: dict[str, Figures] = json.loads(JSON.read_text())["rows"] if JSON.exists() else {}
+    check_at_least(parser, options, jobs=1, seed=0, minutes=0.0)
+    rows: dict[str, Figures] = json.loads(LOGS.read_text())["rows"] if LOGS.exists() else {}
     try:
         chosen = selected(cases(options.seed), options.rows)
         logs = {case.setting[0] for case in chosen} & {*CLEAN_M, *COARSE_SHARE}
         if missing := [file for log in sorted(logs) for file in files_of(log) if not file.is_file()]:
             raise ValueError(f"SIXTHSENSE_DATA: found no {missing[0]}, allowed: a folder with the logs")
-        made = measure(chosen, options.jobs, code_commit(CODE))
+        made = measure(chosen, options.jobs, code_commit(CODE), options.minutes)
     except (ValueError, RuntimeError) as error:
         print(f"evidence_logs.py: {error}", file=sys.stderr)
         return 2
@@ -314,12 +339,11 @@ def main() -> int:
         return 130
     if made:
         rows |= made
-        JSON.write_text(as_json({"machine": machine(), "rows": dict(sorted(rows.items()))}))
-    seeds = sorted({int(key.rsplit(".", 1)[1]) for key in rows if key.startswith("damages.")} | {options.seed})
-    table = list(lines(rows, seeds))
-    print_table([Line._fields, *(found for found in table if found.measured)])
-    if missing_lines := sum(not found.measured for found in table):
-        print(f"{missing_lines} lines not measured")
+        LOGS.write_text(rows_as_json(dict(sorted(rows.items()))))
+        write_pages()
+    print_table([Line._fields, *(found for found in lines(rows, seeds_of(rows) or [options.seed]) if found.measured)])
+    if left := len(chosen) - len(made):
+        print(f"{left} runs are left for the same command")
     return 0
 
 

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import kernels
 import mrclam
+import numpy as np
 import victoria_park
 from harness import replay, run, single_threaded
 from tours import judge, nees_of
@@ -25,8 +26,10 @@ from sixthsense.config import Config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.evaluation.measure import measure
 from sixthsense.running.warmup import prepare
+from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.mrclam import read_mrclam
+from sixthsense.testing.circle import follow, simulate
 
 FIRST_SEED = 1000
 TOUR_S = 200.0
@@ -34,7 +37,7 @@ TOUR_S = 200.0
 Figures = dict[str, Any]
 """numbers by name, and the run's `outcome`"""
 
-Kind = Literal["tour", "explore", "relations", "mrclam", "victoria", "kernels"]
+Kind = Literal["tour", "explore", "relations", "mrclam", "victoria", "circle", "kernels"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +61,7 @@ class Row:
         """The seeds of its runs; at least one."""
         if self.seeds == 1:
             return [0]
-        first = 0 if self.kind == "kernels" else FIRST_SEED
+        first = 0 if self.kind in ("circle", "kernels") else FIRST_SEED
         return list(range(first, first + max(round(self.seeds * scale), 1)))
 
     def is_possible(self) -> bool:
@@ -83,6 +86,7 @@ ROWS = (
     ),
     *(Row("explore", (scene,), 10) for scene in ("office", "loop", "apartment", "block", "rectangle")),
     *(Row("mrclam", (estimator,), 1, "mrclam6") for estimator in ("ekf", "ekf-invariant", "isam2")),
+    *(Row("circle", (estimator,), 8 if estimator == "isam2" else 60) for estimator in reversed(ESTIMATORS)),
     Row("kernels", (), 3),
 )
 
@@ -156,11 +160,19 @@ def victoria_figures(setting: tuple[str, ...], seed: int) -> Figures:
     assert not setting and seed == 0
     steps, config = victoria_park.steps_of(read_graph(victoria_park.FILE)), preset("victoria").isam2
     with single_threaded():
-        figures, smoother = victoria_park.smoother_figures(steps, config, 1)
-        others, _ = victoria_park.filter_figures(steps, smoother.trajectory())
-    found = {"graph_error_ratio": figures["graph_error_ratio"], "step_ratio": figures["step_ratio"]}
-    return found | {
-        key.replace(".", "_"): value for key, value in others.items() if key.endswith("rms_from_smoothed_m")
+        figures, smoothed = victoria_park.smoother_figures(steps, config)
+        return figures | victoria_park.filter_figures(steps, smoothed)
+
+
+def circle_figures(setting: tuple[str, ...], seed: int) -> Figures:
+    """The landmark circle, 2,500 steps with known landmarks; the seed is the number of the run."""
+    with single_threaded():
+        track = follow(setting[0], simulate(0, seed))
+    return {
+        "position_rmse_m": float(np.sqrt(np.mean(track.position_m**2))),
+        "heading_rmse_deg": float(np.degrees(np.sqrt(np.mean(track.heading**2)))),
+        "nees": float(np.nanmean(track.nees3)),
+        "nees_heading": float(np.nanmean(track.nees_heading)),
     }
 
 
@@ -178,6 +190,7 @@ KINDS: dict[Kind, Callable[[tuple[str, ...], int], Figures]] = {
     "relations": relations_figures,
     "mrclam": mrclam_figures,
     "victoria": victoria_figures,
+    "circle": circle_figures,
     "kernels": kernel_figures,
 }
 
@@ -229,6 +242,12 @@ FIGURES: dict[Kind, tuple[Figure, ...]] = {
         Figure("step_ratio", "time per step, `isam2` over GTSAM", ".2f", "low"),
         Figure("ekf_rms_from_smoothed_m", "`ekf` from smoothed, m", ".1f", "low"),
         Figure("ekf_invariant_rms_from_smoothed_m", "`ekf-invariant`, m", ".1f", "low"),
+    ),
+    "circle": (
+        Figure("position_rmse_m", "position RMSE of a run, m", ".3f", "low"),
+        Figure("heading_rmse_deg", "heading RMSE, °", ".2f", "low"),
+        Figure("nees", "pose NEES (3)", ".2f", 3.0),
+        Figure("nees_heading", "heading NEES (1)", ".2f", 1.0),
     ),
     "kernels": (
         Figure("raycast_speedup_numpy", "ray casting over NumPy", ".1f", "high"),

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
+from harness import Figures, arguments, check_at_least, finish, pooled, run
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from worlds import maps_at_hand, occupied, world
@@ -221,20 +221,11 @@ def main() -> int:
         parser.error(str(error))
     due = [dataclasses.replace(config, seed=options.first_seed + k) for config in configs for k in range(options.seeds)]
     found = list(pooled(make_row, due, options.jobs, warm_up))
-    names = list(dict.fromkeys(row["world"] for row in found))
-    figures = {name: summary([row for row in found if row["world"] == name]) for name in names}
     lines = [["world", "runs", *(head for head, *_ in COLUMNS)]]
-    for name, values in figures.items():
+    for name in dict.fromkeys(row["world"] for row in found):
+        values = summary([row for row in found if row["world"] == name])
         lines.append([name, f"{values['runs']:.0f}", *(format(values[key], form) for _, key, form in COLUMNS)])
-    print(machine())
-    print_table(lines)
-    nees = np.array([row["nees"] for row in found], dtype=np.float64)
-    print(f"all: NEES {nees.mean():.2f}")
-    if ratios := over_reference(found):
-        print(
-            f"travel over nearest frontier, all runs: {np.median(ratios):.2f} in the median, at most {max(ratios):.2f}"
-        )
-    write_json(options.json, {f"{name}.{key}": value for name, own in figures.items() for key, value in own.items()})
+    finish(options, "explored_worlds", lines)
     return 0
 
 

@@ -20,9 +20,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from evidence import JSON
 from evidence_rows import FIGURES, KINDS, ROWS, Figure, Figures, Row
 from harness import check_at_least, pooled, print_table
+from tables import EVIDENCE
 
 from sixthsense.running.warmup import warm_up
 
@@ -108,10 +108,10 @@ def main(runs: Mapping[str, int] = RUNS) -> int:
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
     options = parser.parse_args()
     check_at_least(parser, options, jobs=1)
-    if not JSON.exists():
-        print(f"guard.py: found no {JSON.name}, allowed: after `make evidence`", file=sys.stderr)
+    if not EVIDENCE.exists():
+        print(f"guard.py: found no {EVIDENCE.name}, allowed: after `make evidence`", file=sys.stderr)
         return 2
-    recorded = json.loads(JSON.read_text())["rows"]
+    recorded = json.loads(EVIDENCE.read_text())["rows"]
     rows = chosen_rows(recorded, runs)
     items = [(row, seed) for row in rows for seed in recorded[row.key]["seeds"][: row.seeds]]
     made = list(zip(items, pooled(_figures, items, options.jobs, warm_up), strict=True))

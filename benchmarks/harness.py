@@ -1,8 +1,14 @@
-"""Shared by the benchmarks: options, timing in alternation, process pools, and figures as a table and as JSON."""
+"""Shared by the benchmarks: options, timing in alternation, process pools, what is kept, and results as a table.
+
+Figures of long benchmarks are kept in a folder named after the code's commit, so that the same command resumes, in
+parts of a few minutes if it is told so. `finish` prints a table; with `--keep` it becomes a file in `results/`, from
+which `tables.py` writes the pages.
+"""
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import os
 import platform
@@ -34,6 +40,14 @@ from sixthsense.sources.replay_input import Recorded
 T = TypeVar("T")
 R = TypeVar("R")
 Figures = dict[str, float]
+
+HERE = Path(__file__).resolve().parent
+CACHE = HERE / ".evidence"
+RESULTS = HERE / "results"
+PACKAGE = ("sixthsense", "scenes")
+"""what the figures of all benchmarks depend on"""
+PART_MIN = 8.0
+"""minutes after which a part of a long benchmark begins no run"""
 
 
 def run(config: Config, *hooks: OnTick) -> Run:
@@ -84,9 +98,29 @@ def command_figures(file: Path, relations: Path) -> Figures:
 
 def arguments(description: str | None) -> argparse.ArgumentParser:
     """A parser with the options that every benchmark has."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as flat keys")
+    parser = argparse.ArgumentParser(description=(description or "").split("\n\n")[0])
+    parser.add_argument("--keep", action="store_true", help="keep the table in results/, and write it into the pages")
     return parser
+
+
+def code_commit(code: Sequence[str] = PACKAGE) -> str:
+    """The last commit that changed the code, with a hash of what is not committed; RuntimeError outside a clone."""
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words, "--", *code], cwd=HERE.parent, capture_output=True, text=True)
+        if done.returncode:
+            raise RuntimeError(f"git: {done.stderr.strip() or 'failed'}, allowed: a clone of the repository")
+        return done.stdout
+
+    changed = git("diff", "HEAD")
+    commit = git("log", "-1", "--format=%h", "--abbrev=10").strip()
+    return f"{commit}+{hashlib.sha256(changed.encode()).hexdigest()[:6]}" if changed else commit
+
+
+def rows_as_json(rows: Mapping[str, Any]) -> str:
+    """JSON with a row per line."""
+    lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in rows.items())
+    return f'{{\n "rows": {{\n{lines}\n }}\n}}\n'
 
 
 def check_at_least(parser: argparse.ArgumentParser, options: argparse.Namespace, **bounds: float) -> None:
@@ -166,14 +200,27 @@ def print_table(rows: Sequence[Sequence[str]]) -> None:
     print(text_table(rows, align="right"))
 
 
-def print_figures(figures: Mapping[str, float], targets: Mapping[str, str]) -> None:
-    """Print the machine, then each figure with its target."""
+def finish(options: argparse.Namespace, name: str, *tables: Sequence[Sequence[str]], text: int = 1) -> None:
+    """Print the machine and the tables, whose first `text` columns are words; with `--keep`, keep them as `name`."""
     print(machine())
-    head = ("figure", "measured", "target")
-    print_table([head, *((key, f"{value:.4g}", targets.get(key, "")) for key, value in figures.items())])
+    for table in tables:
+        print_table(table)
+    if options.keep:
+        import tables as pages
+
+        command = " ".join(["python", f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]).replace(" --keep", "")
+        found = {"command": command, "commit": code_commit(), "machine": machine(), "text": text, "tables": tables}
+        RESULTS.mkdir(exist_ok=True)
+        (RESULTS / f"{name}.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n")
+        pages.write_pages()
 
 
-def write_json(file: Path | None, figures: Mapping[str, float]) -> None:
-    """Write the figures if a file was given."""
-    if file is not None:
-        file.write_text(json.dumps(figures, indent=2) + "\n")
+def against_limits(figures: Mapping[str, float], limits: Mapping[str, str]) -> list[list[str]]:
+    """A table of figures beside their limits, such as "<= 0.2", and whether each is met."""
+    lines = [["figure", "measured", "limit", "met"]]
+    for key, value in figures.items():
+        limit = limits.get(key, "")
+        sign, _, number = limit.partition(" ")
+        is_met = limit and (value <= float(number) if sign == "<=" else value >= float(number))
+        lines.append([key, f"{value:.4g}", limit, "yes" if is_met else "NO" if limit else ""])
+    return lines

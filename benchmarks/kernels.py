@@ -1,4 +1,9 @@
-"""The compiled kernels against references: ray casting, feature extraction, A* and scan insertion."""
+"""Speed of the hot loops beside their limits: ray casting, extraction, A*, scan insertion, and the EKF's update.
+
+    python benchmarks/kernels.py    # `make bench`, 5 minutes
+
+Ray casting and A* are compared with references, the EKF's update with one pass over its covariance (`ekf_scaling.py`).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +12,9 @@ import math
 from collections.abc import Iterable
 
 import numpy as np
-from harness import Figures, alternate, arguments, print_figures, single_threaded, write_json
+from ekf_scaling import LIMITS as EKF_LIMITS
+from ekf_scaling import scaling_figures
+from harness import Figures, against_limits, alternate, arguments, finish, single_threaded
 from numpy.typing import NDArray
 
 from sixthsense.config import preset
@@ -20,13 +27,14 @@ from sixthsense.slam.features import extract
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.sources.scene import Scene, load_scene
 
-TARGETS = {
-    "raycast_speedup_numpy": ">= 4",
+LIMITS = {
+    "raycast_speedup_numpy": ">= 12",
     "raycast_max_difference_m": "<= 1e-9",
-    "extract_ms_p50": "< 0.5",
+    "extract_ms_p50": "<= 0.2",
     "astar_expansions_per_s": ">= 4e6",
     "astar_speedup_heapq": ">= 20",
     "astar_cost_difference": "<= 1e-6",
+    **EKF_LIMITS,
 }
 
 SQRT2 = math.sqrt(2.0)
@@ -225,9 +233,8 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
 def main() -> None:
     options = arguments(__doc__).parse_args()
     with single_threaded():
-        figures = raycast_figures() | scan_figures() | astar_figures()
-    print_figures(figures, TARGETS)
-    write_json(options.json, figures)
+        figures = raycast_figures() | scan_figures() | astar_figures() | scaling_figures()
+    finish(options, "bench", against_limits(figures, LIMITS))
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from harness import Figures, arguments, machine, print_table, replay, write_json
+from harness import Figures, arguments, finish, replay
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array
@@ -104,28 +104,17 @@ def main() -> int:
     data = os.environ.get("SIXTHSENSE_DATA")
     default = None if data is None else Path(data) / "mrclam6"
     parser.add_argument("--data", type=Path, default=default, metavar="DIR", help="the set ($SIXTHSENSE_DATA/mrclam6)")
-    parser.add_argument("--runs", type=int, default=1, metavar="N", help="a replay is deterministic: 1")
-    parser.add_argument("--as-recorded", action="store_true", help="take the column range as a range, not as a depth")
     parser.add_argument("--uncalibrated", action="store_true", help="without the wheels' systematic errors")
     parser.add_argument("--on-line", action="store_true", help="the wheels estimated on line, from neutral values")
     options = parser.parse_args()
-    if options.runs != 1:
-        parser.error(f"--runs: found {options.runs}, allowed: 1, a replay is deterministic")
     if options.data is None or not options.data.is_dir():
         print("mrclam.py: --data or SIXTHSENSE_DATA/mrclam6 must be the folder of set 6 of MRCLAM", file=sys.stderr)
         return 2
     neutral = options.uncalibrated or options.on_line
     config = preset("mrclam", assumed={} if neutral else CALIBRATED, calibrate_wheels=options.on_line)
     estimators = ON_LINE if options.on_line else ESTIMATORS
-    log = read_mrclam(options.data, config.assumed, ROBOT, as_depth=not options.as_recorded)
-    figures = log_figures(log, config, estimators)
-    print(machine())
-    print_table(rows(figures, estimators))
-    if options.on_line:
-        print("target: at most 0.125 m per axis, NEES at most 4")
-    else:
-        print("target: ekf-fej, ekf-oc, ekf-invariant and isam2 no worse per axis than ekf")
-    write_json(options.json, figures)
+    log = read_mrclam(options.data, config.assumed, ROBOT)
+    finish(options, "mrclam", rows(log_figures(log, config, estimators), estimators))
     return 0
 
 

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from harness import arguments, check_at_least, machine, pooled, print_table, write_json
+from harness import arguments, check_at_least, finish, pooled
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
@@ -95,10 +95,9 @@ def main() -> int:
         row = [f"{sum(one.passed for one in runs)} of {len(runs)}" for runs in cells]
         lines.append([f"{wider:g}", *row, f"{min(one.coverage for runs in cells for one in runs):.4f}"])
     collided, away = sum(one.collided for one in found.values()), sum(not one.at_home for one in found.values())
-    print(machine())
-    print_table(lines)
-    print(f"{len(due)} runs: {collided} collided, {away} did not come home")
-    write_json(options.json, {"runs": len(due), "collided": collided, "not_home": away})
+    finish(
+        options, "narrow_doors", lines, [("runs", "collided", "not home"), (str(len(due)), str(collided), str(away))]
+    )
     return 0
 
 

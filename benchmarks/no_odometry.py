@@ -1,7 +1,7 @@
 """Scans alone: logs and simulated tours without odometry beside the same with it.
 
-    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py            # all, about 15 minutes
-    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py aces 3     # one log, and three seeds
+    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py                          # all, about 15 minutes
+    SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py --logs aces --seeds 3
 
 A log's row: relations error, mean and largest, the share beyond 0.5 m, and the share of those beyond 3 sigmas of what
 the graph of keyframes says of the relation (for each of its two keyframes relative to the other). A tour's row: ATE and
@@ -11,10 +11,10 @@ NEES over the seeds.
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
+from harness import arguments, check_at_least, finish
 
 import sixthsense as ss
 from sixthsense.config import Config
@@ -26,10 +26,10 @@ from sixthsense.sources.replay_input import open_recorded
 
 LOGS = ("fr079", "intel", "aces")
 TOURS = ("apartment", "office")
-SEEDS, TOUR_S = 10, 120.0
+TOUR_S = 120.0
 
 
-def log_row(name: str, data: Path, no_odometry: bool) -> str:
+def log_row(name: str, data: Path, no_odometry: bool) -> list[str]:
     """Replay a log; its row."""
     config: Config = ss.preset("log", no_odometry=no_odometry)
     found = open_recorded(data / name / f"{name}.clf.bz2", config, data / name / f"{name}.relations")
@@ -58,13 +58,11 @@ def log_row(name: str, data: Path, no_odometry: bool) -> str:
         sigmas = [front_end.loop_closures.sigmas(b)[0][a] for a, b in ends]
     beyond = float(np.mean(off_m[far] > 3.0 * np.array(sigmas))) if len(far) else 0.0
     mode = "scans alone" if no_odometry else "odometry"
-    return (
-        f"| {name} | {mode} | {off_m.mean():.4f} m | {off_m.max():.2f} m | {100 * len(far) / len(off_m):.2f} % "
-        f"| {100 * beyond:.0f} % |"
-    )
+    share = len(far) / len(off_m)
+    return [name, mode, f"{off_m.mean():.4f}", f"{off_m.max():.2f}", f"{100 * share:.2f} %", f"{100 * beyond:.0f} %"]
 
 
-def tour_row(scene: str, seeds: int, no_odometry: bool) -> str:
+def tour_row(scene: str, seeds: int, no_odometry: bool) -> list[str]:
     """Tours of a scene; their row."""
     ate, nees = [], []
     for seed in range(seeds):
@@ -75,25 +73,23 @@ def tour_row(scene: str, seeds: int, no_odometry: bool) -> str:
         ate.append(run.metrics["ate_rmse_m"])
         nees.append(run.metrics["pose_nees_world_mean"])
     mode = "scans alone" if no_odometry else "odometry"
-    return (
-        f"| {scene}, {seeds} seeds | {mode} | ATE {1e3 * np.mean(ate):.1f} mm, at most {1e3 * np.max(ate):.1f} "
-        f"| NEES {np.mean(nees):.2f} | {np.min(nees):.2f} to {np.max(nees):.2f} | |"
-    )
+    spread = f"{np.min(nees):.2f} to {np.max(nees):.2f}"
+    return [f"{scene}, {seeds} seeds", mode, f"{1e3 * np.mean(ate):.1f}", f"{1e3 * np.max(ate):.1f}",
+            f"{np.mean(nees):.2f}", spread]  # fmt: skip
 
 
 def main() -> None:
-    """Print the table."""
+    parser = arguments(__doc__)
+    parser.add_argument("--logs", nargs="*", default=LOGS, choices=LOGS, help="(all)")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="of the tours (10)")
+    options = parser.parse_args()
+    check_at_least(parser, options, seeds=1)
     data = os.environ.get("SIXTHSENSE_DATA")
-    names = [word for word in sys.argv[1:] if word in LOGS] or list(LOGS)
-    seeds = next((int(word) for word in sys.argv[1:] if word.isdigit()), SEEDS)
-    print("| what | motion by | mean | largest | beyond 0.5 m | of these beyond 3 sigmas |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for name in names if data else ():
-        for without in (False, True):
-            print(log_row(name, Path(str(data)), without), flush=True)
-    for scene in TOURS:
-        for without in (False, True):
-            print(tour_row(scene, seeds, without), flush=True)
+    of_logs = [["log", "motion by", "mean m", "largest m", "beyond 0.5 m", "of these beyond 3 sigmas"]]
+    of_logs += [log_row(name, Path(data), without) for name in options.logs for without in (False, True) if data]
+    of_tours = [["tour of 120 s", "motion by", "ATE mm", "largest", "NEES (3)", "from, to"]]
+    of_tours += [tour_row(scene, options.seeds, without) for scene in TOURS for without in (False, True)]
+    finish(options, "no_odometry", of_logs, of_tours, text=2)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Loop closures in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
 
     python benchmarks/repetition.py --seeds 3                 # all scenes
-    python benchmarks/repetition.py --scenes doors niches --rows FOLDER
-    python benchmarks/repetition.py --odometry 2 --score 0.9  # something assumed or a threshold changed
+    python benchmarks/repetition.py --factor closing._LIMIT=2  # a constant of `slam.scans` changed
     python benchmarks/repetition.py --calibrate-wheels        # with the wheels' errors estimated on line
 
 A link to an old keyframe is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
@@ -13,8 +12,6 @@ m and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
 import sys
 import time
@@ -22,17 +19,15 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
+from harness import Figures, arguments, check_at_least, finish, pooled
 from numpy.typing import NDArray
 from repetition_scenes import SCENES, log_of
 
-from sixthsense.campaigns.plan import config_hash
-from sixthsense.config import Config, merge, preset
+from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.running.warmup import warm_up_scans
@@ -177,32 +172,6 @@ def true_loop_closures(truths: Array, travelled: Array, views: Views) -> NDArray
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
-def rows(config: Config, factors: Factors, due: Sequence[tuple[str, int]], jobs: int, folder: Path | None) -> list[Row]:
-    """A row of each scene and seed; with a `folder` they are saved there, and saved ones are not repeated."""
-    files: list[Path | None] = [None] * len(due)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        changed = "".join(f"-{place}-{factor:g}" for place, factor in factors.items())
-        tag = f"{config_hash(config)}{changed}"
-        files = [folder / f"{name.replace(' ', '_')}-{seed}-{tag}.json" for name, seed in due]
-    found = {d: json.loads(f.read_text()) for d, f in zip(due, files, strict=True) if f is not None and f.exists()}
-    missing = [d for d in due if d not in found]
-    for d, row in zip(missing, pooled(partial(make_row, config, factors), missing, jobs, warm_up_scans), strict=True):
-        found[d] = row
-        if (file := files[due.index(d)]) is not None:
-            file.write_text(json.dumps(row) + "\n")
-    return [found[d] for d in due]
-
-
-def changed_config(odometry: float, score: float, calibrate_wheels: bool) -> Config:
-    """The defaults of logs, with the sigmas of the odometry and the least score of a loop closure multiplied."""
-    base = preset("log")
-    motion = base.assumed.motion
-    slip = {f.name: odometry * getattr(motion, f.name) for f in dataclasses.fields(motion) if "slip" in f.name}
-    changed = {"assumed": {"motion": slip}, "scans": {"min_score": score * base.scans.min_score}}
-    return merge(base, {**changed, "calibrate_wheels": calibrate_wheels})
-
-
 def summary(own: Sequence[Row]) -> Figures:
     """The figures of the runs in one scene."""
     ate, true = [row["ate_m"] for row in own], sum(row["true"] for row in own)
@@ -222,36 +191,23 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=10, metavar="N", help="number of seeds (10)")
     parser.add_argument("--first-seed", type=int, default=1000, metavar="S", help="the first seed (1000)")
     parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (1)")
-    parser.add_argument("--rows", type=Path, metavar="DIR", help="save a row per run there, and skip saved runs")
-    parser.add_argument("--odometry", type=float, default=1.0, metavar="F", help="times the odometry's sigmas (1)")
-    parser.add_argument("--score", type=float, default=1.0, metavar="F", help="times the least score (1)")
     parser.add_argument("--calibrate-wheels", action="store_true", help="estimate the wheels' errors, too")
     parser.add_argument("--factor", nargs="+", default=[], metavar="MODULE.NAME=F", help="times a constant")
     options = parser.parse_args()
     check_at_least(parser, options, seeds=1, jobs=1)
     factors = {place: float(value) for place, value in (given.split("=") for given in options.factor)}
-    if options.odometry != 1.0:
-        names = ("_SIGMA_M", "_M_PER_M", "_SIGMA_RAD", "_RAD_PER_RAD", "_RAD_PER_M")
-        factors |= {f"odometry_prior.{name}": options.odometry for name in names}
+    config = preset("log", calibrate_wheels=options.calibrate_wheels)
     due = [(name, options.first_seed + k) for k in range(options.seeds) for name in options.scenes]
-    found = rows(
-        changed_config(options.odometry, options.score, options.calibrate_wheels),
-        factors,
-        due,
-        options.jobs,
-        options.rows,
-    )
-    figures = {name: summary([row for row in found if row["scene"] == name]) for name in options.scenes}
+    found = list(pooled(partial(make_row, config, factors), due, options.jobs, warm_up_scans))
     lines = [["scene", "runs", "driven, m", "false links", "runs with", "true loop closures", "closed", "worst run",
               "ATE m, median / max", "accepted", "undone", "refused", "s a run"]]  # fmt: skip
-    for name, f in figures.items():
+    for name in options.scenes:
+        f = summary([row for row in found if row["scene"] == name])
         lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",
                       f"{f['true']:.0f}", f"{100 * f['closed']:.1f} %", f"{100 * f['closed_worst']:.0f} %",
                       f"{f['ate_m']:.3f} / {f['ate_max_m']:.3f}", f"{f['accepted']:.1f}", f"{f['undone']:.1f}",
                       f"{f['refused']:.1f}", f"{f['seconds']:.1f}"])  # fmt: skip
-    print(machine())
-    print_table(lines)
-    write_json(options.json, {f"{name}.{key}": value for name, f in figures.items() for key, value in f.items()})
+    finish(options, "repetition", lines)
     return 0
 
 

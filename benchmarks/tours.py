@@ -8,26 +8,26 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
+import itertools
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import check_at_least, pooled, run
+from harness import check_at_least, kept, pooled, run
 from repetition_scenes import out_and_back
 
 from sixthsense.campaigns.plan import config_hash
 from sixthsense.config import Config, load_config, merge, preset
-from sixthsense.config.errors import InputError
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command
 from sixthsense.evaluation.matches import discarded_share, judge_matches
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
+from sixthsense.evaluation.metrics import full_rank_from, nees_band, nees_invariant, nees_world, share_in_band
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.trace import Trace
 from sixthsense.running.warmup import warm_up
@@ -140,8 +140,12 @@ def short_drive(where: str, config: Config) -> float:
 
 def make_row(config: Config) -> Row:
     """Run a configuration and evaluate it."""
-    names = ("scene", "estimator", "preset", "seed")
-    return {**{name: getattr(config, name) for name in names}, **judge(run(config).trace)}
+    return row_of(config, run(config).trace)
+
+
+def row_of(config: Config, trace: Trace) -> Row:
+    """The evaluation of a run, with what distinguishes it from others."""
+    return {**{name: getattr(config, name) for name in ("scene", "estimator", "preset", "seed")}, **judge(trace)}
 
 
 def rows(
@@ -151,24 +155,67 @@ def rows(
 
     With a `folder`, rows are saved there, and a run whose row it has is not repeated.
     """
-    files = [None if folder is None else folder / f"{_name(config)}.json" for config in configs]
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-    found: dict[int, Row] = {k: json.loads(f.read_text()) for k, f in enumerate(files) if f is not None and f.exists()}
-    due = [k for k in range(len(configs)) if k not in found]
-    for k, row in zip(due, pooled(make, [configs[k] for k in due], jobs, warm_up), strict=True):
-        found[k] = row
-        file = files[k]
-        if file is not None:
-            aside = file.with_suffix(".partial")
-            aside.write_text(json.dumps(row) + "\n")
-            aside.replace(file)
-    return [found[k] for k in range(len(configs))]
+    return list(pooled(partial(_row, folder, make), configs, jobs, warm_up))
 
 
-def _name(config: Config) -> str:
-    name = f"{Path(config.scene).stem}-{config.preset}-{config.estimator}-{config.features.landmarks}"
-    return f"{name}-{config.seed:03d}-{config_hash(config)}"
+def _row(folder: Path | None, make: Callable[[Config], Row], config: Config) -> Row:
+    if folder is None:
+        return make(config)
+    name = f"{Path(config.scene).stem}-{config.preset}-{config.estimator}-{config.seed:03d}-{config_hash(config)}"
+    return kept(folder / f"{name}.json", lambda: make(config))
+
+
+COLUMNS = (
+    ("runs", "runs", ".0f"),
+    ("ended", "tour_ended", ".0f"),
+    ("NEES", "nees3", ".2f"),
+    ("±", "nees3_se", ".2f"),
+    ("invariant", "nees3_invariant", ".2f"),
+    ("of position", "nees_position", ".2f"),
+    ("of heading", "nees_heading", ".2f"),
+    ("in band", "share_in_band", ".2f"),
+    ("NIS/dof", "nis_per_dof", ".3f"),
+    ("wrong/1000", "wrong_per_1000", ".3f"),
+    ("spanning/1000", "spanning_per_1000", ".2f"),
+    ("unexplained/1000", "unexplained_per_1000", ".2f"),
+    ("left out/1000", "left_out_per_1000", ".2f"),
+    ("discarded", "discarded_share", ".4f"),
+    ("ATE m", "ate_median_m", ".4f"),
+    ("max", "ate_max_m", ".4f"),
+)
+"""column name, key of `tour_figures`, and format"""
+
+
+def tour_figures(found: Sequence[Row]) -> dict[str, float]:
+    """Figures of runs that differ only in their seed.
+
+    The NEES are the mean over the keyframes of a run, then over runs, `nees3_se` the standard error over runs.
+    `share_in_band` is the share of keyframes, by their number in the run, at which the mean over runs lies in the 95 %
+    band for that number of runs; successive keyframes are correlated.
+    """
+    figures: dict[str, float] = {"runs": len(found)}
+    figures["tour_ended"] = sum(row["outcome"] == "tour ended" for row in found)
+    figures |= {name: float(np.mean([nees_of(row, name) for row in found])) for name in NEES}
+    nees = np.array([nees_of(row) for row in found])
+    figures["nees3_se"] = float(nees.std(ddof=1) / math.sqrt(len(nees))) if len(nees) > 1 else math.nan
+    steps = over_runs(found, "nees3")
+    figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
+    figures["nis_per_dof"] = sum(row["nis"] for row in found) / max(sum(row["nis_dof"] for row in found), 1)
+    observations = max(sum(row["observations"] for row in found), 1)
+    figures |= {f"{name}_per_1000": 1e3 * sum(row[name] for row in found) / observations for name in MATCHES}
+    figures["discarded_share"] = float(np.mean([row["discarded_share"] for row in found]))
+    errors = [row["ate_rmse_m"] for row in found]
+    return figures | {"ate_median_m": float(np.median(errors)), "ate_max_m": float(np.max(errors))}
+
+
+def table(found: Sequence[Row], names: Sequence[str], estimators: Sequence[str]) -> list[list[str]]:
+    """A row per scene and estimator, and one of all scenes together."""
+    lines = [["scene", "estimator", *(head for head, *_ in COLUMNS)]]
+    of_all = [("all", estimator) for estimator in estimators] if len(names) > 1 else []
+    for name, estimator in [*itertools.product(names, estimators), *of_all]:
+        values = tour_figures([r for r in found if r["estimator"] == estimator and name in ("all", r["scene"])])
+        lines.append([Path(name).stem, f"`{estimator}`", *(format(values[key], form) for _, key, form in COLUMNS)])
+    return lines
 
 
 def add_tour_options(parser: argparse.ArgumentParser, seeds: int) -> None:
@@ -206,10 +253,3 @@ def over_runs(rows: Sequence[Row], name: str) -> Array:
 def nees_of(row: Row, name: str = "nees3") -> float:
     """Mean over the keyframes of one run of a kind of NEES."""
     return float(np.nanmean(np.array([math.nan if v is None else v for v in row[name]])))
-
-
-__all__ = [
-    "MATCHES", "NEES", "InputError", "Row", "add_tour_options", "check_tour_options", "judge", "judged_matches",
-    "keyframe_nees", "make_row", "nees_of", "over_runs", "rows", "seeded", "short_drive",
-    "tour",
-]  # fmt: skip

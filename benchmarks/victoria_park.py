@@ -6,33 +6,29 @@ initial values and parameters.
 
 Timed for the estimator: `predict`, `update` and `estimate`, which returns the pose, its covariance and all landmarks.
 Timed for the direct calls (`by_hand`): construction of the factors, `ISAM2.update`, and reading the same three results
-by `calculateEstimate`, `marginalCovariance` and the landmarks as an array; `pose_only` omits the last two. The sides
-alternate step by step, and so does their order.
+by `calculateEstimate`, `marginalCovariance` and the landmarks as an array. The sides alternate step by step, and so
+does their order. `python benchmarks/evidence.py --rows victoria` measures it.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import Any
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
-from harness import Figures, arguments, check_at_least, machine, print_table, single_threaded, write_json
+from harness import Figures
 
-from sixthsense.config import ISAM2Config, preset
+from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.figures.plot import CYCLE, ODOMETRY, new_figure, save
 from sixthsense.slam.estimators import ESTIMATORS, Estimator, make_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.estimators.isam2_solver import solver_parameters
-from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
 
 FILE = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
@@ -72,9 +68,9 @@ def steps_of(log: Log) -> list[Step]:
 class ByHand:
     """Direct calls of GTSAM's ISAM2."""
 
-    def __init__(self, config: ISAM2Config, pose_only: bool = False) -> None:
+    def __init__(self, config: ISAM2Config) -> None:
         self.isam = gtsam.ISAM2(solver_parameters(config))
-        self._config, self._pose_only = config, pose_only
+        self._config = config
         self._poses = 0
         self._pose = gtsam.Pose2()
         self._known: set[LandmarkId] = set()
@@ -107,9 +103,6 @@ class ByHand:
                 break
             self.isam.update()
             linearised = solved
-        if self._pose_only:
-            self._pose = self.isam.calculateEstimatePose2(key)
-            return self._pose
         estimate = self.isam.calculateEstimate()
         self._pose = estimate.atPose2(key)
         return self._pose, self.isam.marginalCovariance(key), gtsam.utilities.extractPoint2(estimate)
@@ -142,95 +135,21 @@ def race(steps: Sequence[Step], *sides: Callable[[Step], object]) -> Array:
     return spent
 
 
-def smoother_figures(steps: Sequence[Step], config: ISAM2Config, runs: int) -> tuple[Figures, ISAM2]:
-    """Step times and final graph errors of both sides over `runs` races, and the estimator at the end."""
-    times, figures = [], Figures()
-    for _ in range(runs):
-        ours = ISAM2(Pose(), np.zeros((3, 3)), config)
-        bare, pose_only = ByHand(config), ByHand(config, pose_only=True)
-        times.append(race(steps, estimator_step(ours), bare.step, pose_only.step))
-        figures["isam2.graph_error"] = ours.graph_error()
-        figures["by_hand.graph_error"] = bare.graph_error()
-    for name, column in zip(("isam2", "by_hand", "pose_only"), np.concatenate(times).T, strict=True):
-        figures[f"{name}.step_ms_mean"] = float(column.mean())
-        figures[f"{name}.step_ms_p99"] = float(np.percentile(column, 99))
-    figures["step_ratio"] = figures["isam2.step_ms_mean"] / figures["by_hand.step_ms_mean"]
-    figures["step_ratio_pose_only"] = figures["isam2.step_ms_mean"] / figures["pose_only.step_ms_mean"]
-    figures["graph_error_ratio"] = figures["isam2.graph_error"] / figures["by_hand.graph_error"]
-    return figures, ours
+def smoother_figures(steps: Sequence[Step], config: ISAM2Config) -> tuple[Figures, Array]:
+    """Step time and final graph error of `isam2` over those of direct calls, and its trajectory (K, 3)."""
+    ours, bare = ISAM2(Pose(), np.zeros((3, 3)), config), ByHand(config)
+    ms = race(steps, estimator_step(ours), bare.step).mean(axis=0)
+    figures = {"step_ratio": float(ms[0] / ms[1]), "graph_error_ratio": ours.graph_error() / bare.graph_error()}
+    return figures, ours.trajectory()
 
 
-def filter_figures(steps: Sequence[Step], smoothed: Array) -> tuple[Figures, dict[str, Array]]:
-    """Each filter's mean step time and distance from the `smoothed` trajectory (K, 3), and the trajectories by name."""
-    figures, ways = Figures(), {}
+def filter_figures(steps: Sequence[Step], smoothed: Array) -> Figures:
+    """Distance of each filter's trajectory from the `smoothed` one (K, 3)."""
+    figures = Figures()
     for name in ESTIMATORS:
-        if name == "isam2":
-            continue
-        estimator, key = make_estimator(name, Pose(), np.zeros((3, 3))), name.replace("-", "_")
-        figures[f"{key}.step_ms_mean"] = float(race(steps, estimator_step(estimator)).mean())
-        ways[name] = estimator.trajectory()
-        gap = np.linalg.norm(ways[name][:, :2] - smoothed[:, :2], axis=1)
-        figures[f"{key}.rms_from_smoothed_m"] = float(np.sqrt(np.mean(gap**2)))
-    return figures, ways
-
-
-def draw(log: Log, ways: Mapping[str, Array], trees: Array, file: Path) -> None:
-    """Draw trajectories and trees."""
-    figure = new_figure(9.0, 9.0)
-    ax: Any = figure.add_subplot()
-    wheels = np.array([tick.odometry.array() for tick in log.ticks])
-    ax.plot(wheels[:, 0], wheels[:, 1], color=ODOMETRY, linewidth=0.7, alpha=0.6, label="dead reckoning")
-    styles = {"isam2": ("smoothed: isam2", CYCLE[0], 1.3), "ekf": ("ekf", CYCLE[3], 0.8)}
-    for name, (label, color, width) in styles.items():
-        ax.plot(ways[name][:, 0], ways[name][:, 1], color=color, linewidth=width, label=label)
-    ax.scatter(trees[:, 0], trees[:, 1], s=14, color=CYCLE[1], label=f"{len(trees)} trees, isam2", zorder=5)
-    ax.set_aspect("equal")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
-    ax.legend(frameon=False)
-    ax.set_title("Victoria Park, known landmarks")
-    save(figure, file)
-
-
-def rows(figures: Figures) -> list[list[str]]:
-    """The rows of the table."""
-    lines = [["", "step ms", "99 % below", "graph error", "m from smoothed"]]
-    for name in ("by_hand", "pose_only", *(name.replace("-", "_") for name in ESTIMATORS)):
-        cells = [figures.get(f"{name}.{key}") for key in ("step_ms_mean", "step_ms_p99", "graph_error")]
-        cells.append(figures.get(f"{name}.rms_from_smoothed_m"))
-        label = {"by_hand": "GTSAM directly", "pose_only": "GTSAM directly, pose only"}.get(
-            name, name.replace("_", "-")
-        )
-        lines.append([label, *("" if cell is None else f"{cell:.3f}" for cell in cells)])
-    return lines
-
-
-def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("--runs", type=int, default=1, metavar="N", help="repetitions to average times over (1)")
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the trajectory and the trees, as a PNG")
-    options = parser.parse_args()
-    check_at_least(parser, options, runs=1)
-    log, config = read_graph(FILE), preset("victoria").isam2
-    steps = steps_of(log)
-    with single_threaded():
-        figures, smoother = smoother_figures(steps, config, options.runs)
-        smoothed, trees = smoother.trajectory(), smoother.estimate().landmarks
-        others, ways = filter_figures(steps, smoothed)
-    figures |= others | {"steps": len(steps), "landmarks": len(trees)}
-    print(machine())
-    print_table(rows(figures))
-    print(f"{len(steps)} steps, {len(trees)} landmarks")
-    print(
-        f"step time of isam2: {figures['step_ratio']:.2f} times that of GTSAM directly (target: at most 1.2), ", end=""
-    )
-    print(f"{figures['step_ratio_pose_only']:.2f} times GTSAM's with the pose only")
-    print(f"graph error: {figures['graph_error_ratio']:.4f} times GTSAM's directly (target: 0.99 to 1.01)")
-    if options.figure is not None:
-        draw(log, ways | {"isam2": smoothed}, trees, options.figure)
-    write_json(options.json, figures)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        if name != "isam2":
+            estimator = make_estimator(name, Pose(), np.zeros((3, 3)))
+            race(steps, estimator_step(estimator))
+            gap = np.linalg.norm(estimator.trajectory()[:, :2] - smoothed[:, :2], axis=1)
+            figures[f"{name.replace('-', '_')}_rms_from_smoothed_m"] = float(np.sqrt(np.mean(gap**2)))
+    return figures

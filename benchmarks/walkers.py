@@ -16,7 +16,7 @@ import time
 from typing import Any
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, run, write_json
+from harness import Figures, arguments, check_at_least, finish, pooled, run
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, point_segment_distance
@@ -113,15 +113,12 @@ def main() -> int:
     due = [dataclasses.replace(config, seed=seed) for config in configs for seed in range(options.seeds)]
     rows = list(pooled(make_row, due, options.jobs, warm))
     of = {kind: rows[k * options.seeds : (k + 1) * options.seeds] for k, kind in enumerate(kinds)}
-    lines, figures = [["scene", "estimator", "walkers", "runs", *(head for head, *_ in COLUMNS)]], Figures()
+    lines = [["scene", "estimator", "walkers", "runs", *(head for head, *_ in COLUMNS)]]
     for (s, e, n), found in of.items():
         values = summary(found, of.get((s, e, 0), []))
-        figures |= {f"{s}.{e}.{n}.{key}": value for key, value in values.items()}
         shown = [format(values[key], form) for _, key, form in COLUMNS]
         lines.append([s, e, str(n), f"{values['runs']:.0f}", *shown])
-    print(machine())
-    print_table(lines)
-    write_json(options.json, figures)
+    finish(options, "walkers", lines, text=2)
     return 0
 
 

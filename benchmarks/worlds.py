@@ -18,27 +18,15 @@ from pathlib import Path
 
 import numpy as np
 from generated_worlds import FAMILIES, generated_world
-from harness import Figures, arguments, machine, print_table, write_json
+from harness import arguments, finish
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
-from tours import (
-    MATCHES,
-    Row,
-    add_tour_options,
-    check_tour_options,
-    judged_matches,
-    keyframe_nees,
-    nees_of,
-    over_runs,
-    rows,
-    seeded,
-)
+from tours import Row, add_tour_options, check_tour_options, row_of, rows, seeded, table
 
 from sixthsense.config import Config, load_config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.evaluation.metrics import ate, nees_band, share_in_band
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import shortcut
 from sixthsense.running.runs import simulate
@@ -164,70 +152,7 @@ def _in_free(poses: Sequence[Pose], scene: Scene) -> float:
 
 def make_row(config: Config) -> Row:
     """Tour a world and evaluate it."""
-    scene = world(config.scene, config.seed, config.max_time, config.robot.speed)
-    trace = simulate(config, scene).trace
-    truths = np.array(trace.key_truths)
-    poses = np.array([e.pose.array() for e in trace.key_estimates])
-    covs = np.array([e.pose_cov for e in trace.key_estimates])
-    names = ("scene", "estimator", "preset", "seed")
-    row: Row = {**{name: getattr(config, name) for name in names}, **judged_matches(trace)}
-    row["outcome"], row["keyframes"] = trace.outcome, len(truths)
-    row["ate_rmse_m"], row["ate_max_m"] = ate(poses, truths)
-    row["sigma_m"] = float(np.median(np.sqrt(covs[:, 0, 0] + covs[:, 1, 1])))
-    row["sigma_rad"] = float(np.median(np.sqrt(covs[:, 2, 2])))
-    for name, values in keyframe_nees(poses, truths, covs).items():
-        row[name] = [None if math.isnan(v) else round(v, 5) for v in values.tolist()]
-    return row
-
-
-def world_figures(found: Sequence[Row]) -> Figures:
-    """Figures of the runs of one family, or of one map, with one estimator."""
-    nees = np.array([nees_of(row) for row in found])
-    observations = max(sum(row["observations"] for row in found), 1)
-    steps = over_runs(found, "nees3")
-    figures: Figures = {"runs": len(found), "nees3": float(nees.mean())}
-    figures["nees3_se"] = float(nees.std(ddof=1) / math.sqrt(len(nees))) if len(nees) > 1 else math.nan
-    figures["share_in_band"] = share_in_band(steps[~np.isnan(steps)], nees_band(len(found)))
-    figures |= {f"{name}_per_1000": 1e3 * sum(row[name] for row in found) / observations for name in MATCHES}
-    for name in ("discarded_share", "sigma_m", "sigma_rad"):
-        figures[name] = float(np.mean([row[name] for row in found]))
-    errors = [row["ate_rmse_m"] for row in found]
-    figures |= {"ate_median_m": float(np.median(errors)), "ate_max_m": float(np.max(errors))}
-    figures["nis_per_dof"] = sum(row["nis"] for row in found) / max(sum(row["nis_dof"] for row in found), 1)
-    figures["tour_ended"] = sum(row["outcome"] == "tour ended" for row in found)
-    return figures
-
-
-COLUMNS = (
-    ("NEES", "nees3", ".2f"),
-    ("±", "nees3_se", ".2f"),
-    ("in band", "share_in_band", ".2f"),
-    ("NIS/dof", "nis_per_dof", ".2f"),
-    ("wrong/1000", "wrong_per_1000", ".2f"),
-    ("spanning/1000", "spanning_per_1000", ".2f"),
-    ("unexplained/1000", "unexplained_per_1000", ".1f"),
-    ("left out/1000", "left_out_per_1000", ".1f"),
-    ("discarded", "discarded_share", ".3f"),
-    ("ATE m", "ate_median_m", ".4f"),
-    ("max", "ate_max_m", ".4f"),
-    ("sigma m", "sigma_m", ".4f"),
-    ("sigma rad", "sigma_rad", ".5f"),
-    ("ended", "tour_ended", ".0f"),
-)
-
-
-def table(found: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str]) -> tuple[list[list[str]], Figures]:
-    """A row per world and estimator, and one of all worlds together; the same figures by flat keys."""
-    lines = [["world", "runs", *(head for head, *_ in COLUMNS)]]
-    figures: Figures = {}
-    of_all = [("all", estimator) for estimator in estimators] if len(worlds) > 1 else []
-    for name, estimator in [*itertools.product(worlds, estimators), *of_all]:
-        own = [r for r in found if r["estimator"] == estimator and name in ("all", r["scene"])]
-        stem = Path(name).stem
-        values = world_figures(own)
-        figures |= {f"{stem}.{estimator.replace('-', '_')}.{key}": value for key, value in values.items()}
-        lines.append([f"{stem} {estimator}", f"{len(own)}", *(format(values[key], form) for _, key, form in COLUMNS)])
-    return lines, figures
+    return row_of(config, simulate(config, world(config.scene, config.seed, config.max_time, config.robot.speed)).trace)
 
 
 def maps_at_hand() -> list[str]:
@@ -260,11 +185,7 @@ def main() -> None:
     except InputError as error:
         parser.error(str(error))
     found = rows(seeded(configs, options), options.jobs, options.rows, make_row)
-    lines, figures = table(found, worlds, options.estimator)
-    print(machine())
-    print(f"{options.seeds} tours of {options.max_time:g} s, seeds from {options.first_seed}")
-    print_table(lines)
-    write_json(options.json, figures)
+    finish(options, "worlds", table(found, worlds, options.estimator), text=2)
 
 
 if __name__ == "__main__":

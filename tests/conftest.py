@@ -45,6 +45,6 @@ pytest.register_assert_rewrite(
     "sixthsense.testing.edges",
     "sixthsense.testing.estimation",
     "sixthsense.testing.posterior",
-    "sixthsense.testing.prior_map",
     "sixthsense.testing.walls",
+    "laws",
 )

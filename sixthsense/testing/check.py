@@ -3,33 +3,16 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable
 
 import numpy as np
 
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.evaluation.tables import html_table
-from sixthsense.slam.estimators import (
-    Estimator,
-    EstimatorFactory,
-    estimates_wheels,
-    keeps_poses,
-    register_estimator,
-    takes_prior_map,
-)
-from sixthsense.testing import contract, edges, links, posterior, prior_map, walls, wheels
+from sixthsense.slam.estimators import EstimatorFactory, register_estimator
+from sixthsense.testing import contract, edges, posterior, walls
 from sixthsense.testing.estimation import make
 
 LAWS = (*contract.LAWS, *edges.LAWS, *posterior.LAWS, *walls.LAWS)
-
-LINK_LAWS = tuple(links.LAWS)
-"""tested where the estimator has `link` and `unlink`"""
-
-WHEEL_LAWS = tuple(wheels.LAWS)
-"""tested where the estimator has `estimate_wheels` and `wheels`"""
-
-PRIOR_MAP_LAWS = tuple(prior_map.LAWS)
-"""tested where the estimator has `start_from`"""
 
 
 class Verdicts(dict[str, str]):
@@ -63,16 +46,13 @@ def check_estimator(factory: EstimatorFactory, name: str = "") -> Verdicts:
 
     `factory` makes an estimator from the start, `T_world_robot`, and its covariance (3, 3), as for
     `ss.register_estimator`. It is registered under `name`, by default the name of the factory. If the estimator raises
-    NotImplementedError for the first observation of a wall, the laws of walls are skipped. The laws of links are tested
-    if it has `link` and `unlink`, those of wheels if it has `estimate_wheels` and `wheels`, those of prior maps if it
-    has `start_from`. Raises ValueError for the name of a built-in estimator and for an invalid name.
+    NotImplementedError for the first observation of a wall, the laws of walls are skipped. Raises ValueError for the
+    name of a built-in estimator and for an invalid name.
     """
     name = name or getattr(factory, "__name__", "")
     register_estimator(name, factory)
     verdicts, refusal = Verdicts(), _refusal_of_walls(name)
-    optional = (keeps_poses, LINK_LAWS), (estimates_wheels, WHEEL_LAWS), (takes_prior_map, PRIOR_MAP_LAWS)
-    of_capabilities = [law for capability, laws in optional if _has(capability, name) for law in laws]
-    for law in (*LAWS, *of_capabilities):
+    for law in LAWS:
         if law.needs_walls and refusal:
             verdicts.skipped[law.name] = refusal
             continue
@@ -96,11 +76,3 @@ def _refusal_of_walls(name: str) -> str:
     except Exception:  # the laws find it and name it
         return ""
     return ""
-
-
-def _has(capability: Callable[[Estimator], bool], name: str) -> bool:
-    """Whether an estimator has an optional capability; one that cannot be made breaks the other laws."""
-    try:
-        return capability(make(name))
-    except Exception:
-        return False

@@ -57,18 +57,5 @@ def test_a_figure_at_a_cells_end_is_shown_once_and_one_in_a_variable_not_at_all(
     assert outputs[5][0].data["text/plain"] == "False"
 
 
-def test_metrics_and_comparisons_at_a_cells_end_are_tables(outputs):
-    for shown in (outputs[2], outputs[4]):
-        assert kinds(shown) == [{"text/html", "text/plain"}]
-
-
-def test_with_pyplot_a_figure_is_still_shown_once(outputs):
-    assert kinds(outputs[6]) == [{"image/png", "text/plain"}]
-
-
-def test_the_stop_button_hands_the_run_over(outputs):
-    assert outputs[7][0].data["text/plain"] == "['interrupted']"
-
-
 def test_a_notebook_has_a_bar(outputs):
     assert any("rectangle, tour" in str(output) for output in outputs[8])

@@ -171,32 +171,3 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
     assert main(["audit", *wrong, "--require", "consistent"]) == 1
     assert "overconfident: errors are" in capsys.readouterr().out
     assert "--json: " in complaint(capsys, *words, *out)
-
-
-def test_bad_files_and_options_end_in_one_line(tmp_path, capsys):
-    both, truth = bag(tmp_path / "b.mcap", ["/pose", "/odom", "/truth"]), tum(tmp_path / "t.tum")
-    assert "found 2 topics of poses, allowed: one, by --topic /odom or /pose" in complaint(
-        capsys, both, "--truth", truth
-    )
-    assert "found no topic '/pos', did you mean /pose?" in complaint(capsys, both, "--topic", "/pos", "--truth", truth)
-    said = complaint(capsys, both, "--topic", "/pose", "--truth", both)
-    assert "allowed: one, by --truth-topic /odom or /truth" in said
-    same = complaint(capsys, both, "--topic", "/pose", "--truth", both, "--truth-topic", "/pose")
-    assert "found the poses of the estimate" in same
-    frames = complaint(capsys, both, "--topic", "/pose", "--truth", both, "--truth-frames", "map", "base")
-    assert "found no transforms from base to map" in frames
-    assert "covariance: found nothing" in complaint(capsys, truth, "--truth", truth)
-    assert "truth: found nothing" in complaint(capsys, both, "--topic", "/pose")
-    assert "no such file" in complaint(capsys, tmp_path / "no.bag", "--truth", truth)
-    assert "found a folder" in complaint(capsys, tmp_path, "--truth", truth)
-    (tmp_path / "bad.tum").write_text("1.0 2 3\n")
-    assert "bad.tum line 1: found 3 numbers, allowed: 8 numbers" in complaint(
-        capsys, both, "--topic", "/pose", "--truth", tmp_path / "bad.tum"
-    )
-    (tmp_path / "bad.tum").write_text("1.0 2 x 0 0 0 0 1\n")
-    assert "found 'x', allowed: a number" in complaint(
-        capsys, both, "--topic", "/pose", "--truth", tmp_path / "bad.tum"
-    )
-    assert "allowed: consistent" in complaint(capsys, both, "--require", "cautious")
-    assert "found 'late'" in complaint(capsys, both, "--time-offset=late")
-    assert "estimate: found nothing" in complaint(capsys)

@@ -2,7 +2,6 @@
 
 import json
 import os
-import pty
 import signal
 import subprocess
 import sys
@@ -13,7 +12,6 @@ from pathlib import Path
 import pytest
 
 import sixthsense as ss
-from sixthsense import cli
 from sixthsense.record.contents import has_record, reason_not_a_run
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -46,7 +44,7 @@ def outcome(folder: Path) -> str:
     return str(json.loads((folder / "metrics.json").read_text())["outcome"])
 
 
-@pytest.mark.parametrize(("name", "code"), [("SIGTERM", 143), ("SIGHUP", 129), ("SIGINT", 130)])
+@pytest.mark.parametrize(("name", "code"), [("SIGHUP", 129), ("SIGINT", 130)])
 def test_a_signal_ends_a_run_with_its_record_and_128_plus_its_number(name, code, here):
     process = start(*ENDLESS)
     wait_until(lambda: has_record(here / "x.partial"))
@@ -55,17 +53,6 @@ def test_a_signal_ends_a_run_with_its_record_and_128_plus_its_number(name, code,
     assert process.returncode == code and err == ""
     assert out.endswith("written to x/\n")
     assert outcome(here / "x") == "interrupted" and [path.name for path in here.iterdir()] == ["x"]
-
-
-def test_sigterm_and_sighup_may_come_twice(here):
-    process = start(*ENDLESS)
-    wait_until(lambda: has_record(here / "x.partial"))
-    for name in ("SIGHUP", "SIGHUP", "SIGTERM"):
-        process.send_signal(getattr(signal, name))
-        time.sleep(0.01)
-    _, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (129, "")
-    assert outcome(here / "x") == "interrupted"
 
 
 def test_a_signal_before_the_first_tick_leaves_nothing(here):
@@ -77,55 +64,17 @@ def test_a_signal_before_the_first_tick_leaves_nothing(here):
     assert list(here.iterdir()) == [] or outcome(here / "x") == "interrupted"
 
 
-def test_a_hangup_that_is_ignored_stays_so(here):
-    def nohup() -> None:
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
-
-    process = start("run", "rectangle", "--task", "tour", "--max-time", "30", "--out", "x", preexec_fn=nohup)
-    wait_until(lambda: has_record(here / "x.partial"))
-    process.send_signal(signal.SIGHUP)
-    process.communicate(timeout=60)
-    assert process.returncode == 0 and outcome(here / "x") == "tour ended"
-
-
-@pytest.mark.parametrize("pause_s", [0.0, 0.03, 0.2])
-def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(pause_s, here):
+def test_three_quick_ctrl_c_end_with_130_and_without_a_traceback(here):
     process = start(*ENDLESS)
     wait_until(lambda: has_record(here / "x.partial"))
     for _ in range(3):
         process.send_signal(signal.SIGINT)
-        time.sleep(pause_s)
+        time.sleep(0.03)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in err and "Exception ignored" not in err
     folder = here / "x" if (here / "x").exists() else here / "x.partial"
     assert len(ss.load(folder).trace.estimates) > 0
-
-
-def test_a_ctrl_c_while_a_command_exits_has_no_traceback(here):
-    process = start("scenes", env=os.environ | {"PYTHONUNBUFFERED": "1"})
-    assert process.stdout is not None
-    for _ in range(5):
-        process.stdout.readline()
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
-    assert process.returncode in (0, 130)
-    assert "Traceback" not in err and "Exception ignored" not in err
-
-
-def test_a_terminal_that_is_closed_ends_a_run_in_order(here):
-    leader, follower = pty.openpty()
-    code = (
-        "import fcntl, os, sys, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-        f"os.execv(sys.executable, [sys.executable, '-m', 'sixthsense.cli', *{ENDLESS!r}])"
-    )
-    streams = {"stdin": follower, "stdout": follower, "stderr": follower}
-    process = subprocess.Popen([sys.executable, "-c", code], preexec_fn=listen, **streams)
-    os.close(follower)
-    wait_until(lambda: has_record(here / "x.partial"))
-    os.close(leader)
-    assert process.wait(60) == 129
-    assert outcome(here / "x") == "interrupted"
 
 
 def processes(word: str) -> list[int]:
@@ -141,8 +90,7 @@ def processes(word: str) -> list[int]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
-@pytest.mark.parametrize("name", ["SIGKILL", "SIGTERM", "three Ctrl-C"])
-def test_a_viewer_ends_with_its_run_whatever_ends_that(name, here):
+def test_a_viewer_ends_with_its_run_even_if_that_is_killed(here):
     pytest.importorskip("rerun")
     process = start(*ENDLESS, "--view", "browser", stderr=subprocess.PIPE)
     assert process.stderr is not None
@@ -150,10 +98,8 @@ def test_a_viewer_ends_with_its_run_whatever_ends_that(name, here):
     port = page.rpartition("%3A")[2].partition("%2F")[0]
     wait_until(lambda: has_record(here / "x.partial"))
     assert len(processes(f"\0--port\0{port}")) == 2  # the viewer and its keeper
-    for _ in range(3 if name == "three Ctrl-C" else 1):
-        process.send_signal(getattr(signal, name, signal.SIGINT))
+    process.kill()
     process.communicate(timeout=60)
-    assert process.returncode == {"SIGKILL": -9, "SIGTERM": 143}.get(name, 130)
     wait_until(lambda: processes(f"\0--port\0{port}") == [])
 
 
@@ -179,33 +125,3 @@ def test_a_terminated_campaign_keeps_its_rows_and_leaves_no_process(here):
             return False
 
     wait_until(lambda: not any(is_left(folder) for folder in Path("/proc").glob("[0-9]*")))
-
-
-def test_a_signal_while_a_run_is_saved_keeps_no_view_open(here, monkeypatch):
-    pytest.importorskip("rerun")
-    code = (
-        "import os, signal, sys; from sixthsense.cli import main; from sixthsense.record.folder import RunFolder\n"
-        "finish = RunFolder.finish\n"
-        "RunFolder.finish = lambda folder: (os.kill(os.getpid(), signal.SIGTERM), finish(folder))\n"
-        "sys.exit(main())"
-    )
-    words = ("run", "rectangle", "--task", "tour", "--max-time", "2", "--out", "x", "--view", "browser")
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 143 and "stays open" not in done.stderr
-    assert outcome(here / "x") == "tour ended"
-
-
-def test_an_interrupt_that_a_module_in_c_turns_into_another_error_is_one(monkeypatch, capsys):
-    def interrupted(args):
-        raise ImportError("initialization failed") from KeyboardInterrupt()
-
-    monkeypatch.setattr(cli, "_run", interrupted)
-    assert cli.main(["run"]) == 130
-    assert capsys.readouterr().err == "sixthsense: interrupted\n"
-
-    def broken(args):
-        raise ImportError("no such module")
-
-    monkeypatch.setattr(cli, "_run", broken)
-    with pytest.raises(ImportError, match="no such module"):
-        cli.main(["run"])

@@ -1,7 +1,6 @@
 """Names of earlier versions are still read, with a note that names the new one."""
 
 import json
-import warnings
 from pathlib import Path
 
 import pytest
@@ -30,25 +29,6 @@ def test_old_fields_and_values_set_the_new_ones_with_a_note_each() -> None:
     assert "keyscans is now called keyframes" in {str(note.message) for note in noted}
 
 
-def test_a_file_with_old_names_is_the_configuration_that_it_was(tmp_path: Path) -> None:
-    text = 'front_end = "scans"\nestimator = "isam2"\n[keyscans]\nturn_rad = 0.3\n[scans]\nrevisits = false\n'
-    (tmp_path / "old.toml").write_text(text)
-    with pytest.warns(RenamedWarning):
-        config = ss.load_config(tmp_path / "old.toml")
-    assert config.keyframes.turn_rad == 0.3 and config.front_end == "scan-matching" and not config.scans.loop_closures
-
-
-def test_a_field_under_both_names_is_refused() -> None:
-    with pytest.warns(RenamedWarning), pytest.raises(ss.ConfigError, match="keyframes: found under its old name, too"):
-        ss.preset(keyframes={"turn_rad": 0.1}, keyscans={"turn_rad": 0.2})
-
-
-def test_new_names_are_not_noted() -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ss.preset(keyframes={"distance_m": 0.5}, front_end="scan-matching")
-
-
 def test_old_options_and_values_are_read_with_a_note(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     options = ["--keyscans.turn-rad", "0.3", "--scans.no-revisits", "--front-end", "scans", "--max-time", "1"]
     assert main(["run", "rectangle", "--task", "tour", *options, "--out", str(tmp_path / "run")]) == 0
@@ -60,18 +40,6 @@ def test_old_options_and_values_are_read_with_a_note(capsys: pytest.CaptureFixtu
     ]
     config = ss.load_config(tmp_path / "run" / "config.toml")
     assert config.keyframes.turn_rad == 0.3 and not config.scans.loop_closures and config.front_end == "scan-matching"
-
-
-def test_old_public_names_are_the_new_ones_with_a_note() -> None:
-    with pytest.warns(RenamedWarning, match="ss.Sighting is now called ss.Observation"):
-        assert ss.Sighting is ss.Observation
-    with pytest.warns(RenamedWarning, match="Config.keyscans is now called keyframes"):
-        assert ss.Config().keyscans == ss.Config().keyframes
-
-
-def test_a_misspelt_public_name_gets_the_nearest() -> None:
-    with pytest.raises(AttributeError, match=r"no attribute 'rum'; did you mean run\?"):
-        ss.rum  # noqa: B018
 
 
 def test_a_run_folder_of_before_loads_and_replays(tmp_path: Path) -> None:

@@ -59,13 +59,6 @@ def test_frames_cancel_for_points_as_for_poses(a, b, x, y):
     assert np.allclose(a @ point, a.position + rotation(a.theta) @ point)
 
 
-def test_integers_answer_as_floats_do():
-    a, b = Pose(1, 2, 3), Pose(1.0, 2.0, 3.0)
-    assert a == b and isinstance(a.x, float)
-    assert Pose(0, 0, 0) @ Pose(0.5, 0.25, 0.1) == Pose(0.5, 0.25, 0.1)
-    assert np.array_equal(Pose(0, 0, 1) @ np.array([[1, 2]]), Pose(0, 0, 1) @ np.array([[1.0, 2.0]]))
-
-
 def test_a_wrong_shape_is_named():
     with pytest.raises(ValueError, match=r"expected shape \(3,\), got \(2,\)"):
         Pose.from_array([1.0, 2.0])

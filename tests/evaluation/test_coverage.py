@@ -35,11 +35,6 @@ def test_an_empty_room_is_covered_from_one_pose() -> None:
     assert coverage(area, np.array([[3.0, 2.0, 0.3]]), CIRCLE, CENTRED, 10.0, ROOM) == 1.0
 
 
-def test_the_coverage_without_scans_is_zero() -> None:
-    area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
-    assert coverage(area, np.empty((0, 3)), CIRCLE, CENTRED, 10.0, ROOM) == 0.0
-
-
 def test_cells_within_a_cell_of_a_wall_do_not_count() -> None:
     area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
     height, width = area.mask.shape
@@ -78,74 +73,6 @@ def test_the_laser_sees_no_farther_than_its_range_and_its_field_of_view() -> Non
     assert disc == pytest.approx(math.pi * 16, rel=0.04)
     half = coverage(area, pose, dense[:720], CENTRED, 4.0, walls) * area.square_metres
     assert half == pytest.approx(0.5 * math.pi * 16, rel=0.05)
-
-
-def test_the_mount_moves_the_laser() -> None:
-    walls = segments(*box(0, 0, 6, 4), [(3, 0), (3, 4)])
-    beyond = np.zeros((80, 120), dtype=np.bool_)
-    beyond[:, 61:] = True
-    area = VisibleArea(beyond, (0.0, 0.0), 0.05)
-    pose = np.array([[2.8, 2.0, math.pi / 2]])
-    assert coverage(area, pose, CIRCLE, CENTRED, 9.0, walls) == 0.0
-    assert coverage(area, pose, CIRCLE, (0.0, -0.4, 1.0), 9.0, walls) == pytest.approx(1.0, abs=0.01)
-
-
-def test_area_visible_only_to_a_smaller_robot_does_not_count() -> None:
-    # The corner of the far room beside the dividing wall is hidden from all of the near room.
-    small = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
-    large = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.45, 10.0)
-    assert at(small, 3.2, 0.3)
-    assert not at(large, 3.2, 0.3)
-    assert at(large, 5.5, 2.4)  # through the door
-    assert not (large.mask & ~small.mask).any()
-
-
-def test_a_robot_smaller_than_a_cell_does_not_pass_through_a_wall() -> None:
-    for slope in np.linspace(0.0, 1.0, 11):
-        walls = segments(*box(0, 0, 6, 4), [(3 - slope, 0), (3 + slope, 4)])
-        area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.0, 10.0)
-        assert 11.0 < area.square_metres < 12.0
-
-
-def test_only_the_region_counts_also_seen_from_outside() -> None:
-    area = visible_area(TWO_ROOMS, (3, 0, 6, 4), (1, 1), 0.3, 10.0)
-    assert area.square_metres == pytest.approx(2.9 * 3.9, rel=0.02)
-    assert not at(area, 1, 1)
-
-
-def test_a_start_in_a_wall_or_an_empty_region_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^start: found \(3, 1\), allowed: a place where the robot touches no wall$"):
-        visible_area(TWO_ROOMS, (0, 0, 6, 4), (3, 1), 0.3, 10.0)
-    with pytest.raises(ValueError, match=r"^region: "):
-        visible_area(ROOM, (6, 0, 0, 4), (1, 1), 0.3, 10.0)
-
-
-def test_the_coverage_of_an_empty_area_is_nan() -> None:
-    area = visible_area(ROOM, (8, 8, 9, 9), (1, 1), 0.2, 10.0)
-    assert area.square_metres == 0.0
-    assert math.isnan(coverage(area, np.zeros((1, 3)), CIRCLE, CENTRED, 10.0, ROOM))
-
-
-def test_a_region_without_walls_is_completely_visible() -> None:
-    area = visible_area(segments(), (-2, -2, 2, 2), (0, 0), 0.2, 10.0)
-    assert area.square_metres == pytest.approx(16.0)
-
-
-def test_a_very_large_scene_gets_larger_cells(monkeypatch) -> None:
-    monkeypatch.setattr("sixthsense.evaluation.coverage._MOST_CELLS", 400_000)
-    walls = segments(*box(0, 0, 100, 100))
-    area = visible_area(walls, (0, 0, 100, 100), (5, 5), 0.3, 10.0)
-    assert area.mask.size <= 400_000
-    assert area.square_metres == pytest.approx(100 * 100, rel=0.01)
-
-
-def test_repeated_scans_change_nothing() -> None:
-    area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
-    pose = np.array([[1.0, 1.0, 0.5]])
-    many = np.repeat(pose, 500, axis=0)
-    once = coverage(area, pose, CIRCLE, CENTRED, 10.0, TWO_ROOMS)
-    assert 0.3 < once < 1.0
-    assert coverage(area, many, CIRCLE, CENTRED, 10.0, TWO_ROOMS) == once
 
 
 def test_more_scans_never_cover_less() -> None:

@@ -1,8 +1,5 @@
 """Trajectory and landmarks of a run as pandas frames."""
 
-import dataclasses
-import sys
-
 import numpy as np
 import pytest
 
@@ -30,13 +27,6 @@ def test_a_trajectory_has_a_row_per_keyframe(explored: ss.Run) -> None:
     assert frame["time_s"].iloc[0] == 0.0 and frame["distance_m"].is_monotonic_increasing
 
 
-def test_a_run_without_truth_has_no_columns_of_it_and_one_without_keyframes_no_rows(explored: ss.Run) -> None:
-    blind = ss.Run("log", dataclasses.replace(explored.trace, truths=[], key_truths=[]))
-    assert not {"x_true", "nees"} & set(blind.trajectory.frame().columns)
-    nothing = ss.Run("log", dataclasses.replace(explored.trace, key_stamps_ns=[]))
-    assert len(nothing.trajectory.frame()) == 0
-
-
 def test_landmarks_have_what_their_kind_has(run: ss.Run) -> None:
     trace, frame = run.trace, run.landmarks.frame()
     assert frame.index.tolist() == trace.final.ids.tolist() and len(frame) == len(run.landmarks)
@@ -54,11 +44,3 @@ def test_landmarks_have_what_their_kind_has(run: ss.Run) -> None:
     row = int(np.flatnonzero(is_wall)[0])
     assert walls.loc[first, "sigma_d"] == pytest.approx(trace.joint_cov[4 + 2 * row, 4 + 2 * row] ** 0.5)
     assert frame["observations"].tolist() == [trace.records[i].observations for i in frame.index]
-
-
-def test_frames_without_pandas_say_what_to_install(run: ss.Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    for table in (run.trajectory, run.landmarks):
-        assert "frame()" in repr(table)
-        with pytest.raises(ss.InputError, match="pandas: cannot be imported"):
-            table.frame()

@@ -14,10 +14,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation, predict_points
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.evaluation.matches import discarded_share, judge_matches
+from sixthsense.evaluation.matches import judge_matches
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
-from sixthsense.slam.association.records import Association
-from sixthsense.slam.association.wall_extents import fused
 from sixthsense.slam.features import extract
 
 LASER = TrueLaser(LaserConfig(), LaserNoise())
@@ -67,28 +65,12 @@ def judged(scans, poses, scene=SCENE):
     return judge_matches(scans, np.array([pose.array() for pose in poses]), scene, LASER)
 
 
-def test_collinear_walls_share_a_line_and_parallel_ones_do_not():
-    assert len(SCENE.lines) == 4
-    assert SCENE.line_of[0] == SCENE.line_of[1]
-    assert SCENE.line_of[2] != SCENE.line_of[3]
-
-
-def test_a_line_does_not_depend_on_the_direction_of_its_wall():
-    again = true_identities(WALLS[::-1, ::-1])
-    assert len(again.lines) == 4
-
-
 def test_the_sides_of_a_thin_wall_are_two_identities():
     from_below = verdict(wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20)), BELOW)
     from_above = verdict(wall(ABOVE, between([1.0, 1.5], [2.0, 1.5], 20)), ABOVE)
     assert from_below.verdict == from_above.verdict == "single"
     assert from_below.identity != from_above.identity
     assert from_below.identity[1] == from_above.identity[1]
-
-
-def test_a_match_of_the_other_side_of_a_thin_wall_is_wrong():
-    below, above = (wall(pose, between([1.0, 1.5], [2.0, 1.5], 20)) for pose in (BELOW, ABOVE))
-    assert judged([{3: below}, {3: above}, {3: below}], [BELOW, ABOVE, BELOW]).wrong == ((1, 3),)
 
 
 def test_the_faces_of_a_thick_wall_are_distinguished():
@@ -137,60 +119,11 @@ def test_an_observation_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it
     assert found.left_out == ((1, 0),)
 
 
-def test_an_observation_around_a_corner_spans_but_one_mixed_return_does_not_count():
-    scene, pose = true_identities(np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.0], [4.0, 3.0]]])), Pose(2.0, 1.5, 0.0)
-    along, up = between([1.0, 0.0], [4.0, 0.0], 25), between([4.0, 0.0], [4.0, 1.0], 10)
-    assert verdict(wall(pose, np.concatenate([along, up])), pose, scene).verdict == "spanning"
-    assert verdict(wall(pose, np.concatenate([along, up[:2]])), pose, scene).verdict == "single"
-    many = between([1.0, 0.0], [4.0, 0.0], 40)
-    assert verdict(wall(pose, np.concatenate([many, up[:4]])), pose, scene).verdict == "single"
-    assert verdict(wall(pose, np.concatenate([many, up[:5]])), pose, scene).verdict == "spanning"
-
-
-def test_a_fused_observation_has_the_returns_of_both_pieces():
-    pose = Pose(3.0, 1.0, 0.0)
-    first, second = wall(pose, between([1.0, 0.0], [2.0, 0.0], 9)), wall(pose, between([4.0, 1.0], [4.0, 2.0], 8))
-    both = fused(first, second)
-    assert len(both.bearings) == 17
-    assert verdict(both, pose).verdict == "spanning"
-
-
-def test_returns_that_hit_nothing_explain_nothing():
-    pose = Pose(5.0, 1.0, 0.0)
-    assert verdict(wall(pose, between([4.4, 0.0], [5.6, 0.0], 10)), pose).verdict == "unexplained"
-    without = dataclasses.replace(wall(pose, [[1.0, 0.0]]), bearings=np.empty(0))
-    assert verdict(without, pose).verdict == "unexplained"
-    assert judged([{0: without}], [pose]).unexplained == ((0, 0),)
-
-
 def test_the_identity_of_a_point_is_the_end_of_the_wall_that_its_returns_hit():
     left, right = (verdict(end(BELOW, p, (1.5, 1.5)), BELOW) for p in ((1.0, 1.5), (2.0, 1.5)))
     assert left.verdict == right.verdict == "single"
     assert left.identity != right.identity
     assert verdict(end(BELOW, (2.03, 1.5), (1.5, 1.5)), BELOW).identity == right.identity
-
-
-def test_a_point_away_from_the_ends_of_its_wall_is_unexplained_whatever_covariance_it_states():
-    for scale in (1.0, 1e4):
-        assert verdict(end(BELOW, (1.5, 1.5), (1.2, 1.5), COV * scale), BELOW).verdict == "unexplained"
-
-
-def test_the_end_of_another_wall_does_not_explain_a_point():
-    behind = np.array([[[0.0, 0.0], [2.0, 0.0]], [[1.0, 0.03], [1.0, 1.0]]])
-    pose = Pose(1.0, -1.0, 1.5)
-    assert verdict(end(pose, (1.0, 0.0), (0.5, 0.0)), pose, true_identities(behind)).verdict == "unexplained"
-
-
-def test_wrong_matches_do_not_change_the_identity_of_a_landmark():
-    left, right = end(BELOW, (1.0, 1.5), (1.5, 1.5)), end(BELOW, (2.0, 1.5), (1.5, 1.5))
-    assert judged([{1: left}, {1: right}, {1: left}], [BELOW] * 3).wrong == ((1, 1),)
-
-
-def test_the_first_single_observation_gives_a_landmark_its_identity():
-    nowhere, left, right = (end(BELOW, p, (1.5, 1.5)) for p in ((1.3, 1.5), (1.0, 1.5), (2.0, 1.5)))
-    found = judged([{1: nowhere}, {1: left}, {1: right}], [BELOW] * 3)
-    assert found.unexplained == ((0, 1),)
-    assert found.wrong == ((2, 1),)
 
 
 def test_an_observation_of_another_wall_is_a_wrong_match():
@@ -200,19 +133,6 @@ def test_an_observation_of_another_wall_is_a_wrong_match():
     assert found.wrong == ((2, 7), (2, 8))
     assert found.unexplained == found.spanning == found.left_out == ()
     assert found.wrong_per_1000 == pytest.approx(400.0)
-
-
-def test_without_observations_there_are_no_wrong_matches():
-    found = judged([{}], [BELOW])
-    assert found.wrong_per_1000 == found.spanning_per_1000 == 0.0
-    assert found.unexplained_per_1000 == found.left_out_per_1000 == 0.0
-
-
-def test_the_share_of_discarded_observations_counts_fused_ones_as_used():
-    one = wall(BELOW, between([1.0, 1.5], [2.0, 1.5], 20))
-    found = [Association({0: one, 1: one}, 1, 0.0, 0), Association({0: one}, 2, 0.0, 2, fused=4)]
-    assert discarded_share(found) == pytest.approx(0.3)
-    assert discarded_share([]) == 0.0
 
 
 def random_room(rng):

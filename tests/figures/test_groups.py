@@ -9,10 +9,9 @@ from matplotlib.figure import Figure
 import sixthsense as ss
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Curves, curves
-from sixthsense.evaluation.groups import Group, Sample, differences, fields_of, grouped, resampled
+from sixthsense.evaluation.groups import Group, Sample, grouped, resampled
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures import groups
-from sixthsense.figures.comparison import Comparison
 from sixthsense.figures.panels import KINDS
 
 
@@ -68,20 +67,6 @@ def test_the_median_and_the_band_are_those_of_the_runs_of_a_group(ax, samples) -
     assert len({line.get_color() for line in ax.get_lines()}) == 2
 
 
-def test_all_groups_are_inside_the_axes(samples) -> None:
-    for what in groups.GROUP_KINDS:
-        for ax in Comparison(samples).plot(what, by="estimator").axes:
-            low, high = ax.get_ylim()
-            drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=np.float64) for line in ax.get_lines()])
-            assert low <= np.nanmin(drawn) and np.nanmax(drawn) <= high
-
-
-def test_one_run_has_no_band(ax, samples) -> None:
-    groups.draw_spread(ax, Group("one", (samples[0],)), "heading_rad", "distance")
-    assert len(ax.collections) == 0 and ax.get_xlabel() == "distance travelled [m]"
-    assert ax.get_lines()[0].get_ydata() == pytest.approx(np.degrees(0.1))
-
-
 def test_the_averaged_nees_of_consistent_runs_lies_in_its_band_95_times_of_100(ax) -> None:
     rng = np.random.default_rng(0)
     draws = [curve(np.zeros(3000), nees=rng.chisquare(3, 3000)) for _ in range(10)]
@@ -95,82 +80,11 @@ def test_the_averaged_nees_of_consistent_runs_lies_in_its_band_95_times_of_100(a
     assert ax.get_legend_handles_labels()[1][:1] == ["95 % band of the mean of 10 runs"]
 
 
-def test_relative_errors_are_medians_over_the_runs_at_each_length(ax, samples) -> None:
-    groups.draw_relative_errors(ax, grouped(samples, "estimator"), "trans_m")
-    first, second = (container.lines[0].get_ydata() for container in ax.containers)
-    np.testing.assert_allclose(first, [3.0, 6.0, 15.0, 30.0])
-    np.testing.assert_allclose(second, [13.0, 26.0, 65.0, 130.0])
-    assert [label.get_text() for label in ax.get_xticklabels()] == ["1", "2", "5", "10"]
-
-
 def test_groups_are_by_any_field_or_several(samples) -> None:
     assert [group.name for group in grouped(samples, "estimator")] == ["ekf", "isam2"]
     assert [group.name for group in grouped(samples, ("scene", "estimator"))] == ["block · ekf", "block · isam2"]
     other = sample(np.ones(3), laser={"beams": 90})
     assert [group.name for group in grouped([*samples, other], "laser.beams")] == ["laser.beams 360", "laser.beams 90"]
-
-
-@pytest.mark.parametrize(
-    ("by", "found"),
-    [
-        ("estimatr", "by: found 'estimatr', did you mean estimator. allowed: run, scene, estimator, "),
-        ("laser.beam", "did you mean laser.beams. allowed: .*or another field of the configuration"),
-        (("estimator", "sed"), "by: found 'sed', did you mean seed. allowed: "),
-        ((), "by: found ''"),
-        (3, "by: found 3"),
-    ],
-)
-def test_a_column_that_there_is_not_gets_one_line_with_the_nearest(by, found, samples) -> None:
-    with pytest.raises(ss.InputError, match=found) as error:
-        Comparison(samples).plot("error", by=by)
-    assert "\n" not in str(error.value)
-
-
-def test_more_groups_than_can_be_told_apart_are_refused() -> None:
-    many = [sample(np.ones(3), seed=seed) for seed in range(13)]
-    with pytest.raises(ss.InputError, match="by: found 13 groups by seed, allowed: at most 12"):
-        Comparison(many).plot("error", by="seed")
-
-
-def test_titles_say_what_differs_and_what_is_common(samples) -> None:
-    title = Comparison(samples).plot("error", by="estimator").get_suptitle()
-    assert title.splitlines() == [
-        "Pose error over time: median of the runs, and 10 to 90 % of them",
-        "differs: estimator (2), seed (5) — same: block, landmarks, default, astar, explore",
-    ]
-    title = Comparison(samples).plot("nees", by="estimator", over="distance").get_suptitle()
-    assert title.startswith("Pose NEES over distance travelled, averaged over the runs\n")
-    assert (
-        Comparison(samples[:1])
-        .plot("rpe", by="seed")
-        .get_suptitle()
-        .startswith("Relative pose error by length of path\n")
-    )
-
-
-def test_the_fields_that_a_preset_sets_do_not_differ_besides_it() -> None:
-    both = [fields_of("a", ss.preset(name, seed=seed)) for name in ("default", "worn") for seed in (1, 2)]
-    assert differences(both).startswith("differs: preset (2), seed (2) — same: apartment, ekf-invariant")
-    both[0] = fields_of("a", ss.preset("default", laser={"beams": 90}))
-    assert "laser.beams (2)" in differences(both)
-
-
-def test_runs_without_errors_are_told() -> None:
-    blind = [Sample("old", ss.preset(), lambda: {"outcome": "tour ended"}, lambda: None)]
-    for what in groups.GROUP_KINDS:
-        with pytest.raises(
-            ss.InputError, match=f"{what}: found no run whose errors are known, allowed: runs with truth"
-        ):
-            Comparison(blind).plot(what)
-    with pytest.raises(ss.InputError, match="what: found 'map', allowed: error, rpe, nees"):
-        Comparison(blind).plot("map")
-
-
-def test_a_frame_has_what_tells_runs_apart_before_the_metrics(samples) -> None:
-    frame = Comparison(samples).frame()
-    assert list(frame.columns)[:7] == ["scene", "estimator", "front_end", "preset", "planner", "seed", "outcome"]
-    assert frame.groupby("estimator")["ate_rmse_m"].median().tolist() == [3.0, 13.0]
-    assert "ekf        5     3 ± 2" in repr(Comparison(samples))
 
 
 def test_the_curves_of_a_run_are_its_errors(explored) -> None:
@@ -196,28 +110,3 @@ def test_every_figure_is_drawn_on_axes_of_ones_own(explored, what) -> None:
     one.set_title("my own")
     explored.plot(what, ax=one)
     assert one.has_data() and one.get_title() == "my own"
-
-
-def test_groups_are_drawn_on_axes_of_ones_own(samples) -> None:
-    for what in groups.GROUP_KINDS:
-        ax = Figure().add_subplot()
-        assert Comparison(samples).plot(what, by="estimator", ax=ax) is None
-        assert ax.has_data() and "differs: estimator (2), seed (5)" in ax.get_title()
-
-
-def test_axes_that_do_not_do_are_told(explored) -> None:
-    with pytest.raises(ss.InputError, match="ax: found 2 axes for error, allowed: 3"):
-        explored.plot("error", ax=Figure().subplots(2, 1))
-    with pytest.raises(ss.InputError, match="ax: found 3, allowed: Axes of matplotlib, one or several"):
-        explored.plot("map", ax=3)
-    with pytest.raises(ss.InputError, match="over: found 'distance' for map, allowed: time"):
-        explored.plot("map", over="distance")
-    with pytest.raises(ss.InputError, match=r"what: found 'eror', .*did you mean error\?"):
-        explored.plot("eror")
-
-
-def test_a_map_is_saved_with_the_figure_that_its_axes_are_in(explored, tmp_path) -> None:
-    own = Figure().subplots(1, 2)
-    ss.save_map(explored, tmp_path / "maps" / "two.png", "a title", ax=own[1])
-    assert own[1].get_title() == "a title" and own[1].has_data() and not own[0].has_data()
-    assert (tmp_path / "maps" / "two.png").stat().st_size > 1000

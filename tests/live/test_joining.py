@@ -10,7 +10,7 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.live.joining import HOLD_NS, WAIT_NS, ScanJoiner
+from sixthsense.live.joining import WAIT_NS, ScanJoiner
 
 MS = 1_000_000
 BEGAN = 1_700_000_000_000 * MS
@@ -66,11 +66,6 @@ def test_a_scan_takes_odometry_interpolated_at_its_stamp():
     assert driver.dropped == {}
 
 
-def test_odometry_at_the_stamp_of_a_scan_is_taken_as_it_is():
-    driver = Driver().odometry(0, 20).scan(20)
-    assert driver.ticks[-1].odometry == pose_at(20) and driver.scans_ms == [20]
-
-
 def test_ticks_ascend_and_have_all_odometry_before_a_scan():
     driver = Driver().odometry(0, 20, 40).scan(50).odometry(60, 80, 100).scan(100)
     assert [(tick.stamp_ns - BEGAN) // MS for tick in driver.ticks] == [0, 20, 40, 50, 60, 80, 100]
@@ -84,52 +79,9 @@ def test_a_scan_waits_for_the_odometry_after_it_and_no_longer_than_its_time():
     assert too_late.scans_ms == [] and too_late.dropped == {"scan without odometry": 1}
 
 
-def test_a_scan_that_waits_does_not_hold_up_others():
-    driver = Driver().odometry(0, 20).scan(500, arrival_ms=25).scan(15, arrival_ms=30)
-    assert driver.scans_ms == [15]
-
-
-def test_scans_that_arrive_in_another_order_while_they_wait_are_sorted():
-    driver = Driver().odometry(0).scan(30, arrival_ms=31).scan(20, arrival_ms=32).odometry(40)
-    assert driver.scans_ms == [20, 30] and driver.dropped == {}
-
-
-def test_a_scan_behind_a_newer_one_is_late():
-    driver = Driver().odometry(0, 100, 200).scan(200).scan(100, arrival_ms=300)
-    assert driver.scans_ms == [200] and driver.dropped == {"scan late": 1}
-
-
-def test_a_late_scan_is_used_where_the_next_one_is_lost():
-    driver = Driver().odometry(*range(0, 520, 20)).scan(100, arrival_ms=550)
-    assert driver.scans_ms == [100]
-
-
-@pytest.mark.parametrize("odometry", [(0, 20, 40), (0, 20)])
-def test_a_scan_that_comes_twice_is_counted_once(odometry):
-    driver = Driver().odometry(*odometry).scan(30).scan(30, arrival_ms=31).odometry(60)
-    assert driver.scans_ms == [30] and driver.dropped == {"scan twice": 1}
-
-
-def test_a_scan_before_all_odometry_is_dropped():
-    driver = Driver().odometry(100, 120).scan(90, arrival_ms=130).scan(110, arrival_ms=130)
-    assert driver.scans_ms == [110] and driver.dropped == {"scan without odometry": 1}
-
-
 def test_no_pose_is_interpolated_in_a_long_gap_of_odometry():
     driver = Driver().odometry(0, 20).scan(1000).odometry(1100)
     assert driver.scans_ms == [] and driver.dropped == {"scan without odometry": 1}
-
-
-def test_odometry_that_comes_twice_or_out_of_order_is_counted():
-    driver = Driver().odometry(0, 20, 40).odometry(40, 20, arrival_ms=45).odometry(60).scan(60)
-    assert driver.dropped == {"odometry twice": 1, "odometry out of order": 1}
-    assert [(tick.stamp_ns - BEGAN) // MS for tick in driver.ticks] == [0, 20, 40, 60]
-
-
-def test_odometry_without_scans_becomes_ticks_after_a_while_and_is_not_kept():
-    driver = Driver().odometry(*range(0, 60_000, 20))
-    assert len(driver.ticks) > 2900 and driver.scans_ms == []
-    assert len(driver.joiner._odometry) <= HOLD_NS // (20 * MS) + 2
 
 
 def test_a_scan_that_took_time_has_the_time_of_its_last_beam():
@@ -178,23 +130,6 @@ def test_odometry_that_moves_faster_than_the_robot_can_has_begun_anew(pause_s, o
     for stamp_ns, pose in ((BEGAN, Pose()), (BEGAN + round(pause_s * 1e9), Pose(off_m))):
         assert joiner.add_odometry(stamp_ns, pose, stamp_ns)
     assert (joiner.anew is not None) == is_anew
-
-
-def test_odometry_that_turns_faster_than_the_robot_can_has_begun_anew():
-    joiner = ScanJoiner(RobotConfig(turn_rate=0.5))
-    joiner.add_odometry(BEGAN, Pose(), BEGAN)
-    joiner.add_odometry(BEGAN + 1000 * MS, Pose(theta=1.0), BEGAN + 1000 * MS)
-    assert joiner.anew is None
-    joiner.add_odometry(BEGAN + 2000 * MS, Pose(theta=2.5), BEGAN + 2000 * MS)
-    assert joiner.anew is not None
-
-
-def test_odometry_of_a_driver_that_was_started_again_has_begun_anew_however_near():
-    joiner = ScanJoiner()
-    joiner.add_odometry(BEGAN, Pose(1.0, 2.0, 0.5), BEGAN)
-    joiner.add_odometry(BEGAN + 5000 * MS, Pose(1.1, 2.0, 0.5), BEGAN + 5000 * MS, is_restarted=True)
-    assert joiner.anew is not None and joiner.anew.jump_m == pytest.approx(0.1)
-    assert joiner.newest == (BEGAN + 5000 * MS, Pose(1.0, 2.0, 0.5))
 
 
 def test_odometry_since_it_has_begun_anew_can_be_moved_to_where_the_robot_is():

@@ -6,22 +6,20 @@ import sys
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.commands import TIMEOUT_S, Commands, Stamped
+from sixthsense.live.commands import TIMEOUT_S, Commands
 from sixthsense.live.network import Network, Node
-from sixthsense.live.publishing import MAP, POSE, TF
+from sixthsense.live.publishing import MAP, POSE
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
 from sixthsense.live.simulated import ODOM, SCAN
-from sixthsense.live.topics import LATCHED, SENSOR, NetworkError, checked_topic, dds_type
+from sixthsense.live.topics import SENSOR, dds_type
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
@@ -168,56 +166,3 @@ def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
         assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
         commands.send(Command(0.5, 0.0))
     assert [speed for _, speed in sent.commands[3:]] == [0.0, 0.0, 0.0]
-
-
-def test_stamped_commands_have_the_time_and_the_frame_of_the_robot():
-    from sixthsense.core.source import Command
-
-    sent: list[bytes] = []
-    commands = Commands(SimpleNamespace(send=sent.append), Stamped(lambda: STAMP, "base_footprint"))
-    commands.send(Command(0.5, -0.2))
-    reader = MessageReader()
-    assert reader.command(sent[0], TWIST_STAMPED) == Command(0.5, -0.2)
-    header = reader.read(sent[0], TWIST_STAMPED).header
-    assert (stamp_ns(SimpleNamespace(header=header)), header.frame_id) == (STAMP, "base_footprint")
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"domain": -1}, "--domain: found -1, allowed: 0 to 232"),
-        ({"domain": 233}, "--domain"),
-        ({"interface": 'lo"/><x'}, "--interface: found .*, allowed: the name or the address"),
-        ({"interface": ""}, "--interface"),
-        ({"interface": "eth0", "peers": ("robot",)}, "--peers: found 'robot', allowed: addresses such as"),
-        ({"peers": ("192.168.1.7",)}, "--peers: found 192.168.1.7 with --interface 127.0.0.1"),
-    ],
-)
-def test_a_network_that_cannot_be_is_named(fields, message):
-    with pytest.raises(NetworkError, match=message):
-        Network(**fields)
-
-
-@needs_dds
-@pytest.mark.parametrize("interface", ["nosuch0", "203.0.113.5"])
-def test_an_interface_that_this_machine_has_not_is_named(interface):
-    with pytest.raises(NetworkError, match=f"--interface: found {interface}, allowed: .*lo"):
-        Node(Network(interface=interface))
-
-
-@pytest.mark.parametrize("name", ["", "/", "scan//x", "../etc", "a b", "1scan", "<b>", "x" * 300])
-def test_a_name_of_a_topic_that_is_not_allowed_is_named(name):
-    with pytest.raises(InputError, match=r"--scan: found .*, allowed: a name such as /scan"):
-        checked_topic("--scan", name)
-
-
-def test_topics_are_absolute():
-    assert checked_topic("--scan", "robot1/scan") == "/robot1/scan" == checked_topic("--scan", "/robot1/scan")
-
-
-@needs_dds
-def test_all_qualities_can_be_announced(domain):
-    with Node(Network(domain)) as node:
-        for topic in (SCAN, ODOM, POSE, TF, MAP):
-            assert node.writer(topic).readers == 0
-            assert node.reader(topic._replace(quality=LATCHED if topic is MAP else SENSOR)).take() == []

@@ -8,7 +8,6 @@ import pytest
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command
 from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
@@ -69,14 +68,6 @@ def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transf
         reader.odometry(other)
 
 
-@pytest.mark.parametrize("value", [math.inf, math.nan, -1.0, 5000.0])
-def test_a_range_max_that_no_laser_has_is_named_unless_it_is_stated(value):
-    with pytest.raises(ValueError, match=r"found range_max .*, allowed: .*--laser\.max-range"):
-        laser().scan(scan_message(range_max=value))
-    if value > 0.0:
-        assert laser(max_range=12.0).scan(scan_message(range_max=value))[1].max_range == 12.0
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -95,46 +86,8 @@ def test_a_scan_with_numbers_that_are_not_allowed_is_named(changes):
         laser().scan(scan_message(**changes))
 
 
-def test_a_stamp_whose_nanoseconds_are_a_second_or_more_is_named():
-    header = MAKE.header(STAMP, "laser")
-    header.stamp.nanosec = 2_000_000_000
-    with pytest.raises(ValueError, match="found the stamp"):
-        laser().scan(scan_message(header=header))
-
-
-def test_ranges_that_are_no_numbers_are_no_returns():
-    ranges = np.array([1.0, np.nan, np.inf, -1.0, 11.0] * 72, dtype=np.float32)
-    _, scan = laser().scan(scan_message(ranges=ranges))
-    assert np.isfinite(scan.ranges).sum() == 72
-
-
-def test_beams_of_another_geometry_in_mid_stream_are_named_and_those_of_the_first_go_on():
-    reader = laser()
-    reader.scan(scan_message())
-    for beams in (180, 720):
-        with pytest.raises(ValueError, match=f"found a laser of {beams} beams .*, allowed: as in the first scan, 360"):
-            reader.scan(scan_message(beams))
-    with pytest.raises(ValueError, match="as in the first scan"):
-        reader.scan(scan_message(range_max=8.0))
-    with pytest.raises(ValueError, match="found a scan of rear, allowed: of laser"):
-        reader.scan(scan_message(header=MAKE.header(STAMP, "rear")))
-    assert reader.scan(scan_message())[0] == STAMP
-
-
-def test_a_few_beams_more_or_less_are_those_of_the_same_laser():
-    reader = laser()
-    assert [len(reader.scan(scan_message(beams))[1].ranges) for beams in (360, 358, 363)] == [360, 358, 363]
-
-
-def test_a_message_that_is_too_long_is_not_read():
-    reader = MessageReader()
-    for name in (LASER_SCAN, ODOMETRY, TRANSFORMS, TWIST):
-        with pytest.raises(ValueError, match="found a message of 10000000 bytes"):
-            reader.read(bytes(10_000_000), name)
-
-
 @pytest.mark.parametrize("name", [LASER_SCAN, ODOMETRY, TRANSFORMS, TWIST])
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_damaged_bytes_are_a_value_error(name, seed):
     whole = {
         LASER_SCAN: scan_message(),
@@ -156,21 +109,6 @@ def test_damaged_bytes_are_a_value_error(name, seed):
             assert "\n" not in str(error)
 
 
-def test_a_string_that_claims_to_be_endless_takes_no_memory():
-    data = bytearray(scan_message())
-    data[12:16] = (0xFFFFFFF0).to_bytes(4, "little")  # the length of the frame's name
-    with pytest.raises(ValueError, match=r"cannot be read|letters"):
-        laser().scan(bytes(data))
-
-
-def test_a_command_is_read_and_one_that_no_robot_can_follow_is_not():
-    reader = MessageReader()
-    assert reader.command(MAKE.serialized(MAKE.twist(0.3, -0.2), TWIST)) == Command(0.3, -0.2)
-    for speed in (math.nan, math.inf, 1e6):
-        with pytest.raises(ValueError, match="found a command"):
-            reader.command(MAKE.serialized(MAKE.twist(speed, 0.0), TWIST))
-
-
 def test_the_mount_follows_the_chain_of_static_transforms():
     frames = FrameReader(MessageReader())
     assert frames.mount("base_link", "laser") is None
@@ -179,15 +117,3 @@ def test_the_mount_follows_the_chain_of_static_transforms():
     found = frames.mount("base_link", "laser")
     assert found is not None and not found[1]
     np.testing.assert_allclose(found[0].array(), [0.1, 0.2, 1.0])
-
-
-def test_a_laser_in_the_robots_own_frame_needs_no_transform():
-    assert FrameReader(MessageReader()).mount("base_scan", "base_scan") == (Pose(), False)
-
-
-def test_frames_in_a_circle_are_named():
-    frames = FrameReader(MessageReader())
-    for parent, child in (("a", "b"), ("b", "a")):
-        frames.add(MAKE.serialized(MAKE.transform(STAMP, parent, child, Pose()), TRANSFORMS))
-    with pytest.raises(ValueError, match="circle"):
-        frames.mount("base_link", "a")

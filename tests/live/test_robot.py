@@ -87,21 +87,6 @@ def bench():
     found.slam.close()
 
 
-def test_a_robot_with_scans_and_odometry_drives_at_the_rate_of_odometry(bench):
-    bench.run(2000)
-    driving = [ms for ms, command in bench.sent if command == Command(0.2, 0.0)]
-    assert len(driving) > 70 and max(np.diff(driving)) <= 40
-    assert bench.lines == []
-
-
-def test_without_odometry_each_scan_is_a_tick_and_nothing_is_missed():
-    bench = Bench(preset(no_odometry=True))
-    bench.has_odometry = False
-    bench.run(3000)
-    bench.slam.close()
-    assert bench.robot.joiner.dropped.total() == 0 and bench.lines == []
-
-
 @pytest.mark.parametrize("sensor", ["has_scans", "has_odometry"])
 def test_a_sensor_that_stops_stops_the_robot_within_half_a_second(bench, sensor):
     bench.run(1000)
@@ -117,38 +102,6 @@ def test_a_sensor_that_stops_stops_the_robot_within_half_a_second(bench, sensor)
     assert stopped_ms <= 500 and SILENT_NS < 500 * MS
 
 
-def test_a_laser_that_is_back_is_named_and_the_robot_drives_on(bench):
-    bench.run(1000)
-    bench.has_scans = False
-    bench.run(4000)
-    bench.has_scans = True
-    bench.run(6000)
-    assert bench.lines[0] == "laser is silent; the robot is stopped"
-    assert bench.lines[1].startswith("laser sends again, after 3.")
-    assert bench.sent[-1][1] == Command(0.2, 0.0)
-    assert not any(command != Command() for ms, command in bench.sent if 1500 < ms < 4000)
-
-
-def test_a_clock_that_jumps_is_named_and_the_map_goes_on(bench):
-    bench.run(2000)
-    scans = bench.slam.trajectory().shape[0]
-    bench.jump_ms = -86_400_000
-    bench.run(5000)
-    assert bench.lines[0] == "dropped: odometry with a stamp of another time"
-    assert "the robot's clock has jumped; the map goes on" in bench.lines
-    assert bench.slam.trajectory().shape[0] == scans == 1  # the robot stands: nothing has moved
-    np.testing.assert_allclose(bench.slam.pose.array(), 0.0, atol=1e-6)
-
-
-def test_what_cannot_be_read_is_named_once_and_counted(bench):
-    bench.odd = b"\0\1\0\0garbage"
-    bench.run(3000)
-    (line,) = bench.lines
-    assert line.startswith("scan: found a message that cannot be read")
-    assert bench.robot._notices.dropped["scan unusable"] > 100
-    assert bench.sent[-1][1] == Command(0.2, 0.0)
-
-
 def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
     bench.run(1000)
     bench.publishers = ["robot", "other"]
@@ -159,17 +112,6 @@ def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
     sent = len(bench.sent)
     bench.robot._turn()
     assert not any(command != Command() for _, command in bench.sent[sent:])
-
-
-def test_a_driver_that_is_started_again_at_once_is_no_second_robot(bench):
-    bench.run(1000)
-    bench.publishers = []
-    while bench.now_ms < 1460:  # not by `step`, which waits for a tick
-        bench.robot._turn()
-    bench.publishers = ["robot after its restart"]
-    bench.run(3000)
-    assert bench.robot.outcome is None and bench.sent[-1][1] == Command(0.2, 0.0)
-    assert any("its driver was started again" in line for line in bench.lines)
 
 
 def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if_it_stays(bench):
@@ -184,22 +126,6 @@ def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if
     while bench.robot.step(Command()) is not None:
         assert bench.now_ms < 30_000
     assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
-
-
-def test_the_frame_of_odometry_lies_where_the_pose_says(bench):
-    bench.run(500)
-    tick = bench.robot.step(Command())
-    pose = Pose(1.0, 2.0, 0.3)
-    np.testing.assert_allclose((bench.robot.odom_in_map(tick, pose) @ tick.odometry).array(), pose.array(), atol=1e-12)
-
-
-def test_an_event_that_comes_again_and_again_is_said_now_and_then_and_counted(bench):
-    for second in range(40):
-        bench.has_scans = second % 2 == 0
-        bench.run(1000 * second + 1000)
-    assert bench.robot._notices.events["laser silent"] == 20
-    assert sum(line.startswith("laser is silent") for line in bench.lines) == 4
-    assert bench.robot._notices.summary()[-1] == "events: laser again 19, laser silent 20"
 
 
 def test_the_source_keeps_nothing_of_what_has_passed(bench):

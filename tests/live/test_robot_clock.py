@@ -17,11 +17,6 @@ def running(seconds: float = 1.0, period_s: float = 0.02) -> tuple[RobotClock, i
     return clock, stamp, arrival
 
 
-def test_the_time_of_a_clock_that_does_not_jump_is_its_stamp():
-    clock, stamp, _ = running()
-    assert clock.time(stamp) == stamp and clock.stamp(stamp) == stamp and clock.jumps == 0
-
-
 @pytest.mark.parametrize("by_s", [-3600.0, -2.0, 2.0, 3600.0, 1e8])
 def test_time_goes_on_when_the_clock_jumps(by_s):
     clock, stamp, arrival = running()
@@ -55,24 +50,3 @@ def test_messages_that_arrive_at_once_after_a_pause_are_no_jump():
     for k in range(1, 51):
         assert clock.accepts(stamp + round(0.02 * k * S), arrival + 5 * S + k)
     assert clock.jumps == 0
-
-
-def test_a_clock_may_jump_again():
-    clock, stamp, arrival = running()
-    for by_s in (100.0, -5000.0, 7.0):
-        for _ in range(10):
-            arrival += round(0.02 * S)
-            stamp += round(0.02 * S)
-            clock.accepts(stamp + round(by_s * S), arrival)
-        stamp += round(by_s * S)
-    assert clock.jumps == 3
-    assert 0 <= clock.time(stamp) - (BEGAN + S) <= S
-
-
-def test_the_clock_of_the_robot_goes_on_between_messages_and_follows_a_jump():
-    assert RobotClock().now(7) == 0
-    clock, stamp, arrival = running()
-    assert clock.now(arrival + 3 * S) == stamp + 3 * S
-    for k in range(1, 5):
-        clock.accepts(stamp - 5000 * S + k, arrival + k)
-    assert clock.now(arrival + S) == pytest.approx(stamp - 4999 * S, abs=10)

@@ -1,9 +1,7 @@
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
@@ -12,7 +10,6 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import replay, run
 from sixthsense.record.bag import BagWriter
-from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.runfolder import read_run
@@ -36,61 +33,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Tick]
     with BagWriter(folder) as bag:
         trace = run(CONFIG, lambda tick, trace: (bag(tick, trace), kept(tick, trace))[0])
     return folder, kept.ticks, trace
-
-
-def expected_counts(ticks: list[Tick], trace: Trace) -> dict[str, int]:
-    return {
-        "/tf_static": 1,
-        "/odom": len(ticks),
-        "/truth": len(ticks),
-        "/scan": len(trace.stamps_ns),
-        "/estimate": len(trace.key_estimates),
-        "/plan": len(trace.plans),
-    }
-
-
-def test_the_metadata_names_topics_times_and_the_file(recorded):
-    folder, ticks, trace = recorded
-    table = yaml.safe_load((folder / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    assert table["storage_identifier"] == "mcap" and table["relative_file_paths"] == ["bag_0.mcap"]
-    assert table["duration"]["nanoseconds"] == ticks[-1].stamp_ns
-    counts = {t["topic_metadata"]["name"]: t["message_count"] for t in table["topics_with_message_count"]}
-    assert counts == expected_counts(ticks, trace) and table["message_count"] == sum(counts.values())
-
-
-def test_a_filled_form_is_the_message_with_its_numbers():
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    time, header, point = (store.types[name] for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header",
-                                                          "geometry_msgs/msg/Point"))  # fmt: skip
-
-    def serialized(stamp, x, y):
-        message = store.types["geometry_msgs/msg/PointStamped"](header(time(*stamp), "odom"), point(x, y, 3.0))
-        return bytes(store.serialize_cdr(message, "geometry_msgs/msg/PointStamped"))
-
-    form = MessageForm(2, lambda numbers: serialized((0, 0), *numbers))
-    for stamp, x, y in (((0, 0), 0.0, -0.0), ((2**31 - 1, 999_999_999), math.pi, math.inf), ((7, 5), 1e-300, -2.5)):
-        assert form.fill(*stamp, (x, y)) == serialized(stamp, x, y)
-
-
-@pytest.mark.parametrize("beams", [0, 1, 181])
-def test_a_form_of_scans_gives_the_bytes_of_a_message(beams):
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
-
-    def serialized(stamp, ranges):
-        content = (-1.5, 1.5, 0.01, 0.0, 0, 0, 30.0, ranges, np.zeros(0, dtype=np.float32))
-        message = store.types["sensor_msgs/msg/LaserScan"](header(time(*stamp), "laser"), *content)
-        return bytes(store.serialize_cdr(message, "sensor_msgs/msg/LaserScan"))
-
-    form = ArrayForm(beams, lambda ranges: serialized((0, 0), ranges))
-    for stamp in ((0, 0), (2**31 - 1, 999_999_999)):
-        ranges = np.linspace(0.0, 40.0, beams, dtype=np.float32)
-        ranges[::3] = np.inf
-        assert form.fill(*stamp, ranges) == serialized(stamp, ranges)
 
 
 def test_messages_say_what_the_run_believed_and_planned(recorded):
@@ -141,9 +83,8 @@ def test_a_run_replays_to_the_same_estimates_covariances_and_errors(recorded):
 
 
 @pytest.mark.parametrize("name", ["default", "report"])
-@pytest.mark.parametrize("seed", range(3))
-def test_replay_is_exact_over_presets_and_seeds(name, seed, tmp_path):
-    config = preset(name, task="tour", max_time=25.0, seed=seed)
+def test_replay_is_exact(name, tmp_path):
+    config = preset(name, task="tour", max_time=15.0, seed=1)
     with BagWriter(tmp_path) as bag:
         trace = run(config, bag)
     again = replay(read_run(tmp_path, config.laser), config)
@@ -164,17 +105,6 @@ def test_a_log_keeps_its_own_stamps_beside_the_clock(tmp_path):
     assert [tick.stamp_ns for tick in log.ticks] == clock
     assert [tick.log_stamp_s for tick in log.ticks][:3] == own[:3]  # the fourth is beyond what ROS can count
     assert log.backward_stamps == 1
-
-
-def test_headings_survive_the_quaternion_to_the_last_bit():
-    rng = np.random.default_rng(0)
-    near = 10.0 ** rng.uniform(-300, 0, 5000)
-    headings = np.concatenate([rng.uniform(-math.pi, math.pi, 50_000), near, -near, near - math.pi, [0.0, -math.pi]])
-    headings = np.append(headings[headings < math.pi], np.nextafter(math.pi, 0.0))
-    for theta in headings.tolist():
-        z, w = quaternion(theta)
-        assert 2.0 * math.atan2(z, w) == theta
-        assert math.hypot(z, w) == pytest.approx(1.0, abs=1e-15)
 
 
 def test_an_interrupted_run_has_a_whole_bag(tmp_path):

@@ -1,6 +1,12 @@
 import errno
-import importlib
+import mmap
 import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +22,6 @@ from sixthsense.sources.logs.runfolder import read_run
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
 
 
@@ -27,13 +32,65 @@ def complaint(args: list[str], capsys) -> str:
     return err
 
 
+# The command, which also writes the last recorded and the last flushed stamp into shared memory.
+CHILD = """
+import mmap, struct, sys
+from sixthsense import cli
+from sixthsense.record import bag
+with open(sys.argv[1], "r+b") as file:
+    notes = mmap.mmap(file.fileno(), 16)
+call, flush = bag.BagWriter.__call__, bag.BagWriter._flush
+def noting_call(self, tick, trace):
+    notes[0:8] = struct.pack("<q", tick.stamp_ns)
+    call(self, tick, trace)
+def noting_flush(self):
+    flush(self)
+    notes[8:16] = notes[0:8]
+bag.BagWriter.__call__, bag.BagWriter._flush = noting_call, noting_flush
+sys.exit(cli.main(sys.argv[2:]))
+"""
+
+
+@dataclass(frozen=True)
+class Kill:
+    """The folder of a killed run and its progress at that time."""
+
+    partial: Path
+    """the folder"""
+    recorded_ns: int
+    """stamp of the last tick passed to the bag writer"""
+    flushed_ns: int
+    """stamp of the last flushed tick"""
+    lost_wall_s: float
+    """time since bag and record were both last written"""
+
+
+def kill_one(folder: Path, after_s: float, seed: int = 0) -> Kill:
+    """Start a run in `folder` and kill it `after_s` seconds after its first tick is on disk."""
+    notes = folder / "notes"
+    notes.write_bytes(struct.pack("<qq", -1, -1))
+    words = ["run", "--task", "tour", "--max-time", "1e6", "--seed", str(seed), "--out", str(folder / "run")]
+    command = [sys.executable, "-c", CHILD, str(notes), *words]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+        with notes.open("r+b") as file, mmap.mmap(file.fileno(), 16, access=mmap.ACCESS_READ) as seen:
+            while seen[8:16] == b"\xff" * 8:
+                if child.poll() is not None:
+                    raise RuntimeError(f"the run ended before it was killed, with exit code {child.returncode}")
+                time.sleep(0.01)
+        time.sleep(after_s)
+        child.send_signal(signal.SIGKILL)
+        killed = time.time()
+        child.wait()
+    recorded_ns, flushed_ns = struct.unpack("<qq", notes.read_bytes())
+    partial = folder / "run.partial"
+    written = min((partial / name).stat().st_mtime for name in ("bag/bag_0.mcap", "record.jsonl"))
+    return Kill(partial, recorded_ns, flushed_ns, killed - written)
+
+
 @pytest.fixture(scope="module")
 def kills(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        kill = importlib.import_module("kill")
     rng = np.random.default_rng()
-    return [kill.kill_one(tmp_path_factory.mktemp("killed"), float(rng.uniform(0.0, 1.5))) for _ in range(4)]
+    return [kill_one(tmp_path_factory.mktemp("killed"), float(rng.uniform(0.0, 1.5))) for _ in range(2)]
 
 
 def test_a_run_killed_at_any_moment_loses_at_most_its_last_chunk(kills):
@@ -71,7 +128,7 @@ def test_a_replay_never_costs_the_log_itself(kills, capsys):
     assert (partial / "bag" / "bag_0.mcap").read_bytes() == before
 
 
-@pytest.mark.parametrize("share", np.linspace(0.0, 0.99, 12))
+@pytest.mark.parametrize("share", (0.0, 0.05, 0.4, 0.99))
 def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, tmp_path, monkeypatch):
     monkeypatch.setattr(bag, "_CHUNK_BYTES", 20_000)
     config = preset(task="tour", scene="rectangle", max_time=4.0)
@@ -107,16 +164,3 @@ def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, capsys, m
     said = complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
     assert "x.partial: No space left on device" in said
     assert len(load(tmp_path / "x.partial").trace.estimates) > 20
-
-
-def test_a_place_that_cannot_be_written_ends_in_one_line(tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert "cannot be written" in complaint([*RUN, "--out", str(tmp_path / "file" / "x")], capsys)
-
-
-def test_a_folder_without_a_bag_is_named(tmp_path):
-    kept = folder.RunFolder(tmp_path / "run", preset())
-    with pytest.raises(ValueError, match=r"bag_0.mcap: no such file, allowed: a run folder with a bag"):
-        load(kept.partial)
-    with pytest.raises(ValueError, match=r"found no config.toml in it, allowed: the folder of a run"):
-        load(tmp_path)

@@ -6,7 +6,6 @@ import gtsam
 import numpy as np
 import pytest
 
-import sixthsense as ss
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.loop import replay, run
@@ -74,21 +73,6 @@ def test_the_graphs_optimum_is_what_the_smoother_had_found(graph: FactorGraph, t
     assert np.abs(moved).max() < 0.03
 
 
-def test_the_npz_holds_the_whole_graph(graph: FactorGraph, tmp_path: Path) -> None:
-    write_graph(tmp_path, graph)
-    with np.load(tmp_path / "graph.npz") as held:
-        for name in FactorGraph.__slots__:
-            assert np.array_equal(held[name], getattr(graph, name))
-
-
-def test_a_run_without_a_landmark_has_a_graph_of_odometry_alone(tmp_path: Path) -> None:
-    blind = {"points": {"corners": False, "ends": False}}
-    graph = factor_graph(run(preset(scene="rectangle", estimator="isam2", max_time=5.0, features=blind)))
-    write_graph(tmp_path, graph)
-    factors, _ = gtsam.readG2o(str(tmp_path / "graph.g2o"))
-    assert factors.size() == len(graph.motions) > 2 and len(graph.observations) == 0
-
-
 def test_the_links_of_scan_matching_are_edges_that_gtsam_reads(tmp_path):
     made = run(preset(scene="rectangle", front_end="scan-matching", estimator="isam2", task="tour", max_time=12.0))
     links = links_of(made)
@@ -98,11 +82,3 @@ def test_the_links_of_scan_matching_are_edges_that_gtsam_reads(tmp_path):
     assert len(np.load(tmp_path / "graph.npz")["link_ends"]) == len(links.ends)
     apart = between(made.trajectory[links.ends[:, 0]], made.trajectory[links.ends[:, 1]]) - links.motions
     assert np.abs(apart[:, :2]).max() < 0.02
-
-
-def test_links_are_read_back_from_a_folder(tmp_path):
-    fields = {"front_end": "scan-matching", "estimator": "isam2", "task": "tour", "max_time": 8.0}
-    made = ss.run("rectangle", out=tmp_path / "run", **fields)
-    loaded = ss.load(tmp_path / "run")
-    for before, after in zip(made.trace.links, loaded.trace.links, strict=True):
-        assert np.array_equal(before, after)

@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -16,10 +15,6 @@ from sixthsense.figures.panels import KINDS, FigureError
 from sixthsense.figures.run import Run
 from sixthsense.record.stream import FILE, RecordWriter
 
-gtsam = pytest.importorskip("gtsam")
-
-DATA = Path(os.environ.get("SIXTHSENSE_DATA", "nowhere"))
-INTEL = DATA / "intel" / "intel.clf.bz2", DATA / "intel" / "intel.relations"
 ARRAYS = ("record.npz", "landmarks.npz", "grid.npz")
 
 
@@ -88,36 +83,6 @@ def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
     }
 
 
-def test_the_factor_graph_of_a_record_read_back_is_the_runs(simulated):
-    from sixthsense.record.factors import factor_graph
-
-    before, after = factor_graph(simulated.trace), factor_graph(ss.load(simulated.folder).trace)
-    for name in type(before).__slots__:
-        assert np.array_equal(getattr(before, name), getattr(after, name))
-
-
-def test_a_replay_of_landmarks_known_by_name_is_read_back(tmp_path):
-    park = Path(gtsam.__file__).parent / "Data" / "victoria_park.txt"
-    check_equal(ss.replay(park, estimator="ekf-invariant", max_time=60.0, out=tmp_path / "park"))
-
-
-@pytest.mark.skipif(not all(file.is_file() for file in INTEL), reason="needs SIXTHSENSE_DATA with intel/")
-@pytest.mark.parametrize("settings", [{"estimator": "ekf", "max_time": 200.0}, {"max_time": 80.0}])
-def test_a_replay_measured_by_relations_is_read_back(settings, tmp_path):
-    run = ss.replay(INTEL[0], relations=INTEL[1], out=tmp_path / "intel", **settings)
-    assert run.metrics["relations_trans_m_max"] >= run.metrics["relations_trans_m_mean"]
-    assert "loop_closures_found" in run.metrics  # with landmarks, too: scan matching proposes where the robot is
-    check_equal(run)
-
-
-def test_reading_a_folder_estimates_nothing(folder, monkeypatch):
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("an estimator was made")
-
-    monkeypatch.setattr("sixthsense.slam.slam.make_estimator", refuse)
-    ss.load(folder).plot()
-
-
 def test_the_map_read_back_takes_further_scans_as_the_runs_own(folder):
     from sixthsense.figures.recording import Recording
     from sixthsense.loop import run
@@ -183,16 +148,6 @@ def test_a_folder_of_an_earlier_version_has_what_its_bag_and_tables_say(simulate
         run.plot("nis")
 
 
-def test_a_report_names_what_is_missing(simulated, tmp_path, capsys):
-    from sixthsense.cli import main
-
-    older = copied(simulated.folder, tmp_path / "older", "grid.npz")
-    assert main(["report", str(older)]) == 0
-    assert "found no record of the grid map (grid.npz)" in capsys.readouterr().err
-    assert "no record of the grid map (grid.npz)" in (older / "figures" / "report.html").read_text(encoding="utf-8")
-    assert not (older / "figures" / "exploration.png").exists()
-
-
 def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_left(tmp_path, monkeypatch):
     from sixthsense.loop import run
 
@@ -222,8 +177,7 @@ def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_l
         b'{"keyframe": "x"}', b'{"keyframe": 1, "motion": null}', b'{"scan": 1' + b"0" * 400 + b"}",
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("number", [1, 12])
-def test_a_damaged_line_is_named(folder, tmp_path, line, number):
+def test_a_damaged_line_is_named(folder, tmp_path, line, number=12):
     damaged = copied(folder, tmp_path / "damaged")
     lines = (damaged / FILE).read_bytes().splitlines()
     lines[number - 1] = line
@@ -235,7 +189,7 @@ def test_a_damaged_line_is_named(folder, tmp_path, line, number):
     assert "\n" not in str(told.value) and len(str(told.value)) < 600
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(8))
 def test_a_line_with_a_changed_byte_is_read_or_named(folder, tmp_path, seed):
     rng = np.random.default_rng(seed)
     damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
@@ -248,18 +202,7 @@ def test_a_line_with_a_changed_byte_is_read_or_named(folder, tmp_path, seed):
         assert "\n" not in str(error)
 
 
-@pytest.mark.parametrize("name", [*ARRAYS, "metrics.json"])
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-def test_a_file_that_was_cut_is_named(folder, tmp_path, name, share):
-    damaged = copied(folder, tmp_path / "damaged")
-    content = (damaged / name).read_bytes()
-    (damaged / name).write_bytes(content[: int(share * len(content))])
-    with pytest.raises(ss.InputError, match=rf"{name}: ") as told:
-        ss.load(damaged)
-    assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ARRAYS)
 def test_arrays_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
     rng = np.random.default_rng(seed)
@@ -279,16 +222,6 @@ def test_arrays_of_another_run_are_refused(simulated, folder, tmp_path):
     shutil.copy(simulated.folder / "record.npz", mixed)
     with pytest.raises(ss.InputError, match=r"record.npz: "):
         ss.load(mixed)
-
-
-def test_the_records_attributes_are_the_runs_for_one_version_with_a_warning(folder):
-    run = ss.load(folder)
-    with pytest.warns(DeprecationWarning, match="run.estimates is deprecated, use run.trace.estimates"):
-        assert run.estimates is run.trace.estimates
-    with pytest.raises(AttributeError):
-        _ = run.nothing
-    with pytest.warns(DeprecationWarning, match="ss.Trace.load is deprecated, use ss.load"):
-        assert ss.Trace.load(folder).metrics == run.metrics
 
 
 def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):

@@ -11,7 +11,6 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.core import interrupt
-from sixthsense.evaluation.measure import measure
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -41,52 +40,6 @@ def test_fields_are_given_by_name_and_sections_as_mappings():
     assert run.name == "rectangle"
 
 
-def test_a_whole_configuration_is_run_as_it_is_or_with_fields_over_it():
-    config = ss.preset(scene="rectangle", **SHORT)
-    ticks = []
-    plain = ss.run(config, lambda tick, trace: ticks.append(tick))
-    assert same(plain, ss.run("rectangle", **SHORT))
-    assert len(ticks) > 100
-    assert ss.run(config, seed=5).trace.config.seed == 5
-
-
-def test_a_goal_is_a_goal_tasks():
-    run = ss.run("rectangle", goal=(1.0, 0.5), max_time=1.0)
-    assert run.trace.config.task == "goal"
-
-
-@pytest.mark.parametrize(
-    ("call", "complaint"),
-    [
-        (lambda: ss.run("rectangle", esimator="ekf"), "esimator: no such field, did you mean estimator. allowed: "),
-        (
-            lambda: ss.run("rectangle", estimator="ukf"),
-            "estimator: found 'ukf', did you mean ekf. allowed: ekf, ekf-fej",
-        ),
-        (lambda: ss.run("rectangle", laser={"beam": 90}), "laser.beam: no such field, did you mean beams. allowed: "),
-        (lambda: ss.run("rectangle", features="corners"), "features: found 'corners', allowed: a table"),
-        (lambda: ss.run("rectangle", preset="modern"), "preset: found 'modern', .*allowed: default"),
-        (lambda: ss.run(ss.preset(), preset="worn"), "preset: found 'worn' with a complete configuration"),
-        (lambda: ss.run("rectangle", scene="block"), "scene: found 'block' beside 'rectangle', allowed: one scene"),
-        (lambda: ss.run("rectangel"), "scene: found 'rectangel', did you mean rectangle. allowed: .*rectangle"),
-        (lambda: ss.run("rectangle", goal=(2.0, 2.0), task="tour"), "goal: found with task tour, allowed"),
-        (
-            lambda: ss.run("rectangle", goal=(0, 0), tour=[(1, 1)]),
-            "^goal: found beside a tour, allowed: one of the two$",
-        ),
-        (lambda: ss.run("rectangle", estimator=lambda start, cov: None), "estimator: name: found '<lambda>', allowed"),
-        (lambda: ss.run("rectangle", seed=-1), "seed: found -1, allowed: at least 0"),
-        (lambda: ss.replay("nowhere.log"), "nowhere.log: "),
-        (lambda: ss.replay("nowhere.log", planner="astar"), "planner: found on replay, allowed: options of the est"),
-        (lambda: ss.replay("nowhere.log", topics=["/scan"]), "topic: found on a log that is not a ROS bag"),
-    ],
-)
-def test_what_will_not_do_is_told_in_one_line(call, complaint):
-    with pytest.raises(ss.InputError, match=complaint) as caught:
-        call()
-    assert "\n" not in str(caught.value)
-
-
 def test_a_runs_folder_is_what_the_command_writes_and_loads_as_the_run_it_was(folder):
     out, run = folder
     assert {"config.toml", "bag", "metrics.json", "estimate.tum", "figures"} <= {entry.name for entry in out.iterdir()}
@@ -98,12 +51,6 @@ def test_a_runs_folder_is_what_the_command_writes_and_loads_as_the_run_it_was(fo
         ss.run("rectangle", out=out, **SHORT)
 
 
-def test_what_a_bad_run_was_to_write_is_not_begun(tmp_path):
-    with pytest.raises(ss.InputError):
-        ss.run("rectangle", goal=(99.0, 99.0), out=tmp_path / "bad")
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(folder):
     out, run = folder
     assert same(ss.replay(out), run)
@@ -111,23 +58,6 @@ def test_a_folder_is_replayed_with_its_own_configuration_and_fields_over_it(fold
     assert other.trace.config.estimator == "ekf-invariant"
     assert other.trace.config.seed == 2
     assert other.trace.odometry[-1] == pytest.approx(run.trace.odometry[-1])
-
-
-def test_the_preset_follows_the_kind_of_log(tmp_path):
-    line = "FLASER 4 1.0 2.0 3.0 4.0 0.0 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
-    log = tmp_path / "some.log"
-    log.write_text("".join(line.format(x=0.1 * k, stamp=float(k)) for k in range(5)))
-    laser = {"beams": 4, "fov": 1.5}
-    run = ss.replay(log, laser=laser)
-    assert run.trace.config.preset == "log"
-    assert run.outcome == "log ended"
-    assert run.name == "some.log"
-    assert ss.replay(log, preset="worn", laser=laser).trace.config.preset == "worn"
-    assert ss.replay(log, ss.preset(laser=laser)).trace.config.preset == "default"
-    opened = ss.open_log(log, run.trace.config.laser)
-    assert len(ss.replay(opened, run.trace.config).trace.stamps_ns) == 5
-    with pytest.raises(ss.ConfigError, match="config: found none for an opened log"):
-        ss.replay(opened)
 
 
 def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tmp_path, monkeypatch):
@@ -142,26 +72,6 @@ def test_an_interrupted_run_is_handed_over_as_far_as_it_came_and_can_be_drawn(tm
     assert len(run.trace.stamps_ns) == 20
     assert run.plot().png()[:4] == b"\x89PNG"
     assert json.loads((tmp_path / "cut" / "metrics.json").read_text())["outcome"] == "interrupted"
-
-
-def test_a_ctrl_c_after_the_end_does_not_lose_what_a_run_has_found(tmp_path, monkeypatch):
-    monkeypatch.setattr(interrupt, "_last_s", -np.inf)
-
-    def measured(trace):
-        os.kill(os.getpid(), signal.SIGINT)
-        return measure(trace)
-
-    monkeypatch.setattr("sixthsense.evaluation.measured_run.measure", measured)
-    run = ss.run("rectangle", task="tour", max_time=3.0, out=tmp_path / "whole")
-    assert json.loads((tmp_path / "whole" / "metrics.json").read_text())["outcome"] == run.outcome == "tour ended"
-
-
-def test_a_tour_of_given_goals_is_driven_once_unless_its_time_is_limited():
-    goals = ((0.5, 0.5), (1.0, 0.5))
-    once = ss.run("rectangle", tour=goals)
-    assert once.outcome == "tour ended" and np.hypot(*(once.trace.truths[-1][:2] - goals[-1])) < 0.1
-    again = ss.run("rectangle", tour=goals, max_time=once.metrics["sim_time_s"] + 5.0)
-    assert again.outcome == "tour ended" and again.metrics["path_length_m"] > once.metrics["path_length_m"]
 
 
 class Renamed(EKF):

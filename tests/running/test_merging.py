@@ -5,7 +5,6 @@ import pytest
 
 import sixthsense as ss
 from sixthsense import cli
-from sixthsense.running.merging import MergeError
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -62,26 +61,3 @@ def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
     assert line.startswith(
         "other: found no place of monday that alone fits what was seen, allowed: two runs that share"
     )
-
-
-def test_a_second_run_that_cannot_be_linked_leaves_no_folder(runs, here, monkeypatch):
-    """As where the place was found, but is not the right one."""
-    from sixthsense.slam.scans.loop_closures import LoopClosures
-
-    monkeypatch.setattr(LoopClosures, "look", lambda self, key: None)
-    with pytest.raises(MergeError, match=r"^merge: found no scan of the second run that could be linked to the first"):
-        ss.merge_runs(runs / "monday", runs / "tuesday", out="both", progress=False)
-    assert [entry.name for entry in here.iterdir() if entry.name != ".run.lock"] == []
-
-
-def test_bad_input_ends_in_one_line(runs, here, capsys, tmp_path):
-    monday = runs / "monday"
-    assert complaint([monday], capsys, here) == f"runs: found {monday}, allowed: the folders of two runs"
-    assert complaint([], capsys, here) == "runs: found nothing, allowed: the folders of two runs"
-    line = complaint([monday, "nowhere"], capsys, here)
-    assert line == "nowhere: found no such folder, allowed: the folder of a run"
-    line = complaint([monday, runs / "tuesday", "--task", "goal"], capsys, here)
-    assert line.startswith("--task: found on replay, allowed: ")
-    ss.run("rectangle", seed=1, laser={"beams": 180}, out=tmp_path / "few", **TOUR)
-    line = complaint([monday, tmp_path / "few"], capsys, here)
-    assert line == "few: found laser.beams 180, allowed: 360, as in monday"

@@ -11,8 +11,6 @@ from sixthsense.config import preset
 from sixthsense.record.trace import Trace
 from sixthsense.running.progress import LiveStatus, Progress, seen_area
 
-ESCAPE = "\x1b"
-
 
 def a_live_trace(scans: int) -> Trace:
     trace = Trace(preset(), None, 0.2, stamps_ns=list(range(scans)), since_key=[np.zeros(3)])
@@ -34,27 +32,6 @@ def test_the_status_of_a_live_run_has_sigmas_rate_and_dropped_messages(monkeypat
 
 def at(seconds: float) -> SimpleNamespace:
     return SimpleNamespace(stamp_ns=round(seconds * 1e9))
-
-
-def shown(total_s: float | None) -> str:
-    with redirect_stderr(io.StringIO()) as err, Progress("a log", total_s, shown=True) as bar:
-        for seconds in (0.0, 30.0, 60.0):
-            bar(at(seconds), Trace(preset(), None, 0.2))
-        bar._bar.refresh()
-    return err.getvalue()
-
-
-def test_a_run_with_a_known_end_shows_the_time_that_is_left():
-    last = shown(120.0).split("\r")[-3:]
-    assert any("60 of 120 s" in text and " so far, 00:00 left" in text for text in last), last
-
-
-def test_a_run_without_a_known_end_shows_no_time_left():
-    assert "left" not in shown(None) and "60 s" in shown(None)
-
-
-def test_the_bar_of_a_terminal_has_no_colour():
-    assert ESCAPE + "[3" not in shown(120.0)
 
 
 def test_nothing_is_written_where_no_terminal_is():

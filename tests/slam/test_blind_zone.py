@@ -31,16 +31,6 @@ def test_only_scans_in_a_row_whose_observations_are_discarded_make_the_pose_unce
     assert np.all(np.diag(second.cov) > 2.0 * np.diag(first.cov))
 
 
-def test_a_scan_without_observations_is_not_blind() -> None:
-    zone = BlindZone()
-    assert all(zone.uncertainty(association_of(0, 0)) is None for _ in range(10))
-
-
-def test_one_or_two_observations_in_each_scan_do_not_make_the_pose_uncertain() -> None:
-    zone = BlindZone()
-    assert all(zone.uncertainty(association_of(2, 0)) is None for _ in range(20))
-
-
 def test_scans_with_few_observations_do_not_end_the_blind_zone() -> None:
     zone = BlindZone()
     found = [zone.uncertainty(association_of(count, 0)) for count in (5, 1, 5, 1, 5)]

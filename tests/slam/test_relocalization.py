@@ -102,20 +102,9 @@ def test_once_the_corridor_tells_the_rooms_apart_the_place_is_found(room):
     assert math.hypot(error.x, error.y) < 0.1 and abs(wrap_angle(error.theta)) < 0.03
 
 
-def test_furniture_that_was_moved_does_not_mislead():
-    moved = np.concatenate([ROOMS[:-4], box(16, 2, 1.0, 0.6)])
-    found = search(along((12, 2), (14.5, 2), (14.5, 5), (18.5, 5), (18.5, 6.2), (18.5, 5), (15, 5)), moved)
-    assert found is not None
-    assert math.hypot(found[1].x, found[1].y) < 0.1
-
-
 def test_in_another_building_nothing_is_found():
     other = np.concatenate([outline((0, 0), (9, -2), (12, 6), (3, 9)), box(4, 3, 1.5, 1.5)])
     assert search(along((1.5, 1.5), (6, 1), (9, 3), (6.5, 6), (3.5, 6), (2, 2)), other) is None
-
-
-def test_a_map_without_obstacles_tells_nothing():
-    assert search(along((2, 2), (4.5, 2), (4.5, 5)), prior=map_of(np.zeros((0, 2, 2)), [Pose()])) is None
 
 
 class Numbers:
@@ -174,11 +163,4 @@ def test_a_lost_robot_in_another_building_ends_in_one_line(first):
     scene = dataclasses.replace(scene_of(other, Pose()), region=(-3.0, -3.0, 9.0, 7.5))
     config = preset(scene="rectangle", task="tour", max_time=10.0, seed=2)
     with pytest.raises(PriorMapError, match=r"^lost: found no place of first that alone fits what was seen on \d+ m"):
-        loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))
-
-
-def test_a_search_ends_at_the_time_limit(first):
-    config = preset(scene="rectangle", task="tour", max_time=2.0, seed=2)
-    scene = scene_of(outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), Pose())
-    with pytest.raises(PriorMapError, match=r"on \d m \(out of time\), allowed"):
         loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))

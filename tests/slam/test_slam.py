@@ -1,7 +1,5 @@
 """`Slam` fed by hand: what the loop makes of a world, and readings that change nothing."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
@@ -114,11 +112,3 @@ def test_what_cannot_be_taken_is_refused() -> None:
         slam.finish()
         with pytest.raises(RuntimeError, match="finish"):
             slam.odometry(300, Pose())
-
-
-def test_an_own_laser_is_described_by_the_configuration() -> None:
-    config = dataclasses.replace(config_of("ekf"), laser=ss.preset(laser={"beams": 181, "fov": np.pi}).laser)
-    with Slam(config) as slam:
-        step = slam.scan(0, np.full(181, 2.0), Pose())
-        assert step.scan is not None
-        assert len(step.scan.ranges) == 181

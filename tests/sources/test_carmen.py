@@ -76,19 +76,6 @@ def test_a_scan_has_the_mount_and_the_bearings_of_the_laser(tmp_path: Path) -> N
     assert scan.bearings == pytest.approx(np.linspace(-math.pi / 2, math.pi / 2, 4), abs=1e-6)
 
 
-def test_ticks_keep_the_order_of_the_file_when_stamps_decrease(tmp_path: Path) -> None:
-    log = read_carmen(written(tmp_path, odom(10) + flaser(11) + flaser(5) + odom(5) + flaser(11) + flaser(12)), LASER)
-    s = 10**9
-    assert stamps(log) == [10 * s, 11 * s, 11 * s + 1, 11 * s + 2, 11 * s + 3, 12 * s]
-    assert [tick.log_stamp_s for tick in log.ticks] == [None, 11.0, 5.0, None, 11.0, 12.0]
-    assert log.backward_stamps == 1
-
-
-def test_stamps_keep_all_digits_of_the_log(tmp_path: Path) -> None:
-    log = read_carmen(written(tmp_path, odom("976052857.337284123") + flaser("1e9")), LASER)
-    assert stamps(log) == [976052857337284123, 10**18]
-
-
 def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
     for seed in range(10):
         own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)
@@ -105,41 +92,6 @@ def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path:
         assert stamps(log) == [10**9, 2 * 10**9]
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("ODOM 1 2\n", "found ODOM of 3 fields, allowed: 10 (a CARMEN line cut short)"),
-        ("ODOM 1 2 3 0 0 0 1.0 host 0.5 6\n", "found ODOM of 11 fields, allowed: 10"),
-        (odom(x="one"), "found 'one', allowed: a number"),
-        (odom(theta="nan"), "found 'nan', allowed: a finite number"),
-        (odom(stamp="soon"), "found stamp 'soon'"),
-        (odom(stamp="-1"), "found stamp '-1', allowed: 0 to"),
-        (odom(stamp="1e300"), "found stamp '1e300'"),
-        (flaser(robot="inf 0 0"), "found 'inf', allowed: a finite number"),
-        (flaser(ranges="1 2 -0.5 4"), "found range '-0.5', allowed: metres, at least 0"),
-        (flaser(ranges="1 2 nan 4"), "found range 'nan'"),
-        (flaser(ranges="1 2 x 4"), "found 'x', allowed: a number"),
-        ("FLASER\n", "cut short"),
-        ("FLASER four 1 2 3 4\n", "found 'four' ranges in FLASER, allowed: a whole number"),
-        ("FLASER -4 1 2 3 4\n", "found '-4' ranges"),
-        ("FLASER 999999999999 1 2 3 4\n", "cut short"),
-        (f"FLASER {'9' * 5000} 1 2 3 4\n", "ranges in FLASER, allowed: a whole number"),
-        ("FLAS\n", "found 'FLAS', a CARMEN line cut short"),
-        ("976052905.1 976052911.8 0 0 0 0 0 0\n", "found '976052905.1', allowed: a CARMEN message"),
-    ],
-)
-def test_a_bad_line_is_named_with_what_was_found(tmp_path: Path, line: str, said: str) -> None:
-    message = error_of(written(tmp_path, HEADER + flaser() + line + flaser(2)))
-    assert f"{tmp_path / 'some.log'} line 4: " in message
-    assert said in message
-    assert len(message) < 300 + len(str(tmp_path))
-
-
-def test_a_number_of_beams_that_is_set_and_not_in_the_log_is_named(tmp_path: Path) -> None:
-    message = error_of(written(tmp_path, HEADER + flaser(ranges="1 2 3 4 5")))
-    assert "found scans of 5 beams, allowed: 4 (laser.beams)" in message
-
-
 @pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
 def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: str) -> None:
     for length in range(1, line.rindex(" ") + 1):
@@ -147,43 +99,6 @@ def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: s
         assert len(log.ticks) == 1
         assert log.remarks()[0].startswith("the last line is damaged and left out (line 2: found ")
         assert "\n" not in log.remarks()[0]
-
-
-@pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
-def test_the_same_damage_before_the_last_line_is_an_error(tmp_path: Path, line: str) -> None:
-    for length in range(1, line.rindex(" ") + 1):
-        assert "line 2: " in error_of(written(tmp_path, flaser() + line[:length] + "\n" + odom(13)))
-
-
-def test_a_log_whose_only_scan_is_damaged_is_an_error(tmp_path: Path) -> None:
-    assert "line 2: found FLASER" in error_of(written(tmp_path, odom() + flaser()[:20]))
-
-
-def test_a_last_line_needs_no_line_end(tmp_path: Path) -> None:
-    assert len(read_carmen(written(tmp_path, flaser() + flaser(2).rstrip("\n")), LASER).scans) == 2
-
-
-def test_a_log_without_scans_lists_the_messages_it_has(tmp_path: Path) -> None:
-    assert "found no FLASER or ROBOTLASER1 line (2 ODOM, 1 PARAM)" in error_of(
-        written(tmp_path, HEADER + odom() + odom(2))
-    )
-    assert "no line at all" in error_of(written(tmp_path, ""))
-
-
-def test_a_missing_file_and_a_folder_are_named(tmp_path: Path) -> None:
-    assert "no such file" in error_of(tmp_path / "none.log")
-    assert "cannot be read" in error_of(tmp_path)
-
-
-def test_random_bytes_are_refused_in_one_short_line(tmp_path: Path) -> None:
-    for seed in range(30):
-        noise = np.random.default_rng(seed).bytes(5000)
-        for start in (b"", b"\x1f\x8b\x08", b"BZh9", b"FLASER ", b"ODOM "):
-            assert len(error_of(written(tmp_path, start + noise))) < 300 + len(str(tmp_path))
-
-
-def test_an_endless_line_does_not_fill_the_memory(tmp_path: Path) -> None:
-    assert "line 1: found a line of over" in error_of(written(tmp_path, gzip.compress(bytes(20_000_000))))
 
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
@@ -195,22 +110,6 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
     damaged = bytearray(content)
     damaged[len(content) // 2] ^= 0xFF
     error_of(written(tmp_path, bytes(damaged)))
-
-
-def test_an_unknown_kind_of_log_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"allowed: CARMEN \(\.log, \.clf, \.carmen"):
-        open_log(written(tmp_path, flaser(), "log.txt"), LASER)
-    with pytest.raises(LogError, match="no such file"):
-        open_log(tmp_path / "nothing", LASER)
-    for name in ("a.b.CARMEN", "x.clf", "y.log"):
-        assert len(open_log(written(tmp_path, flaser(), name), LASER).scans) == 1
-
-
-def test_comments_and_blank_lines_of_relations_are_skipped(tmp_path: Path) -> None:
-    text = "# checked\n\n1.5 2.5 0.1 0.2 9 9 9 4.0\n2.5 1.5 -0.1 0 0 0 0 -1\n"
-    relations = read_relations(written(tmp_path, text, "a.relations"))
-    assert relations.stamps.tolist() == [[1.5, 2.5], [2.5, 1.5]]
-    assert relations.poses == pytest.approx(np.array([[0.1, 0.2, 4.0 - 2 * math.pi], [-0.1, 0.0, -1.0]]))
 
 
 @pytest.mark.parametrize(
@@ -227,16 +126,3 @@ def test_bad_relations_are_named(tmp_path: Path, text: str, said: str) -> None:
         read_relations(written(tmp_path, text, "a.relations"))
     assert said in str(caught.value)
     assert str(tmp_path) in str(caught.value)
-
-
-def test_the_intel_log_is_read_completely_and_in_its_order(data_dir: Path) -> None:
-    log = open_log(data_dir / "intel" / "intel.clf.bz2")
-    assert len(log.scans) == 13_631
-    assert len(log.ticks) == 13_631 + 26_915
-    assert log.backward_stamps == 631
-    assert log.duration_s == pytest.approx(2691.29, abs=0.02)
-    at_scans = np.array([tick.odometry.position for tick in log.ticks if tick.scan is not None])
-    assert np.linalg.norm(np.diff(at_scans, axis=0), axis=1).sum() == pytest.approx(508.0, abs=1.0)
-    relations = read_relations(data_dir / "intel" / "intel.relations")
-    assert relations.stamps.shape == (2984, 2)
-    assert set(relations.stamps.ravel()) <= {tick.log_stamp_s for tick in log.ticks}

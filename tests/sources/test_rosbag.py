@@ -1,26 +1,20 @@
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from sixthsense import cli
-from sixthsense.config import LaserConfig, preset
+from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.loop import replay
 from sixthsense.sources.logs import open_log
-from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.rosbag import BagLog
-from sixthsense.sources.replay_input import base_of
 
 ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)
 MOUNT = Pose(0.2, -0.1, 0.4)
@@ -164,24 +158,6 @@ def test_the_command_replays_a_foreign_bag_and_then_its_own_folder(kind, tmp_pat
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_late_scan_is_sorted_by_its_stamp(tmp_path):
-    prompt = open_log(foreign(tmp_path / "a", "mcap"), LaserConfig())
-    late = open_log(foreign(tmp_path / "b", "mcap", late_ns=90_000_000), LaserConfig())
-    assert [(t.stamp_ns, t.odometry) for t in late.ticks] == [(t.stamp_ns, t.odometry) for t in prompt.ticks]
-
-
-def test_decreasing_stamps_keep_the_order_of_the_file_and_ticks_ascend(tmp_path):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        for k, stamp in enumerate([5, 3, 4, 9]):
-            bag.odometry("/odom", stamp * 10**9, Pose(k, 0, 0), late_ns=(20 + k - stamp) * 10**9)
-            bag.scan("/scan", stamp * 10**9, np.ones(240), late_ns=(20 + k - stamp) * 10**9 + 1)
-    log = open_log(bag.path, LaserConfig())
-    assert [tick.odometry.x for tick in log.ticks] == [0, 1, 2, 3]
-    assert [tick.log_stamp_s for tick in log.ticks] == [5, 3, 4, 9]
-    assert [tick.stamp_ns for tick in log.ticks] == [5 * 10**9, 5 * 10**9 + 1, 5 * 10**9 + 2, 9 * 10**9]
-    assert log.backward_stamps == 1
-
-
 def scan_of(tmp_path: Path, ranges, laser: LaserConfig | None = None, turn=None, **how) -> Scan:
     with Bag(tmp_path / "x", "mcap") as bag:
         if turn is not None:
@@ -189,11 +165,6 @@ def scan_of(tmp_path: Path, ranges, laser: LaserConfig | None = None, turn=None,
         bag.odometry("/odom", 10**9, Pose())
         bag.scan("/scan", 10**9, ranges, **how)
     return open_log(bag.path, laser or LaserConfig()).scans[0]
-
-
-def test_ranges_outside_their_limits_and_nan_are_no_returns(tmp_path):
-    row = scan_of(tmp_path, [0.05, 0.1, 8.0, 8.1, np.nan, -1.0, np.inf, 3.0]).ranges
-    assert row.tolist() == [np.inf, pytest.approx(0.1), 8.0, *[np.inf] * 4, 3.0]
 
 
 def test_a_clockwise_scan_gives_the_same_points(tmp_path):
@@ -204,55 +175,6 @@ def test_a_clockwise_scan_gives_the_same_points(tmp_path):
 def test_the_scan_of_an_upside_down_laser_is_mirrored(tmp_path):
     scan = scan_of(tmp_path, [1.0, 2.0, 3.0], first=0.0, step=0.25, turn=(1.0, 0.0, 0.0, 0.0))
     assert scan.ranges.tolist() == [3.0, 2.0, 1.0] and scan.bearings.tolist() == [-0.5, -0.25, 0.0]
-
-
-def test_a_beam_that_repeats_the_first_is_removed(tmp_path):
-    scan = scan_of(tmp_path, np.arange(1.0, 6.0), first=-math.pi, step=math.pi / 2)
-    assert scan.ranges.tolist() == [1.0, 2.0, 3.0, 4.0] and scan.closed
-
-
-def test_a_given_mount_overrides_that_of_the_bag(tmp_path):
-    given = replace(LaserConfig(), mount=(1.0, 2.0, 0.5))
-    assert scan_of(tmp_path, np.ones(9), given).T_robot_laser == Pose(1.0, 2.0, 0.5)
-
-
-BAD_SCANS = [
-    ({"ranges": [1.0]}, "found a scan of 1 ranges, allowed: 2 to 100000"),
-    ({"ranges": [1.0, 1.0], "step": 0.0}, "and steps not zero"),
-    ({"ranges": [1.0, 1.0], "first": math.nan}, "found angle_min nan"),
-    ({"ranges": [1.0, 1.0], "high": math.nan}, "found range_max nan"),
-    ({"ranges": [1.0, 1.0], "turn": (0.7, 0.0, 0.0, 0.7)}, "tilted out of the plane"),
-    ({"ranges": [1.0, 1.0], "turn": (0.0, 0.0, 0.0, 0.0)}, "a quaternion that is not zero"),
-]
-
-
-@pytest.mark.parametrize(("how", "said"), BAD_SCANS, ids=[said for _, said in BAD_SCANS])
-def test_invalid_numbers_are_refused_in_one_line(how, said, tmp_path):
-    with pytest.raises(LogError, match=said) as caught:
-        scan_of(tmp_path, **how)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_mount_that_no_transform_states_is_the_robots_centre_with_a_remark(tmp_path):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        bag.transform("base_link", "laser_link", MOUNT)  # and none from base_footprint to base_link
-        bag.odometry("/odom", 10**9, Pose())
-        bag.scan("/scan", 10**9, np.ones(9))
-    log = open_log(bag.path)
-    assert log.scans[0].T_robot_laser == Pose()
-    assert sum("no /tf_static leads from base_footprint to laser_link" in line for line in log.remarks()) == 1
-    for laser, stated in ((LaserConfig(mount=(0.1, 0.0, 0.0)), ()), (LaserConfig(), ("mount",))):
-        assert open_log(bag.path, laser, stated=stated).remarks() == []
-
-
-def test_a_scan_of_another_laser_on_the_same_topic_is_left_out_and_counted(tmp_path):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        for k in range(1, 7):
-            bag.odometry("/odom", k * 10**9, Pose(0.1 * k, 0, 0))
-            bag.scan("/scan", k * 10**9 + 1, np.full(9, float(k)), frame="/laser_link" if k % 2 else "/rear_laser")
-    log = open_log(bag.path)
-    assert [scan.ranges[0] for scan in log.scans] == [1.0, 3.0, 5.0]
-    assert "3 scans of rear_laser are left out, since those of laser_link are of another laser" in log.remarks()
 
 
 @pytest.mark.parametrize("high", [np.inf, 3e38, 1e6])
@@ -269,50 +191,11 @@ def test_a_range_max_that_no_laser_has_is_replaced_by_what_the_ranges_say(high, 
     assert any(line.startswith("assumed: a laser of 65.39 m") for line in log.remarks())
 
 
-def test_a_bag_without_any_return_is_refused(tmp_path):
-    with pytest.raises(LogError, match="found no return in 1 scans, allowed: ranges from range_min to range_max"):
-        scan_of(tmp_path, [np.inf, 9.0, np.nan, 0.0])
-
-
 def complaint(args: list[str], capsys) -> str:
     assert cli.main(args) == cli.BAD_INPUT
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
     return err
-
-
-def test_one_of_several_topics_must_be_selected(tmp_path, capsys):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        for k in range(3):
-            bag.odometry("/odom", k * 10**9, Pose())
-            bag.scan("/front", k * 10**9, np.ones(240))
-            bag.scan("/rear", k * 10**9, 2.0 * np.ones(240))
-    args = ["replay", str(bag.path), "--out", str(tmp_path / "out")]
-    assert "2 topics of type LaserScan, allowed: one, by --topic /front or /rear" in complaint(args, capsys)
-    assert "--topic: found '/up', no topic of" in complaint([*args, "--topic", "/up"], capsys)
-    assert "allowed: /front, /odom, /rear" in complaint([*args, "--topic", "/up"], capsys)
-    assert open_log(bag.path, LaserConfig(), ["/rear", "/odom"]).scans[0].ranges[0] == 2.0
-    assert cli.main([*args, "--topic", "/rear"]) == cli.DONE
-
-
-def test_a_bag_without_the_required_topics_lists_its_topics(tmp_path, capsys):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        bag.odometry("/odom", 10**9, Pose())
-    args = ["replay", str(bag.path), "--out", str(tmp_path / "out")]
-    assert "found no topic of type LaserScan, but /odom (Odometry)" in complaint(args, capsys)
-    with Bag(tmp_path / "y", "ros1") as bag:
-        pass
-    assert "found no topic of type LaserScan, but no topic at all" in complaint(
-        ["replay", str(bag.path), "--out", str(tmp_path / "out")], capsys
-    )
-
-
-def test_disjoint_clocks_are_named(tmp_path):
-    with Bag(tmp_path / "x", "mcap") as bag:
-        bag.odometry("/odom", 10**9, Pose())
-        bag.scan("/scan", 10**15, np.ones(240))
-    with pytest.raises(LogError, match=r"odometry from 1.000 to 1.000 s, allowed: one clock"):
-        open_log(bag.path, LaserConfig())
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -324,40 +207,3 @@ def test_a_truncated_bag_is_refused_in_one_line(kind, share, tmp_path, capsys):
     file.write_bytes(content[: int(share * len(content))])
     complaint(["replay", str(path), "--out", str(tmp_path / "out")], capsys)
     assert not (tmp_path / "out.partial").exists()
-
-
-@pytest.mark.parametrize("name", ["x.bag", "x.mcap", "x.db3", "x/metadata.yaml", "x/bag/bag_0.mcap"])
-@given(noise=st.binary(max_size=300), magic=st.sampled_from([b"", b"#ROSBAG V2.0\n", b"\x89MCAP0\r\n"]))
-@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-def test_random_bytes_are_not_a_bag(name, noise, magic, tmp_path):
-    file = tmp_path / name
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(magic + noise)
-    path = tmp_path / "x" if "/" in name else file
-    if "bag_0" in name:
-        (path / "config.toml").write_text("")
-    with pytest.raises(LogError) as caught:
-        open_log(path, LaserConfig())
-    assert "\n" not in str(caught.value)
-
-
-def test_options_of_another_kind_of_log_are_refused(tmp_path, capsys):
-    file = str(foreign(tmp_path / "theirs", "mcap", duration_s=1.0))
-    out = ["--out", str(tmp_path / "out")]
-    assert cli.main(["replay", file, *out]) == cli.DONE
-    capsys.readouterr()
-    more = ["--out", str(tmp_path / "more")]
-    assert "--laser.beams: found on a bag" in complaint(["replay", file, *more, "--laser.beams", "9"], capsys)
-    assert "--topic: found on a log that is not a ROS bag" in complaint(
-        ["replay", out[1], *more, "--topic", "/a"], capsys
-    )
-    assert "--preset: found on a run folder" in complaint(["replay", out[1], *more, "--preset", "report"], capsys)
-
-
-def test_a_bag_is_replayed_to_its_end_with_the_preset_of_logs(tmp_path):
-    path = foreign(tmp_path / "theirs", "mcap")
-    assert base_of(path) == "log"
-    trace = replay(open_log(path, LaserConfig()), preset("log"))
-    assert trace.outcome == "log ended" and trace.scene is None and not trace.truths
-    assert not trace.records  # scan matching leaves no landmarks
-    assert len(replay(open_log(path, LaserConfig()), preset("log", front_end="landmarks")).records) >= 4

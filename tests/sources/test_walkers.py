@@ -1,7 +1,5 @@
 """People in the simulated building: where they go, what the laser sees of them, and whom they touch."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.sparse import coo_array
@@ -11,8 +9,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
 from sixthsense.loop import run
-from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import Scene, SceneError, load_scene
+from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.scripted_walk import ScriptedWalk
 from sixthsense.sources.walkers import LEG_M, Walkers, walkers_of
 from sixthsense.sources.walking_space import BODY_M, WalkingSpace
@@ -22,8 +19,6 @@ HALL = np.array([[[0, 0], [8, 0]], [[8, 0], [8, 4]], [[8, 4], [0, 4]], [[0, 4], 
 DIVIDED = np.concatenate([HALL, [[[4.0, 0.0], [4.0, 1.5]], [[4.0, 2.5], [4.0, 4.0]]]])
 REGION = (0.0, 0.0, 8.0, 4.0)
 AWAY = Pose(100.0, 100.0, 0.0)
-HEAD = "start = [1.0, 1.0, 0.0]\nradius = 0.2\nwalls = [[4.0, 0.0, 4.0, 4.0]]\n"
-OUTLINE = "[[polygons]]\npoints = [[0.0, 0.0], [8.0, 0.0], [8.0, 4.0], [0.0, 4.0]]\n"
 
 
 def walkers(*walks: ScriptedWalk, walls: Array = HALL, start: Pose = AWAY, **world: object) -> Walkers:
@@ -157,34 +152,6 @@ def test_a_scan_sees_the_legs_and_the_draws_of_the_noise_stay_the_same() -> None
     points = Pose(1.0, 2.0, 0.0) @ seen.scan.points_robot[nearer]
     assert np.linalg.norm(points - np.array([3.0, 2.0]), axis=1).max() < 0.35
     assert seen.walkers is not None and clear.walkers is None
-
-
-@pytest.mark.parametrize(
-    "lines, message",
-    [
-        ("[[walkers]]\npoints = [[2.0, 2.0], [4.0, 2.0]]", "walkers, entry 1, point 2: found (4, 2), in a wall"),
-        ("[[walkers]]\npoints = [[2.0, 2.0], [9.0, 2.0]]", "in a wall or outside the region"),
-        ("[[walkers]]\npoints = [[2.0, 2.0], [6.0, 2.0]]", "found no way from (2, 2) to (6, 2)"),
-        ("[[walkers]]\npoints = [[2.0, 2.0]]\nspeed = 3.5", "speed: found 3.5, allowed: above 0 to 3 m/s"),
-        ("[[walkers]]\npoints = [[2.0, 2.0]]\nspeed = 0", "speed: found 0, allowed: a number above 0, m/s"),
-        ("[[walkers]]\npoints = []", "points: found none, allowed: at least one way point"),
-        ("[[walkers]]\npoints = [[2.0, 2.0]]\npauses = [1.0, 2.0]", "pauses: found [1.0, 2.0], allowed: a time"),
-        ("[[walkers]]\npoints = [[2.0, 2.0]]\npaces = 1", "walkers, entry 1, paces: no such field"),
-        ("[[walkers]]\nspeed = 1.0", "points: missing"),
-    ],
-)
-def test_a_walk_that_cannot_be_walked_is_refused_in_one_line(tmp_path: Path, lines: str, message: str) -> None:
-    file = tmp_path / "scene.toml"
-    file.write_text(f"{HEAD}{OUTLINE}{lines}\n")
-    with pytest.raises(SceneError) as caught:
-        load_scene(file)
-    assert message in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_more_walkers_than_there_is_room_for_are_refused_in_one_line() -> None:
-    config = preset(scene="rectangle", world={"walkers": 50})
-    with pytest.raises(SceneError, match=r"world.walkers: found 50, allowed: at most \d+, for whom there is room"):
-        mission(load_scene("rectangle"), config)
 
 
 def test_a_run_records_the_true_tracks_and_expects_people() -> None:

@@ -96,16 +96,6 @@ def test_the_motion_noise_of_the_world_is_that_of_the_motion_model(v, w):
     assert 3 - 0.45 < nees.mean() < 3 + 0.45  # 600 runs: sigma of the mean is 0.1
 
 
-def test_worn_wheels_have_drift_and_a_scale_error():
-    config = merge(preset("noiseless"), {"world": {"wheel_scale_error": 0.02, "drift_rad_per_m": 0.01}})
-    source = world(config, walls=ROOM * 10)
-    for _ in range(101):
-        tick = source.step(Command(0.5, 0.0))
-    assert tick.odometry.x == pytest.approx(1.0)
-    assert tick.truth.theta == pytest.approx(0.01 * 1.02)
-    assert math.hypot(tick.truth.x, tick.truth.y) == pytest.approx(1.02, rel=1e-4)
-
-
 def test_range_noise_has_the_configured_standard_deviation():
     source, scans = world(preset()), []
     while len(scans) < 200:

@@ -9,9 +9,8 @@ import pytest
 from sixthsense.core import landmarks
 from sixthsense.slam.estimators import ekf, register_estimator
 from sixthsense.slam.estimators.ekf import EKF
-from sixthsense.slam.estimators.ekf_invariant import InvariantEKF
 from sixthsense.testing import check_estimator
-from sixthsense.testing.check import LAWS, PRIOR_MAP_LAWS
+from sixthsense.testing.check import LAWS
 
 CHECKS = {law.name: law.check for law in LAWS}
 
@@ -38,10 +37,10 @@ def is_of(kind, observation):
     return observation.is_wall == (kind == "walls")
 
 
-def with_scaled_covariance(kind, factor, only_known, base=EKF):
+def with_scaled_covariance(kind, factor, only_known):
     """Uses the observations of one kind with `factor` times their covariance, in updates or at initialization too."""
 
-    class Sabotaged(base):
+    class Sabotaged(EKF):
         def update(self, observations):
             wrong = {
                 i: dataclasses.replace(s, cov=factor * s.cov)
@@ -53,16 +52,15 @@ def with_scaled_covariance(kind, factor, only_known, base=EKF):
     return Sabotaged
 
 
-@pytest.mark.parametrize("base", [EKF, InvariantEKF])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("law", [UPDATED, DRIVEN, ADDED])
-def test_an_update_with_a_quarter_of_the_covariance_is_found(base, kind, law):
-    sabotaged = with_scaled_covariance(kind, 0.25, only_known=True, base=base)
+def test_an_update_with_a_quarter_of_the_covariance_is_found(kind, law):
+    sabotaged = with_scaled_covariance(kind, 0.25, only_known=True)
     assert breaks(sabotaged, law.format(kind)) and breaks(sabotaged, law.format("points and walls"))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("factor", [0.25, 0.9, 1.1, 4.0])
+@pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_an_initialization_with_another_covariance_is_found(kind, factor):
     assert breaks(with_scaled_covariance(kind, factor, only_known=False), INITIALIZED.format(kind))
 
@@ -101,42 +99,28 @@ def times(factor, matrix, *entry):
     return change
 
 
-WALL_ENTRIES = {
-    "angle by heading": (0, 0, 2),
-    "offset by x": (0, 1, 0),
-    "offset by y": (0, 1, 1),
-    "angle by angle": (1, 0, 0),
-    "offset by angle": (1, 1, 0),
-    "offset by offset": (1, 1, 1),
-}
-
-
-@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5])
-@pytest.mark.parametrize("entry", WALL_ENTRIES)
-def test_a_wrong_entry_of_a_walls_jacobian_is_found(entry, factor):
-    sabotaged = with_wrong_jacobian("predict", "walls", times(factor, *WALL_ENTRIES[entry]))
-    assert breaks(sabotaged, DRIVEN.format("walls")) and breaks(sabotaged, ADDED.format("walls"))
-    assert not breaks(sabotaged, DRIVEN.format("points"))
-
-
-@pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5])
-@pytest.mark.parametrize("entry", [(0, 0, 0), (0, 1, 1), (0, 0, 2), (0, 1, 2), (1, 0, 1), (1, 1, 1)])
-def test_a_wrong_entry_of_a_points_jacobian_is_found(entry, factor):
-    sabotaged = with_wrong_jacobian("predict", "points", times(factor, *entry))
-    assert breaks(sabotaged, DRIVEN.format("points")) and breaks(sabotaged, ADDED.format("points"))
-    assert not breaks(sabotaged, DRIVEN.format("walls"))
-
-
+PREDICTION_ENTRIES = [
+    *(("walls", entry) for entry in ((0, 0, 2), (0, 1, 0), (0, 1, 1), (1, 0, 0), (1, 1, 0), (1, 1, 1))),
+    *(("points", entry) for entry in ((0, 0, 0), (0, 1, 1), (0, 0, 2), (0, 1, 2), (1, 0, 1), (1, 1, 1))),
+]
 INITIALIZATION_ENTRIES = [
     *(("walls", entry) for entry in ((0, 0, 2), (0, 1, 0), (0, 1, 1), (0, 1, 2), (1, 0, 0), (1, 1, 0), (1, 1, 1))),
     *(("points", entry) for entry in ((0, 0, 0), (0, 1, 1), (0, 0, 2), (0, 1, 2), (1, 0, 0), (1, 0, 1), (1, 1, 1))),
 ]
+"""kind, matrix (0 by the pose, 1 by the landmark or observation), row, column"""
 
 
-@pytest.mark.parametrize("factor", [-1.0, 0.5])
+@pytest.mark.parametrize(("kind", "entry"), PREDICTION_ENTRIES)
+def test_an_entry_of_an_observations_jacobian_that_is_half_is_found(kind, entry):
+    sabotaged = with_wrong_jacobian("predict", kind, times(0.5, *entry))
+    other = KINDS[kind == "points"]
+    assert breaks(sabotaged, DRIVEN.format(kind)) and breaks(sabotaged, ADDED.format(kind))
+    assert not breaks(sabotaged, DRIVEN.format(other))
+
+
 @pytest.mark.parametrize(("kind", "entry"), INITIALIZATION_ENTRIES)
-def test_a_wrong_entry_of_an_initializations_jacobian_is_found(kind, entry, factor):
-    sabotaged = with_wrong_jacobian("initialize_landmark", kind, times(factor, *entry))
+def test_an_entry_of_an_initializations_jacobian_that_is_half_is_found(kind, entry):
+    sabotaged = with_wrong_jacobian("initialize_landmark", kind, times(0.5, *entry))
     assert breaks(sabotaged, INITIALIZED.format(kind))
 
 
@@ -164,12 +148,11 @@ def without_correlations(part, factor, when):
     return Sabotaged
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "points and walls"])
-@pytest.mark.parametrize("factor", [0.0, 0.5])
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("part", ["pose and landmarks", "landmarks"])
 @pytest.mark.parametrize(("when", "law"), [("update", UPDATED), ("update", ADDED), ("initialization", INITIALIZED)])
-def test_lost_correlations_are_found(part, factor, when, law, kind):
-    assert breaks(without_correlations(part, factor, when), law.format(kind))
+def test_halved_correlations_are_found(part, when, law, kind):
+    assert breaks(without_correlations(part, 0.5, when), law.format(kind))
 
 
 class CountsTwice(EKF):
@@ -269,9 +252,8 @@ class TypeErrorForWalls(EKF):
 
 def test_laws_of_walls_are_skipped_with_the_reason_for_an_estimator_of_points():
     verdicts = check_estimator(PointsOnly)
-    laws = (*LAWS, *PRIOR_MAP_LAWS)
-    of_walls = [law.name for law in laws if law.needs_walls]
-    assert verdicts.kept and list(verdicts.skipped) == of_walls and len(verdicts) == len(laws) - len(of_walls)
+    of_walls = [law.name for law in LAWS if law.needs_walls]
+    assert verdicts.kept and list(verdicts.skipped) == of_walls and len(verdicts) == len(LAWS) - len(of_walls)
     assert DRIVEN.format("points") in verdicts and DRIVEN.format("walls") in verdicts.skipped
     reason = "NotImplementedError: walls are not supported"
     assert repr(verdicts) == f"keeps all {len(verdicts)} laws; {len(of_walls)} laws of walls not tested: {reason}"

@@ -1,16 +1,13 @@
 import http.client
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import pytest
@@ -19,8 +16,6 @@ import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.loop import run
-from sixthsense.view.relay import Relay
-from sixthsense.view.viewer import ViewError, check_view_target
 
 pytest.importorskip("rerun")
 
@@ -67,26 +62,12 @@ def test_the_file_of_a_run_has_all_entities(folder):
     assert counts["/plots/nis/low"] == counts["/plots/nis/high"] == counts["/plots/nis/per_dof"]
 
 
-def test_a_replay_can_be_shown(folder, tmp_path, capsys):
-    file = tmp_path / "replay.rrd"
-    assert main(["replay", str(folder), "--out", str(tmp_path / "again"), "--view", str(file)]) == 0
-    assert set(rows(file)) >= SHOWN - {"/map/plan"}  # a passenger plans nothing
-
-
 def test_the_view_does_not_change_the_run(tmp_path):
     config = preset(scene="rectangle", task="goal", goal=(1.2, 0.5), estimator="isam2", seed=4)
     with ss.View(tmp_path / "run.rrd") as view:
         watched = run(config, view)
     np.testing.assert_array_equal(watched.estimates, run(config).estimates)
     assert watched.live is None
-
-
-def test_a_log_without_scans_is_shown(tmp_path):
-    graph = tmp_path / "log.graph"
-    graph.write_text("VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nEDGE2 0 1 1 0 0 100 0 100 1000 0 0\n", encoding="utf-8")
-    words = ["--out", str(tmp_path / "out"), "--view", str(tmp_path / "log.rrd")]
-    if main(["replay", str(graph), *words]) == 0:
-        assert "/map/robot" in rows(tmp_path / "log.rrd")
 
 
 def test_a_run_works_without_rerun():
@@ -97,59 +78,6 @@ def test_a_run_works_without_rerun():
         "assert main(['scenes']) == 0"
     )
     subprocess.run([sys.executable, "-c", code], check=True, stdout=subprocess.DEVNULL)
-
-
-def test_without_rerun_a_view_is_refused_in_one_line_that_says_how_to_install_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sixthsense.view.viewer.find_spec", lambda _: None)
-    assert main(["run", "rectangle", "--out", str(tmp_path / "out"), "--view", "run.rrd"]) == 2
-    said = "--view: needs Rerun, which is not installed, allowed: after pip install 'sixthsense[view]'"
-    assert capsys.readouterr().err == f"sixthsense: {said}\n"
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["rectangle", "--view", "tab"], "--view: found 'tab', allowed: window, browser or FILE.rrd"),
-        (["rectangle", "--view=film.mp4"], "--view: found 'film.mp4', allowed: window, browser or FILE.rrd"),
-        (["rectangle", "--view="], "--view: found '', allowed: window, browser or FILE.rrd"),
-        (
-            ["rectangle", "--view", "browser", "--bind", "here"],
-            "--bind: found 'here', allowed: an IP address of this machine",
-        ),
-        (["rectangle", "--bind", "127.0.0.1"], "--bind: found without --view browser, allowed: with it"),
-        (["rectangle", "--view", "x.rrd", "--bind", "::1"], "--bind: found without --view browser, allowed: with it"),
-    ],
-)
-def test_an_invalid_view_is_refused_in_one_line(words, complaint, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["run", *words]) == 2
-    assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
-    assert not any(tmp_path.rglob("*.toml"))
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="elsewhere there is always a display")
-def test_a_window_without_a_display_is_refused_before_the_run(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    assert main(["run", "--view", "rectangle"]) == 2  # the word after it is the scene
-    err = capsys.readouterr().err
-    assert (
-        err
-        == "sixthsense: --view: found window, but there is no display to open one on, allowed: browser or FILE.rrd\n"
-    )
-    with pytest.raises(ViewError, match="no display"):
-        check_view_target("window")
-
-
-def test_a_file_that_cannot_be_written_is_named_in_one_line(tmp_path, capsys):
-    (tmp_path / "dir.rrd").mkdir()
-    words = ["--out", str(tmp_path / "out"), "--view", str(tmp_path / "dir.rrd")]
-    assert main(["run", "rectangle", "--max-time", "1", *words]) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert f"{tmp_path}/dir.rrd: " in err
 
 
 def answer(url: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str]]:
@@ -243,33 +171,3 @@ def test_a_run_continues_after_its_viewer_is_closed(tmp_path, monkeypatch):
         trace = run(preset(scene="rectangle", max_time=1.0), view)
     assert trace.estimates
     assert time.monotonic() - began < 60.0
-
-
-class Behind(BaseHTTPRequestHandler):
-    def do_GET(self):
-        self.send_response(200)
-        self.send_header("Content-Type", "text/plain")
-        self.send_header("Access-Control-Allow-Origin", "*")
-        self.end_headers()
-        self.wfile.write(self.path.encode())
-
-    def log_message(self, *_):
-        pass
-
-
-def test_the_relay_adds_its_policy_to_the_original_page():
-    server = HTTPServer(("127.0.0.1", 0), Behind)
-    Thread(target=server.serve_forever, daemon=True).start()
-    relay = Relay("127.0.0.1", f"http://127.0.0.1:{server.server_port}", 1)
-    with urllib.request.urlopen(f"http://127.0.0.1:{relay.port}/a/b?c=d") as answer:
-        assert answer.read() == b"/a/b?c=d"
-        assert answer.headers["Content-Type"] == "text/plain"
-        assert answer.headers["Access-Control-Allow-Origin"] is None
-        assert "connect-src" in answer.headers["Content-Security-Policy"]
-    server.shutdown()
-    server.server_close()
-    with pytest.raises(urllib.error.HTTPError, match="502"):
-        urllib.request.urlopen(f"http://127.0.0.1:{relay.port}/")
-    relay.end()
-    with socket.socket() as probe:
-        assert probe.connect_ex(("127.0.0.1", relay.port)) != 0

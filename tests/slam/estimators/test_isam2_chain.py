@@ -11,7 +11,6 @@ from sixthsense.config import ISAM2Config
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, predict, predict_walls
 from sixthsense.core.motion import Odometry
-from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import Link
 from sixthsense.slam.estimators.isam2_chain import map_gain
@@ -88,8 +87,8 @@ def test_the_whole_trajectory_stays_near_that_with_all_poses():
 
 
 def test_pose_and_map_are_consistent_with_poses_taken_out():
-    """40 runs with many more key poses than stay."""
-    runs, rows = 40, []
+    """16 runs with many more key poses than stay."""
+    runs, rows = 16, []
     for seed in range(runs):
         smoother, truth = circling(SPARING, seed, 80)
         estimate, joint = joint_state(smoother)
@@ -116,48 +115,3 @@ def test_a_link_to_a_pose_that_was_taken_out_is_one_to_the_pose_it_is_fixed_to()
         assert np.abs(one.trajectory()[:, :2] - two.trajectory()[:, :2]).max() < 0.06
         one.unlink(ids)
         two.unlink(ids)
-
-
-def test_poses_with_links_stay():
-    smoother = make("isam2", isam2=SPARING)
-    rng, true = np.random.default_rng(0), START
-    for k in range(80):
-        smoother.predict(step())
-        true = true @ noisy(step(), rng)
-        smoother.joint_covariance(smoother.estimate().ids.tolist())
-        smoother.update(observations_from(true, rng))
-        if k:
-            smoother.link([Link(k - 1, k, Odometry(step().motion, 1e-2 * np.eye(3)))])
-    assert in_graph(smoother) == 80
-
-
-def test_without_a_covariance_that_was_asked_for_all_poses_stay():
-    """With known matches nobody asks, and the query costs more than the pose."""
-    smoother, rng, true = make("isam2", isam2=SPARING), np.random.default_rng(0), START
-    for _ in range(80):
-        smoother.predict(step())
-        true = true @ noisy(step(), rng)
-        smoother.update(observations_from(true, rng))
-    assert in_graph(smoother) == 80
-
-
-def test_with_the_wheels_as_a_variable_all_poses_stay():
-    smoother = make("isam2", isam2=SPARING)
-    smoother.estimate_wheels(WheelEstimate(Wheels(), 1e-4 * np.eye(4)))
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        smoother.joint_covariance(smoother.estimate().ids.tolist())
-        smoother.update(observations_from(START, rng))
-    assert in_graph(smoother) == 60
-
-
-def test_poses_are_taken_out_across_the_change_to_a_solver_with_qr():
-    """Cholesky is given up in mid-drive: all places of factors change."""
-
-    def change(estimator, k, _):
-        if k == 60:
-            estimator._solver._switch_to_qr()
-
-    (one, _), (two, _) = circling(SPARING, 4, 120, change), circling(SPARING, 4, 120)
-    assert in_graph(one) == in_graph(two)
-    assert np.allclose(one.trajectory(), two.trajectory(), atol=2e-3)

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from laws.links import linked
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
 from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.slam.estimators import Link, takes_out_poses
-from sixthsense.testing.estimation import assert_same, driven, joint_state, make, step
-from sixthsense.testing.links import linked
+from sixthsense.testing.estimation import assert_same, joint_state, make, step
 
 
 def seen(smoother, before, after, off=0.01):
@@ -66,25 +66,6 @@ def test_another_order_and_the_ends_are_refused(wrong):
     assert np.array_equal(before[1], smoother.trajectory())
 
 
-def test_no_pose_changes_nothing():
-    smoother = linked("isam2")
-    before = joint_state(smoother)
-    assert smoother.take_out([]) == []
-    assert_same(before, joint_state(smoother), 1e-7)
-
-
-def test_observations_from_a_pose_that_is_taken_out_are_lost():
-    smoother, whole = driven("isam2"), driven("isam2")
-    smoother.take_out([3, 4])
-    (found, cov), (_, all_cov) = joint_state(smoother), joint_state(whole)
-    assert len(found.ids) == 5 and len(smoother.trajectory()) == len(whole.trajectory())
-    # Means differ, and with them what the same observations say: by a hundredth here.
-    assert np.linalg.eigvalsh(1.01 * cov - all_cov).min() > 0.0
-    smoother.predict(step())
-    smoother.update({})
-    assert len(smoother.trajectory()) == len(whole.trajectory()) + 1
-
-
 def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():
     whole, less = (make("isam2") for _ in range(2))
     prior, jacobian = WheelEstimate(Wheels(), 1e-4 * np.eye(4)), np.eye(3, 4)
@@ -98,15 +79,3 @@ def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():
     assert_same(joint_state(whole), joint_state(less), 1e-5)
     assert np.allclose(whole.wheels().cov, less.wheels().cov, rtol=1e-3)
     assert np.allclose(whole.wheels().values.array(), less.wheels().values.array(), atol=1e-5)
-
-
-def test_poses_leave_across_the_change_to_a_solver_with_qr():
-    one, two = linked("isam2"), linked("isam2")
-    for smoother in (one, two):
-        smoother.link([seen(smoother, 1, 6), seen(smoother, 0, 4)])
-        smoother.take_out([2])
-    one._solver._switch_to_qr()
-    for smoother in (one, two):
-        assert smoother.take_out([4]) == [1]
-        smoother.unlink([0])
-    assert_same(joint_state(one), joint_state(two), 1e-5)

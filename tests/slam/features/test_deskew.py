@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sixthsense.config import AssumedConfig, Config, ConfigError, LaserConfig, merge, preset
+from sixthsense.config import AssumedConfig, Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_distance
-from sixthsense.core.laser import Scan, beam_bearings, sweep_times
+from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
-from sixthsense.core.ray_casting import cast_rays, cast_sweep
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world
@@ -64,17 +64,6 @@ def test_at_standstill_a_sweep_equals_an_instantaneous_scan() -> None:
     assert moved.closed and instant.closed
 
 
-def test_a_scan_without_duration_and_one_with_de_skewing_off_are_returned_unchanged() -> None:
-    scan = Scan.from_config(np.ones(360), LaserConfig())
-    swept = Scan.from_config(np.ones(360), LaserConfig(sweep_s=0.1))
-    deskew, off = Deskewer(), Deskewer(enabled=False)
-    for each in (deskew, off):
-        each.moved(0, STANDSTILL)
-        each.moved(100_000_000, Odometry(Pose(0.1, 0.0, 0.1), np.zeros((3, 3))))
-    assert deskew(scan) is scan and off(swept) is swept
-    assert deskew(swept) is not swept
-
-
 def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> None:
     for turn_rate, closed in ((1.0, True), (-1.0, False)):
         raw, moved, _ = last_scan(SWEPT, 0.0, turn_rate)
@@ -85,31 +74,6 @@ def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> Non
         if closed:
             assert len(moved.ranges) < len(raw.ranges)
             assert 2.0 * math.pi - span < 2.0 * spacing
-
-
-@pytest.mark.parametrize(("turn", "closed"), [(-0.1, True), (0.1, False)])
-def test_a_sweep_that_runs_clockwise_is_the_mirror_image_of_one_that_does_not(turn: float, closed: bool) -> None:
-    config = LaserConfig(beams=360, sweep_s=0.1)
-    times = sweep_times(360, np.float32(-0.1 / 360))
-    assert times[0] == 0.0 and times[-1] == pytest.approx(-0.1 * 359 / 360)
-    end = Pose(0.3, 0.2, 0.5)
-    motion = Pose(0.05, 0.0, turn)
-    stamps, poses = np.array([-0.1, 0.0]), np.array([(end @ motion.inverse()).array(), end.array()])
-    ranges = cast_sweep(interpolated(stamps, poses, times), beam_bearings(config), ROOM, 10.0)
-    scan = dataclasses.replace(Scan.from_config(ranges, config), time_increment=np.float32(-0.1 / 360))
-    deskew = Deskewer()
-    deskew.moved(0, STANDSTILL)
-    deskew.moved(100_000_000, Odometry(motion, np.zeros((3, 3))))
-    moved = deskew(scan)
-    assert off_walls(scan, end).max() > 0.05
-    assert off_walls(moved, end).max() < 2e-3  # one tick of 0.1 s: its arc is a chord
-    assert moved.closed == closed == (len(moved.ranges) < 360)
-
-
-def test_a_sweep_from_one_pose_is_cast_as_an_instantaneous_scan() -> None:
-    pose, bearings = Pose(0.4, -0.3, 1.0), beam_bearings(LaserConfig())
-    swept = cast_sweep(np.tile(pose.array(), (360, 1)), bearings, ROOM, 3.0)
-    assert np.array_equal(swept, cast_rays(pose, bearings, ROOM, 3.0))
 
 
 def test_poses_are_interpolated_along_the_shorter_arc_and_constant_beyond_the_ends() -> None:
@@ -139,16 +103,6 @@ def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(lan
                 for s in two
             )
         assert len(one) >= len(two) - 2
-
-
-def test_sweep_noise_of_an_observation_grows_with_its_lag() -> None:
-    config = merge(SWEPT, {"features": {"landmarks": "corners"}})
-    _, moved, _ = last_scan(config, 0.5, 0.5)
-    assert moved.sweep is not None
-    sure = dataclasses.replace(moved, sweep=dataclasses.replace(moved.sweep, cov=np.zeros((3, 3))))
-    one, two = (extract(s, ASSUMED, config.features, np.random.default_rng(0)).observations for s in (moved, sure))
-    extra = {float(np.arctan2(a.z[1], a.z[0])): float(np.trace(a.cov - b.cov)) for a, b in zip(one, two, strict=True)}
-    assert len(extra) == 4 and all(value > 0.0 for value in extra.values())
 
 
 def test_the_noise_of_a_sweep_is_that_of_the_odometry_within_it() -> None:
@@ -219,26 +173,3 @@ def test_with_a_sweep_the_estimate_is_consistent_only_if_de_skewed() -> None:
             nees.append(nees_world(error, np.array([e.pose_cov for e in estimates])).mean())
         figures[on] = float(np.mean(nees))
     assert figures[True] < 5.0 < 20.0 < figures[False]
-
-
-@pytest.mark.parametrize(
-    ("table", "line"),
-    [
-        (
-            {"laser": {"sweep_s": 0.11}},
-            r"laser\.sweep_s: found 0\.11, allowed: at most 0\.1, the time between two scans",
-        ),
-        ({"laser": {"sweep_s": -0.1}}, r"laser\.sweep_s: found -0\.1, allowed: 0 to 1"),
-        ({"safety": {"probability": 0.0}}, r"safety\.probability: found 0\.0, allowed: 0\.5 to 0\.999999"),
-        ({"safety": {"probability": 1.0}}, r"safety\.probability: found 1\.0, allowed: 0\.5 to 0\.999999"),
-        ({"robot": {"deceleration": -1.0}}, r"robot\.deceleration: found -1\.0, allowed: above 0"),
-    ],
-)
-def test_impossible_sweeps_are_refused_in_one_line(table: dict[str, object], line: str) -> None:
-    with pytest.raises(ConfigError, match=f"^{line}$"):
-        merge(Config(), table)
-
-
-def test_a_sweep_as_long_as_the_time_between_two_scans_is_allowed() -> None:
-    for ticks in range(1, 20):
-        assert merge(Config(), {"laser": {"period_ticks": ticks, "sweep_s": ticks * 0.02}})

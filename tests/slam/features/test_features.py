@@ -3,15 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.config import LaserNoise, PartitionConfig, merge, preset
+from sixthsense.config import PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, observation_innovations, predict_walls
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
-from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
-from sixthsense.slam.features.lines import LineRules, fit_lines, ransac
+from sixthsense.slam.features.line_fit import fit_line, parallel_line
+from sixthsense.slam.features.lines import ransac
 from sixthsense.slam.features.partition import partition
 from sixthsense.slam.features.split import split
 
@@ -61,18 +61,6 @@ def test_a_closed_scan_begins_at_a_break_so_that_no_piece_straddles_the_seam():
     assert sorted(map(sorted, covered)) == [[0, 1, 4, 5], [2, 3]] and not cyclic
     offset, pieces, cyclic = partition(np.ones(6), 2 * math.pi / 6, True, 0.01, fixed)
     assert cyclic and pieces.tolist() == [[0, 6]]
-
-
-def test_the_adaptive_jump_grows_with_range_and_spacing():
-    """A wall met at 20 degrees is one partition near and far; a fixed threshold splits it far away."""
-    for distance in (0.2, 4.0):
-        spacing = math.radians(1.0)
-        angles = np.arange(0.0, math.radians(69.0), spacing)
-        ranges = distance / np.cos(angles)
-        _, pieces, _ = partition(ranges, spacing, False, 0.0, PartitionConfig())
-        assert len(pieces) == 1
-        _, torn, _ = partition(ranges, spacing, False, 0.0, PartitionConfig(method="fixed", epsilon_m=0.05))
-        assert (len(torn) > 1) == (distance > 1.0)
 
 
 def reference_split(points, first, last, epsilon):
@@ -143,22 +131,6 @@ def test_the_covariance_of_a_line_is_that_of_its_errors(span, sigma_bearing):
         errors.append(error / np.sqrt(np.diag(cov)))
     assert np.mean(nees) == pytest.approx(2.0, abs=0.3)  # sigma of the mean: 0.05
     assert np.abs(np.mean(errors, axis=0)).max() < 0.15  # bias below a seventh of a sigma
-
-
-def test_lines_follow_each_other_in_the_order_of_the_scan():
-    config = corners()
-    scan = scan_from(Pose(1.5, 1.0, 0.3), config)
-    points = scan.points_robot
-    spans = np.array([[0, 360]])
-    lines, where, owner = fit_lines(
-        points, spans, LineRules(True, 0.05, 200, True, 6, 0.2, 0.01), LaserSigmas(0.01, 0.0), 7
-    )
-    assert (np.diff(where[:, 1]) > 0).all()
-    for k, (_, first, last) in enumerate(where):
-        mine = np.flatnonzero(owner == k)
-        assert mine[0] == first and mine[-1] == last
-        off = points[mine] @ [math.cos(lines[k, 0]), math.sin(lines[k, 0])] - lines[k, 1]
-        assert np.abs(off).max() < 0.1
 
 
 def numeric_cov(function, fits):
@@ -245,37 +217,6 @@ def test_two_corners_of_one_wall_have_independent_errors():
     assert abs(np.corrcoef(np.array(pairs).T)[0, 1]) < 0.1
 
 
-def test_the_rules_for_free_ends():
-    config = corners()
-    rng = np.random.default_rng(8)
-
-    def ends(walls, pose, settings=config):
-        features = extract(scan_from(pose, settings, walls=np.array(walls, float)), settings.assumed,
-                           settings.features, rng)  # fmt: skip
-        return [pose @ s.z for s in features.observations if s.kind == Kind.END]
-
-    stub, back = [(2, -1), (2, 1)], [(5, -30), (5, 30)]
-    found = ends([stub, back], Pose())
-    assert len(found) == 2 and all(min(math.dist(p, e) for e in ((2, -1), (2, 1))) < 0.05 for p in found)
-    half = merge(config, {"laser": {"beams": 45, "fov": math.radians(44.0)}})
-    assert ends([stub, back], Pose(), half) == []  # rule 1: the sensor sees no further
-    near = merge(config, {"laser": {"max_range": 2.2}})
-    assert ends([stub], Pose(0.0, 0.0, 0.0), near) == []  # rule 2: close to the maximum range
-    assert len(ends([back, stub], Pose())) == 2  # rule 3: the far wall, hidden by the stub, has no ends there
-    few = merge(config, {"features": {"points": {"min_points": 80}}})
-    assert ends([stub, back], Pose(), few) == []  # rule 4
-
-
-def test_a_wall_that_continues_at_a_flat_incidence_has_no_free_end():
-    rng = np.random.default_rng(9)
-    config = corners()
-    corridor = np.array([[(-9, -0.5), (9, -0.5)], [(-9, 0.5), (9, 0.5)]], float)
-    for x in np.linspace(-3, 3, 40):
-        features = extract(scan_from(Pose(x, 0.05, 0.01 * x), config, rng, walls=corridor), config.assumed,
-                           config.features, rng)  # fmt: skip
-        assert features.observations == ()
-
-
 @pytest.mark.parametrize("change", [
     {"split": {"enabled": False}}, {"lines": {"ransac": False}}, {"lines": {"least_squares": False}},
     {"points": {"corners": False}}, {"points": {"ends": False}}, {"partition": {"method": "fixed"}},
@@ -319,16 +260,6 @@ def test_the_same_scan_and_stream_give_the_same_bits():
     assert np.array_equal(one.walls, two.walls)
     assert all(np.array_equal(a.z, b.z) and np.array_equal(a.cov, b.cov)
                for a, b in zip(one.observations, two.observations, strict=True))  # fmt: skip
-
-
-def test_uniform_noise_is_used_by_its_variance():
-    gaussian = merge(corners(), {"assumed": {"laser": {"range_m": 0.03 / math.sqrt(3)}}})
-    uniform = merge(corners(), {"assumed": {"laser": {"range_m": 0.03, "distribution": "uniform"}}})
-    assert uniform.assumed.laser == LaserNoise("uniform", 0.03, 0.0)
-    scan = scan_from(Pose(1.5, 1.0, 0.3), gaussian)
-    covs = [[s.cov for s in extract(scan, c.assumed, c.features, np.random.default_rng(5)).observations]
-            for c in (gaussian, uniform)]  # fmt: skip
-    assert np.allclose(covs[0], covs[1])
 
 
 def test_a_walls_distance_about_its_middle_is_consistent_for_short_and_far_walls():

@@ -85,16 +85,6 @@ def test_a_bend_of_a_degree_and_a_half_is_cut_where_it_is():
     assert np.median([abs(pieces[0, 1] - bend) for pieces in found]) <= 6
 
 
-def test_a_foreign_return_at_the_end_costs_a_short_wall_nothing_else():
-    points = straight(np.random.default_rng(10), 0.001)[:6].copy()
-    points[5] *= 1.1
-    fine = LaserSigmas(0.001, 0.0)
-    assert pieces_of(points, np.arange(6), fine, 0.01, 6).tolist() == [[0, 5]]
-    # Three returns may be a wall of their own, so that neither is known to be one.
-    points[3:5] *= 1.1
-    assert pieces_of(points, np.arange(6), fine, 0.01, 6).tolist() == []
-
-
 def walls_observed(walls, config, rng):
     ranges = cast_rays(Pose(), beam_bearings(config.laser), walls, config.laser.max_range)
     noise = config.assumed.laser.range_m
@@ -124,12 +114,6 @@ def test_two_faces_five_centimetres_apart_are_two_landmarks():
         assert far == pytest.approx(2.05, abs=0.015)
 
 
-def test_a_line_is_not_cut_where_that_is_switched_off():
-    walls = np.array([[(2.0, -3.0), (2.0, 0.0)], [(2.0, 0.0), (2.04, 0.0)], [(2.04, 0.0), (2.04, 3.0)]])
-    config = preset(features={"lines": {"cut_false_alarm": 0.0}})
-    assert len(walls_observed(walls, config, np.random.default_rng(5))) == 1
-
-
 def test_the_shape_of_a_wall_is_the_least_squares_fit_of_two_polynomials():
     points = bent(np.random.default_rng(6), 2.0)
     line = fit_line(points, ALL, *SIGMAS)
@@ -152,12 +136,6 @@ def test_the_shape_of_a_straight_wall_is_as_uncertain_as_it_says():
     values = np.array(found)
     squared = values[:, :2] ** 2 / values[:, 2:]
     assert squared.mean() == pytest.approx(1.0, abs=0.15)
-
-
-def test_the_shape_of_few_returns_is_unknown():
-    points = straight(np.random.default_rng(8))
-    found = shape(points, ALL[:4], fit_line(points, ALL[:4], *SIGMAS), SIGMAS)
-    assert found.tolist() == [0.0, 0.0, math.inf, math.inf]
 
 
 def test_the_floor_of_a_walls_direction_leaves_its_middle_as_certain_as_it_was():

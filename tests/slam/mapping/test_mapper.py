@@ -89,14 +89,6 @@ def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: 
     assert np.array_equal(mapper.grid.free_space().blocked, expected.free_space().blocked)
 
 
-def test_a_scan_without_a_return_causes_no_error() -> None:
-    mapper = Mapper(GridConfig(), 0.2)
-    empty = Scan.from_config(np.full(LASER.beams, np.inf), LASER)
-    for k in range(3):
-        mapper.add(poses(k + 1).copy, empty, NO_WALLS)
-    assert not mapper.grid.obstacles.any()
-
-
 def test_a_smoother_that_sees_corners_again_rebuilds_its_map() -> None:
     """In the block's corridors the heading is uncertain until a corner is observed, which moves earlier poses."""
     trace = run(preset(scene="block", estimator="isam2", task="tour", max_time=100.0, features=CORNERS))

@@ -11,7 +11,6 @@ from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
-from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.slam.mapping.submap import Submap, add_submap
 from sixthsense.slam.mapping.tiles import TILE, Tiles
 
@@ -83,34 +82,11 @@ def test_a_grid_composed_of_one_submap_is_the_grid_it_was_taken_from(config: Gri
         assert np.array_equal(getattr(grid, name)[tuple(there.T)], getattr(composed, name)[tuple(here.T)])
 
 
-def test_obstacles_of_a_composed_grid_are_inflated_as_those_of_any_other() -> None:
-    composed = Grid(GridConfig(), 0.2)
-    composed.compose([drawn(poses(24)[k : k + 8]).submap() for k in (0, 8, 16)])
-    again = restore_grid(GridConfig(), 0.2, composed.origin, composed.hits, composed.passes, composed.seen)
-    assert np.array_equal(composed.obstacles, again.obstacles)
-    assert np.array_equal(composed.free_space().blocked, again.free_space().blocked)
-    row = poses(30)[-1]
-    for grid in (composed, again):
-        grid.add(Pose.from_array(row), look(row), NO_WALLS)
-    assert np.array_equal(composed.free_space().blocked, again.free_space().blocked)
-
-
 def test_a_static_room_is_the_same_in_submaps_as_scan_by_scan() -> None:
     whole, composed = drawn(poses(40)), Grid(GridConfig(), 0.2)
     composed.compose([drawn(poses(40)[k : k + 10]).submap() for k in range(0, 40, 10)])
     for name in ("obstacles", "seen"):
         assert getattr(composed, name).sum() == pytest.approx(getattr(whole, name).sum(), rel=0.02)
-
-
-def test_an_obstacle_of_the_last_submap_is_one_however_long_it_was_free() -> None:
-    cell = np.array([[3, 4]])
-    free = Submap.of(cell, np.zeros(1, np.int32), np.full(1, 500, np.int32), np.ones(1, np.bool_))
-    wall = Submap.of(cell, np.ones(1, np.int32), np.full(1, 3, np.int32), np.ones(1, np.bool_))
-    gone = Submap.of(cell, np.zeros(1, np.int32), np.full(1, 41, np.int32), np.ones(1, np.bool_))
-    grid = Grid(GridConfig(), 0.0)
-    for submaps, is_obstacle in (([free], False), ([free, wall], True), ([free, wall, gone], False)):
-        grid.compose(submaps)
-        assert grid.obstacles.any() == is_obstacle
 
 
 def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:

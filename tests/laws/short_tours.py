@@ -1,8 +1,8 @@
-"""Which wrong covariances can a set of short tours show? Paired runs of the whole pipeline, sabotaged and not.
+"""Short tours of the whole pipeline, replayed with a covariance that is wrong or from a start that is uncertain.
 
 Each tour begins at a place of the scene's tour, at a heading drawn from the seed, and is driven in closed loop. Its
-ticks are kept, and replayed through `Slam` with one covariance scaled: that of every observation, or that of the
-odometry. A run gives three statistics:
+ticks can be replayed through `Slam` with one covariance scaled: that of every observation, or that of the odometry. A
+run gives three statistics:
 
 nees        pose NEES after the update (3 is consistent), mean over the keyframes
 nis         NIS of all matches before the update, per degree of freedom (1)
@@ -10,8 +10,7 @@ increment   NEES of the motion from an update to the next prediction (3), by the
             mean over the keyframes
 
 Successive poses share the errors of the map, so the keyframes of a run are not independent samples; runs are. The band
-of a mean over runs is therefore the expectation plus and minus standard errors, from the spread between runs. This
-script prints the spread. `tests/evaluation/test_power.py` has it from the seeds 0 to 99 and judges others.
+of a mean over runs is the expectation plus and minus standard errors, from the spread between runs.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, machine, pooled, print_table, write_json
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, Pose
@@ -35,7 +33,6 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
 from sixthsense.loop import run
 from sixthsense.record.trace import Trace
-from sixthsense.running.warmup import warm_up
 from sixthsense.slam import landmark_front_end
 from sixthsense.slam import slam as pipeline
 from sixthsense.slam.features import Features
@@ -43,18 +40,10 @@ from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
 
 SCENES = ("apartment", "office")
-ESTIMATORS = ("ekf-invariant", "isam2")
 SECONDS = 20.0
 
 EXPECTED = {"nees": 3.0, "nis": 1.0, "increment": 3.0}
 """of each statistic, for a consistent estimator"""
-
-SABOTAGES: dict[str, tuple[str, float]] = {
-    "observations x 0.7": ("observations", 0.7),
-    "observations x 1.5": ("observations", 1.5),
-    "odometry x 0.5": ("odometry", 0.5),
-}
-"""whose covariance, and its factor"""
 
 
 class Keyframes(NamedTuple):
@@ -169,52 +158,3 @@ def increment_nees(run: Keyframes) -> Array:
         added = run.predicted_covs[k + 1] - by_pose @ run.covs[k] @ by_pose.T
         cov[k] = by_motion.T @ added @ by_motion  # a rotation: its inverse is its transpose
     return nees_world(error, cov)
-
-
-def paired_row(config: Config) -> dict[str, dict[str, float]]:
-    """The statistics of a tour as it is, under "none", and by the name of each sabotage."""
-    ticks, own = driven(config)
-    row = {"none": statistics(own)}
-    return row | {name: statistics(replayed(ticks, config, scaled(*what))) for name, what in SABOTAGES.items()}
-
-
-def spread_figures(rows: Sequence[dict[str, dict[str, float]]]) -> Figures:
-    """Mean and standard deviation over runs of each statistic, with each sabotage and without."""
-    figures: Figures = {}
-    for case in rows[0]:
-        for name in EXPECTED:
-            values = np.array([row[case][name] for row in rows])
-            figures[f"{case}.{name}"] = float(values.mean())
-            figures[f"{case}.{name}_spread"] = float(values.std(ddof=1))
-    return figures
-
-
-def spread_table(figures: Figures, label: str) -> list[list[str]]:
-    """A row per sabotage: mean ± standard deviation over runs."""
-    lines = [[label, *(f"{name} ({value:g})" for name, value in EXPECTED.items())]]
-    for case in ("none", *SABOTAGES):
-        cells = (f"{figures[f'{case}.{name}']:.3f} ± {figures[f'{case}.{name}_spread']:.3f}" for name in EXPECTED)
-        lines.append([case, *cells])
-    return lines
-
-
-def main() -> None:
-    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seeds", type=int, default=100, metavar="N", help="number of seeds, from 0 (100)")
-    parser.add_argument("--seconds", type=float, default=SECONDS, metavar="S", help=f"of a tour ({SECONDS:g})")
-    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
-    options = parser.parse_args()
-    check_at_least(parser, options, seeds=2, seconds=5.0, jobs=1)
-    figures: Figures = {}
-    print(machine())
-    print(f"{options.seeds} tours of {options.seconds:g} s; mean ± standard deviation over runs")
-    for estimator in ESTIMATORS:
-        configs = [short_tour(estimator, seed, options.seconds) for seed in range(options.seeds)]
-        found = spread_figures(list(pooled(paired_row, configs, options.jobs, warm_up)))
-        print_table(spread_table(found, estimator))
-        figures |= {f"{estimator.replace('-', '_')}.{key}": value for key, value in found.items()}
-    write_json(options.json, figures)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,164 @@
+"""Tables of the pages, written from the files of results: `evidence.json`, `evidence_logs.json` and `results/*.json`.
+
+    python benchmarks/tables.py    # write them again
+
+A table stands between two HTML comments with its name, `<!-- evidence: NAME -->` and `<!-- evidence: end of NAME -->`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from evidence_rows import FIGURES, Figure, Kind
+from harness import HERE, RESULTS
+
+PAGES = (HERE.parent / "README.md", HERE / "RESULTS.md", *sorted((HERE.parent / "docs" / "results").glob("*.md")))
+EVIDENCE, LOGS = HERE / "evidence.json", HERE / "evidence_logs.json"
+MARKER = re.compile(r"<!-- evidence: (?!end of )(.+?) -->")
+
+Measured = Mapping[str, Any]
+"""a row of the JSON: kind, setting, commit, seeds, outcomes, and per figure a value for each seed"""
+
+HEADS: dict[Kind, tuple[str, ...]] = {
+    "tour": ("tour of 200 s", "estimator"),
+    "explore": ("exploration",),
+    "relations": ("log",),
+    "mrclam": ("MRCLAM set 6, robot 3",),
+    "victoria": ("Victoria Park",),
+    "circle": ("landmark circle",),
+    "kernels": ("kernels",),
+}
+"""column names of the setting"""
+
+README_KINDS: tuple[Kind, ...] = ("tour", "explore", "relations", "victoria", "mrclam")
+"""of the name `readme`; each kind of row is a name of its own"""
+
+ORDER = ("rectangle", "block", "apartment", "office", "loop", "ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
+
+
+def mean_and_error(values: list[float]) -> tuple[float, float | None]:
+    """Mean over runs and its standard error; None for one run."""
+    given = np.array(values, dtype=np.float64)
+    error = float(given.std(ddof=1) / np.sqrt(len(given))) if len(given) > 1 else None
+    return float(given.mean()), error
+
+
+def cell(figure: Figure, row: Measured) -> str:
+    """Mean ± standard error; a count in full; empty where no run measured the figure."""
+    values = [figure.scale * value for value in row["values"].get(figure.name, ()) if value is not None]
+    if not values:
+        return ""
+    mean, error = mean_and_error(values)
+    if figure.name == "collisions":
+        return f"{sum(values):.0f}"
+    return f"{mean:{figure.form}}" if error is None else f"{mean:{figure.form}} ± {error:{figure.form}}"
+
+
+def outcomes(row: Measured) -> str:
+    """The outcomes of the runs with their numbers."""
+    return ", ".join(f"{count} {outcome}" for outcome, count in Counter(row["outcomes"]).most_common())
+
+
+def markdown(lines: Sequence[Sequence[str]], text: int = 1) -> str:
+    """A table whose first line holds the column names; the first `text` columns are words, the others numbers."""
+    rule = ["---"] * text + ["---:"] * (len(lines[0]) - text)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (lines[0], rule, *lines[1:]))
+
+
+def table(rows: Mapping[str, Measured], kind: Kind) -> str:
+    """The table of a kind of row, with the code and the machine that measured it; empty without a row."""
+    own = [row for row in rows.values() if row["kind"] == kind]
+    if not own:
+        return ""
+    own.sort(key=lambda row: [ORDER.index(name) if name in ORDER else len(ORDER) for name in row["setting"]])
+    heads = [*HEADS[kind], "n", *(["outcome"] if any(row["outcomes"] for row in own) else [])]
+    lines = [[*heads, *(figure.title for figure in FIGURES[kind])]]
+    for row in own:
+        setting = [f"`{name}`" if name in ORDER[5:] else name for name in row["setting"]] or ["isam2 and the filters"]
+        if kind == "kernels":
+            setting = ["compiled"]
+        cells = [*setting, str(len(row["seeds"])), *([outcomes(row)] if "outcome" in heads else [])]
+        lines.append([*cells, *(cell(figure, row) for figure in FIGURES[kind])])
+    origins = sorted({(row["commit"], row["machine"]) for row in own})
+    of = f"Code: {'; '.join(f'`{commit}` on {machine}' for commit, machine in origins)}."
+    return f"{markdown(lines, len(HEADS[kind]))}\n\n{of}"
+
+
+def crossed(lines: Sequence[tuple[str, ...]], head: str, row: int, column: int) -> str:
+    """Lines of one kind as a table of the numbers measured, by two parts of what they are of; bold is not as asked."""
+    cells: dict[str, dict[str, str]] = {}
+    for what, _, measured, met in lines:
+        parts, shown = what.split(", "), ", ".join(re.findall(r"[\d.]+", measured))
+        cells.setdefault(parts[row], {})[parts[column]] = shown if met == "yes" else f"**{shown}**"
+    columns = list(dict.fromkeys(name for own in cells.values() for name in own))
+    return markdown([[head, *columns], *([name, *(own.get(c, "") for c in columns)] for name, own in cells.items())])
+
+
+def logs_text(rows: Mapping[str, Any]) -> str:
+    """What is asked of scan matching on logs, and what was measured."""
+    from evidence_logs import Line, lines, seeds_of
+
+    shown = [line for line in lines(rows, seeds_of(rows)[:1]) if line.measured]
+    damages, drives = ([line for line in shown if line.what.startswith(kind)] for kind in ("damages", "repetition"))
+    others = [line for line in shown if line not in damages and line not in drives]
+    commits = Counter(row["commit"] for row in rows.values())
+    return "\n\n".join([
+        crossed(damages, "damaged log: mean m, largest m, time over the log's own", 2, 1),
+        crossed(drives, "drive: false loop closures, closed %, ATE m", 1, 2),
+        markdown([Line._fields, *others], 3),
+        f"Code: {', '.join(f'`{commit}` ({count} runs)' for commit, count in commits.most_common())}.",
+    ])  # fmt: skip
+
+
+def result_text(found: Mapping[str, Any]) -> str:
+    """The tables that a command has kept, the command, and where it ran."""
+    parts = [f"    {found['command']}", *(markdown(lines, found["text"]) for lines in found["tables"])]
+    return "\n\n".join([*parts, f"Code: `{found['commit']}` on {found['machine']}."])
+
+
+def texts() -> dict[str, str]:
+    """The text of each name, from the files."""
+    rows = json.loads(EVIDENCE.read_text())["rows"]
+    found: dict[str, str] = {kind: table(rows, kind) for kind in FIGURES}
+    found["readme"] = "\n\n".join(found[kind] for kind in README_KINDS)
+    found["logs"] = logs_text(json.loads(LOGS.read_text())["rows"])
+    return found | {file.stem: result_text(json.loads(file.read_text())) for file in sorted(RESULTS.glob("*.json"))}
+
+
+def markers(name: str) -> tuple[str, str]:
+    """The comments before and after the text of a name."""
+    return f"<!-- evidence: {name} -->", f"<!-- evidence: end of {name} -->"
+
+
+def placed(page: str, name: str, text: str) -> str:
+    """The page with `text` between the markers of `name`; ValueError if it has no such markers."""
+    begin, end = markers(name)
+    pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)
+    if not pattern.search(page):
+        raise ValueError(f"markers: found none of {name!r}, allowed: {begin} and {end}")
+    return pattern.sub(lambda _: f"{begin}\n\n{text}\n\n{end}", page, count=1)
+
+
+def written(page: str, known: Mapping[str, str]) -> str:
+    """A page with the text of each name that it has markers of; ValueError for a name without a file."""
+    for name in MARKER.findall(page):
+        if name not in known:
+            raise ValueError(f"markers: found {name!r}, allowed: {', '.join(known)}")
+        page = placed(page, name, known[name])
+    return page
+
+
+def write_pages() -> None:
+    """Put the tables into the pages."""
+    known = texts()
+    for page in PAGES:
+        page.write_text(written(page.read_text(encoding="utf-8"), known), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_pages()

@@ -1,0 +1,1 @@
+"""Laws of optional capabilities of estimators, and drives of the whole pipeline with known statistics."""
