@@ -141,7 +141,7 @@ def figures_of(case: Case) -> Figures:
         return nees_figures(name, case.seed)
     if case.kind == "repetition":
         config = preset("log", calibrate_wheels=case.setting[1] == "wheels on line")
-        return make_row(config, {}, (name, case.seed))
+        return make_row(config, (name, case.seed))
     file, relations = files_of(name)
     found = open_recorded(file, preset("log"), relations)
     log, known = found.log, found.relations

@@ -1,9 +1,5 @@
 """Loop closures in buildings that repeat themselves, with worn wheels: wrong ones accepted, true ones found.
 
-    python benchmarks/repetition.py --seeds 3                 # all scenes
-    python benchmarks/repetition.py --factor closing._LIMIT=2  # a constant of `slam.scans` changed
-    python benchmarks/repetition.py --calibrate-wheels        # with the wheels' errors estimated on line
-
 A link to an old keyframe is false if its relative pose is off from the truth by more than 0.3 m or 5 degrees, and by
 more than its covariance allows: along a bare corridor a link says nothing. A true loop closure is a keyframe and an old
 one, at least 10 m driven between, that share half of their views by the truth. It is closed if the pair is right to 0.3
@@ -13,31 +9,23 @@ m and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
-from functools import partial
-from importlib import import_module
 from typing import Any
-from unittest import mock
 
 import numpy as np
-from harness import Figures, arguments, check_at_least, finish, pooled
+from harness import Figures
 from numpy.typing import NDArray
 from repetition_scenes import SCENES, log_of
 
-from sixthsense.config import Config, preset
+from sixthsense.config import Config
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.running.warmup import warm_up_scans
 from sixthsense.slam.slam import Slam
 
 Row = dict[str, Any]
 Link = tuple[int, int, Array, Array]
 """keyframes target and source, pose (3,) of the source in the target's frame, and its information (3, 3)"""
-Factors = dict[str, float]
-"""`module.constant` of `sixthsense.slam.scans`, and what it is multiplied with"""
 
 _WRONG_M, _WRONG_RAD = 0.3, math.radians(5.0)
 _WRONG_SQUARED = 20.0  # squared Mahalanobis distance, 3 degrees of freedom
@@ -56,19 +44,14 @@ def old_links(slam: Slam) -> tuple[list[Link], int, int]:
     return links, closings.accepted, closings.undone
 
 
-def make_row(config: Config, factors: Factors, due: tuple[str, int]) -> Row:
+def make_row(config: Config, due: tuple[str, int]) -> Row:
     """Replay one drive, and compare its loop closures with the truth."""
     name, seed = due
     log = log_of(SCENES[name], seed)
     truths, scans = [], []
-    with ExitStack() as opened:
-        for place, factor in factors.items():
-            module, constant = place.split(".")
-            found = import_module(f"sixthsense.slam.scans.{module}")
-            opened.enter_context(mock.patch.object(found, constant, factor * getattr(found, constant)))
+    assert log.ticks[0].truth is not None
+    with Slam(config, log.ticks[0].truth) as slam:
         began = time.process_time()
-        assert log.ticks[0].truth is not None
-        slam = opened.enter_context(Slam(config, log.ticks[0].truth))
         for tick in log.ticks:
             step = slam.take(tick)
             if step.keyframe is not None:
@@ -183,33 +166,3 @@ def summary(own: Sequence[Row]) -> Figures:
         "ate_m": float(np.median(ate)), "ate_max_m": max(ate),
         **{key: float(np.mean([row[key] for row in own])) for key in means},
     }  # fmt: skip
-
-
-def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("--scenes", nargs="+", choices=tuple(SCENES), default=tuple(SCENES), help="(all)")
-    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="number of seeds (10)")
-    parser.add_argument("--first-seed", type=int, default=1000, metavar="S", help="the first seed (1000)")
-    parser.add_argument("--jobs", type=int, default=1, metavar="J", help="processes (1)")
-    parser.add_argument("--calibrate-wheels", action="store_true", help="estimate the wheels' errors, too")
-    parser.add_argument("--factor", nargs="+", default=[], metavar="MODULE.NAME=F", help="times a constant")
-    options = parser.parse_args()
-    check_at_least(parser, options, seeds=1, jobs=1)
-    factors = {place: float(value) for place, value in (given.split("=") for given in options.factor)}
-    config = preset("log", calibrate_wheels=options.calibrate_wheels)
-    due = [(name, options.first_seed + k) for k in range(options.seeds) for name in options.scenes]
-    found = list(pooled(partial(make_row, config, factors), due, options.jobs, warm_up_scans))
-    lines = [["scene", "runs", "driven, m", "false links", "runs with", "true loop closures", "closed", "worst run",
-              "ATE m, median / max", "accepted", "undone", "refused", "s a run"]]  # fmt: skip
-    for name in options.scenes:
-        f = summary([row for row in found if row["scene"] == name])
-        lines.append([name, f"{f['runs']:.0f}", f"{f['driven_m']:.0f}", f"{f['false']:.0f}", f"{f['runs_with']:.0f}",
-                      f"{f['true']:.0f}", f"{100 * f['closed']:.1f} %", f"{100 * f['closed_worst']:.0f} %",
-                      f"{f['ate_m']:.3f} / {f['ate_max_m']:.3f}", f"{f['accepted']:.1f}", f"{f['undone']:.1f}",
-                      f"{f['refused']:.1f}", f"{f['seconds']:.1f}"])  # fmt: skip
-    finish(options, "repetition", lines)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
