@@ -271,6 +271,21 @@ def test_a_snapshot_is_read_only_and_does_not_change_later() -> None:
     assert np.array_equal(space.blocked, before) and grid.hits.max() == 1
 
 
+def test_growth_beyond_the_memory_limit_is_refused_and_leaves_the_grid_unchanged() -> None:
+    grid = Grid(GridConfig(cell_m=0.01), 0.2)
+    grid.add(Pose(), scan_of([2.0]), NO_WALLS)
+    before = grid.hits
+    with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
+        grid.add(Pose(), scan_of([1e6], max_range=1e7), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most 100,000,000 cells"):
+        grid.add(Pose(), scan_of([4e4], max_range=1e7), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most 1,000,000,000 cells"):
+        grid.add(Pose(1e30, 0.0), scan_of([2.0]), NO_WALLS)
+    with pytest.raises(ValueError, match="allowed: at most"):
+        grid.free_space((1e6, 1e6))
+    assert np.array_equal(grid.hits, before)
+
+
 def random_space(rng: np.random.Generator, density: float = 0.2) -> FreeSpace:
     blocked = rng.random((12, 15)) < density
     return FreeSpace(blocked, np.zeros_like(blocked), (-0.7, 0.3), 0.1)
@@ -307,3 +322,16 @@ def test_the_nearest_free_place_is_the_nearest(seed: int) -> None:
         else:
             assert found is None
     assert space.nearest_free(space.centre(6, 7), math.inf) is not None
+
+
+def test_a_space_extended_to_cover_points_keeps_its_cells_where_they_were() -> None:
+    rng = np.random.default_rng(3)
+    space = random_space(rng)
+    wide = space.covering((3.04, -2.0), (-5.0, 0.9))
+    assert wide.contains((3.04, -2.0)) and wide.contains((-5.0, 0.9))
+    assert wide.blocked.sum() == space.blocked.sum()
+    for row, col in np.argwhere(space.blocked):
+        assert wide.is_blocked(space.centre(int(row), int(col)))
+    assert space.covering(space.centre(2, 3)) is space and space.covering() is space
+    empty = Grid(CONFIG, 0.2).free_space((1e5, 1e5), (1e5 + 3.0, 1e5))
+    assert empty.contains((1e5, 1e5)) and empty.blocked.size < 1000 and not empty.blocked.any()
