@@ -3,10 +3,9 @@
 A robot drives a circle. Its errors are Gaussian with an anisotropic covariance that is correlated between axes, white
 or AR(1), in SE(2) and in SE(3). Each row audits the same seeds:
 
-right        verdicts that are right: overconfident for 0.5, consistent for 1, cautious for 2
-held         audits whose 95 % interval of the factor holds the true factor: 2, 1 and 0.5
-effective    median of the effective number of samples; theory of AR(1) errors: N (1 - rho^2) / (1 + rho^2)
-width        median ratio of the ends of the interval of the factor
+- A right verdict is overconfident for 0.5, consistent for 1, cautious for 2; the true factor is 2, 1 and 0.5.
+- The interval of the factor has 95 %; the ratio of its ends is a median.
+- The effective number of samples of AR(1) errors is N (1 - rho^2) / (1 + rho^2) in theory.
 
 The frame is then tested: a covariance that turns with the robot, read in the world's axes; and poses in a wrong frame,
 aligned by all.
@@ -32,7 +31,17 @@ SIGMAS = {3: (0.08, 0.03, 0.01), 6: (0.08, 0.03, 0.05, 0.004, 0.006, 0.01)}
 EXPECTED = {0.5: "overconfident", 1.0: "consistent", 2.0: "cautious"}
 """verdict on a covariance so many times the true one"""
 CASES = [(rho, dof, stated) for dof in (3, 6) for rho in (0.0, 0.99) for stated in EXPECTED]
-FRAMES = ("body read as world", "world read as world", "in another frame, aligned by all")
+FRAMES = (
+    "turns with the robot, read in the world's axes",
+    "in the world's axes, read so",
+    "poses in another frame, aligned by all",
+)
+
+
+HEAD = [
+    "errors", "space", "stated covariance", "right verdicts", "interval holds the factor", "mean factor",
+    "ends of the interval, ratio", "effective samples, median", "in theory",
+]  # fmt: skip
 
 
 def covariance(dof: int) -> Array:
@@ -125,7 +134,7 @@ def main() -> None:
     options = parser.parse_args()
     check_at_least(parser, options, seeds=2, jobs=1)
     seeds = range(options.seeds)
-    lines = [["errors", "space", "covariance", "right", "held", "factor", "width", "effective", "theory"]]
+    lines = [HEAD]
     for case in CASES:
         rho, dof, stated = case
         found = case_figures(case, list(pooled(partial(one_audit, case=case), seeds, options.jobs)))
@@ -136,12 +145,12 @@ def main() -> None:
                 f"{found['effective']:,.0f}", f"{found['theory']:,.0f}",
             ]
         )  # fmt: skip
-    of_frames = [["covariance and frame", "consistent", "says that it may be the other frame"]]
+    of_frames = [["covariance and frame", f"consistent, of {options.seeds}", "says that it may be the other frame"]]
     for name in FRAMES:
         rows = list(pooled(partial(frame_row, case=name), seeds, options.jobs))
         consistent, said = sum(outcome == "consistent" for outcome, _ in rows), sum(other for _, other in rows)
         of_frames.append([name, str(consistent), str(said)])
-    finish(options, "covariance_audit", lines, of_frames)
+    finish(options, "covariance_audit", lines, of_frames, text=3)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,6 +40,7 @@ from harness import (
     check_at_least,
     code_commit,
     command_figures,
+    data_path,
     kept,
     pooled,
     print_table,
@@ -119,7 +119,7 @@ def cases(seed: int) -> list[Case]:
 
 def files_of(log: str) -> tuple[Path, Path]:
     """A log and its relations."""
-    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / ("radish" if log in COARSE_SHARE else log)
+    folder = data_path("radish" if log in COARSE_SHARE else log)
     return folder / f"{log}.clf.bz2", folder / f"{log}.relations"
 
 

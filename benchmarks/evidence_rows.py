@@ -7,18 +7,16 @@ makes it, with its default seed, which only affects RANSAC.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import kernels
 import mrclam
 import numpy as np
 import victoria_park
-from harness import replay, run, single_threaded
+from harness import data_path, replay, run, single_threaded
 from tours import judge, nees_of
 
 import sixthsense as ss
@@ -67,11 +65,6 @@ class Row:
     def is_possible(self) -> bool:
         """Whether its data is there."""
         return not self.needs or data_path(self.needs).exists()
-
-
-def data_path(name: str) -> Path:
-    """A file of the real data; one that does not exist where SIXTHSENSE_DATA is not set."""
-    return Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / name
 
 
 # The longest first, so that two processes end at about the same time.

@@ -96,6 +96,11 @@ def command_figures(file: Path, relations: Path) -> Figures:
     }  # fmt: skip
 
 
+def data_path(name: str) -> Path:
+    """A file of the real data; one that does not exist where SIXTHSENSE_DATA is not set."""
+    return Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / name
+
+
 def arguments(description: str | None) -> argparse.ArgumentParser:
     """A parser with the options that every benchmark has."""
     parser = argparse.ArgumentParser(description=(description or "").split("\n\n")[0])

@@ -2,11 +2,10 @@
 
     SIXTHSENSE_DATA=FOLDER python benchmarks/sensitivity.py              # Freiburg 079, all constants
     python benchmarks/sensitivity.py --only evidence                     # constants whose key begins so
-    python benchmarks/sensitivity.py --only none                         # the table of what is recorded
 
 Each run replays the log with the defaults by a copy of the package in which one constant is changed. A least share is
-moved to half and to double its distance from 1. Figures are kept in `sensitivity.json`; a second call resumes, and
-measures again where the constant's value has changed.
+moved to half and to double its distance from 1. Figures of each run are kept in a folder named after the code's commit,
+so that the same command resumes.
 """
 
 from __future__ import annotations
@@ -19,17 +18,17 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from harness import print_table, replay_errors
+from harness import CACHE, arguments, code_commit, data_path, finish, kept, pooled, replay_errors
 
 from sixthsense.config import preset
-from sixthsense.sources.replay_input import base_of, open_recorded
+from sixthsense.sources.replay_input import open_recorded
 
 HERE = Path(__file__).resolve()
 PACKAGE = HERE.parent.parent / "sixthsense"
-JSON = HERE.with_suffix(".json")
 LOG = "fr079"
 GROUPS = {
     "aligner": ("alignment.SIGMA_M", "alignment._SCALE_M", "alignment._NARROWEST_M", "alignment.NORMALS_AGREE"),
@@ -61,6 +60,7 @@ GROUPS = {
 }  # fmt: skip
 SHARES = {"NORMALS_AGREE", "_RECENT_AGREEMENT", "_OLD_AGREEMENT", "_DOUBTED", "_AGREEMENT", "_AS_GOOD"}
 """least shares, which cannot be doubled"""
+HEAD = ["group", "constant", "value", "lower", "mean, m", "largest, m", "higher", "mean, m", "largest, m"]
 
 
 class Constant(NamedTuple):
@@ -120,47 +120,38 @@ def errors_with(name: str, value: float) -> dict[str, float]:
 
 def replayed() -> dict[str, float]:
     """Errors of the log by the package that is imported."""
-    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / LOG
-    path, relations = folder / f"{LOG}.clf.bz2", folder / f"{LOG}.relations"
-    base = base_of(path)
-    recorded = open_recorded(path, preset(base) if isinstance(base, str) else base, relations)
+    folder = data_path(LOG)
+    recorded = open_recorded(folder / f"{LOG}.clf.bz2", preset("log"), folder / f"{LOG}.relations")
     assert recorded.relations is not None
     found = replay_errors(recorded.log, recorded.config, recorded.relations)
     return {key: found[key] for key in ("mean_m", "largest_m")}
 
 
-def shown(group: str, name: str, row: dict[str, Any]) -> tuple[str, ...]:
-    """A row of the table."""
-    low, high = (
-        (f"{row[at]:g}", f"{row[f'at_{at}']['mean_m']:.4f}", f"{row[f'at_{at}']['largest_m']:.2f}")
-        for at in ("low", "high")
-    )
-    return (group, name, f"{row['value']:g}", *low, *high)
+def line(group: str, name: str, folder: Path) -> list[str]:
+    """A line of the table, measured where `folder` has no figures of it yet."""
+    value = constant(name).value
+    cells = [group, f"`{name}`", f"{value:g}"]
+    for other in changed(name, value):
+        found = kept(folder / f"sensitivity-{name}-{other:g}.json", partial(errors_with, name, other))
+        cells += [f"{other:g}", f"{found['mean_m']:.4f}", f"{found['largest_m']:.2f}"]
+    return cells
 
 
 def main() -> None:
-    """Measure what is not recorded, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="*", default=[""], metavar="KEY", help="groups that begin so; none: the table")
+    parser = arguments(__doc__)
+    parser.add_argument("--only", nargs="+", default=[""], metavar="GROUP", help="groups whose name begins so (all)")
     parser.add_argument("--replay", action="store_true", help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.replay:
+    options = parser.parse_args()
+    if options.replay:
         print(json.dumps(replayed()))
         return
-    rows = json.loads(JSON.read_text(encoding="utf-8")) if JSON.exists() else {}
-    for group, names in GROUPS.items():
-        for name in names if any(group.startswith(key) for key in args.only) else ():
-            value = constant(name).value
-            if rows.get(name, {}).get("value") == value:
-                continue
-            low, high = changed(name, value)
-            rows[name] = {"value": value, "low": low, "high": high} | {
-                at: errors_with(name, other) for at, other in (("at_low", low), ("at_high", high))
-            }
-            JSON.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
-            print(name, rows[name], flush=True)
-    head = ("group", "constant", "value", "lower", "mean, m", "largest, m", "higher", "mean, m", "largest, m")
-    print_table([head, *(shown(group, name, rows[name]) for group in GROUPS for name in GROUPS[group] if name in rows)])
+    if not data_path(LOG).exists():
+        parser.error(f"SIXTHSENSE_DATA: found no folder {LOG} there, allowed: the folder of the real data")
+    chosen = [group for group in GROUPS if group.startswith(tuple(options.only))]
+    due = [(group, name) for group in chosen for name in GROUPS[group]]
+    folder = CACHE / code_commit()
+    lines = list(pooled(lambda each: line(*each, folder), due, 1))
+    finish(options, "sensitivity", [HEAD, *lines], text=2)
 
 
 if __name__ == "__main__":

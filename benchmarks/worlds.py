@@ -12,13 +12,11 @@ import argparse
 import dataclasses
 import itertools
 import math
-import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from generated_worlds import FAMILIES, generated_world
-from harness import arguments, finish
+from harness import arguments, data_path, finish
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
 from tours import Row, add_tour_options, check_tour_options, row_of, rows, seeded, table
@@ -157,8 +155,8 @@ def make_row(config: Config) -> Row:
 
 def maps_at_hand() -> list[str]:
     """The scenes and plans under SIXTHSENSE_DATA; none without it."""
-    folder = Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent"))
-    return [str(f) for pattern in ("scenes_report/market.scn", "plans/*.yaml") for f in sorted(folder.glob(pattern))]
+    patterns = ("scenes_report/market.scn", "plans/*.yaml")
+    return [str(file) for pattern in patterns for file in sorted(data_path(".").glob(pattern))]
 
 
 def main() -> None:

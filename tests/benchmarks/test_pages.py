@@ -36,3 +36,12 @@ def test_there_are_few_commands_and_the_pages_name_no_other():
     assert len(commands) <= MOST_COMMANDS
     page = (BENCHMARKS / "RESULTS.md").read_text(encoding="utf-8")
     assert set(re.findall(r"\b(\w+\.py)\b", page)) <= {*commands, "tables.py"}
+
+
+def test_readme_pages_and_notebooks_name_only_benchmarks_that_are_there():
+    root = BENCHMARKS.parent
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *root.glob("docs/**/*.md"), *root.glob("notebooks/*.ipynb")]
+    named = {
+        (page.name, found) for page in pages for found in re.findall(r"benchmarks/(\w+\.py)", page.read_text("utf-8"))
+    }
+    assert named and not [each for each in sorted(named) if not (BENCHMARKS / each[1]).is_file()]

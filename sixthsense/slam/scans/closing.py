@@ -74,7 +74,7 @@ class Closings:
     def _broken(self, newest: int) -> int:
         """How many links of all loop closures but the newest one contradict the estimate."""
         others = [link for link in self.links if link.group != newest]
-        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION)) if others else 0
+        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
 
     def _undo(self, g: int) -> None:
         """Take back a loop closure and all links that followed from it."""
