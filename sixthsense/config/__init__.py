@@ -3,7 +3,6 @@
 from sixthsense.config.explore import ExploreConfig
 from sixthsense.config.files import is_of_replay, load_config, prior_map_of, save_config
 from sixthsense.config.pipeline import (
-    AlignConfig,
     AssociationConfig,
     FeaturesConfig,
     FollowConfig,
@@ -34,7 +33,6 @@ from sixthsense.config.values import Distribution
 
 __all__ = [
     "PRESETS",
-    "AlignConfig",
     "AssociationConfig",
     "AssumedConfig",
     "Config",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from sixthsense.config.section import ConfigError, Range, Section
-from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount, Probability
+from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount
 
 
 @dataclass(frozen=True)
@@ -113,41 +113,14 @@ class FeaturesConfig(Section):
 
 
 @dataclass(frozen=True)
-class AlignConfig(Section):
-    """Alignment of a scan's walls with the map's before matching: only the choice of matches depends on it."""
-
-    enabled: bool = True
-    """Off: landmarks near the predicted observations are compared, however wrong the predicted pose may be."""
-    steps: PositiveCount = 6
-    """Robust Gauss-Newton steps."""
-    headings_rad: tuple[Positive, Positive] = (0.12, 0.25)
-    """Offsets of further initial headings, to either side, when the predicted heading leaves much unexplained."""
-    reach_m: Positive = 0.6
-    """Largest offset between an observed wall and the known wall it is aligned with."""
-    reach_rad: Positive = 0.2
-    """The same for the angle between them."""
-    scale_m: Positive = 0.05
-    """Scale of the robust loss, m of offset."""
-    enough: Probability = 0.6
-    """No other heading is tried when this share of the observed walls' length lies on known ones."""
-    margin: Probability = 0.15
-    """Another heading must explain this much more of it."""
-
-
-@dataclass(frozen=True)
 class AssociationConfig(Section):
     """Which observation is of which landmark (report section 4.3)."""
 
-    method: Literal["chi2", "report"] = "chi2"
-    """chi2: gates by probability; report: squared Mahalanobis thresholds."""
-    match_probability: Probability = 0.999
-    """chi2: a match lies inside this quantile of the innovation's distribution."""
-    new_probability: Probability = 0.999999
-    """chi2: a new landmark lies outside this quantile for every known landmark."""
-    match_below: Positive = 20.0
-    """report: squared Mahalanobis distance of a match."""
-    new_above: Positive = 200.0
-    """report: squared Mahalanobis distance, to every landmark, of a new one."""
+    match_gate: Positive = 13.8155
+    """Squared Mahalanobis distance of a match, at most, given the other matches: 0.999 of chi-square with 2 degrees of
+    freedom. An observation without a match counts as one at the gate."""
+    new_gate: Positive = 27.631
+    """Squared Mahalanobis distance of a new landmark from every known one, at least: 0.999999 of chi-square."""
     wall_gap_m: NonNegative = 0.05
     """Collinear walls may be one landmark if the gap between their seen extents is at most this."""
     pre_gate_m: Positive = 1.5
@@ -156,21 +129,13 @@ class AssociationConfig(Section):
     """A new landmark is at least this far from every known one."""
     known_probability: Annotated[float, Range(0.0, 1.0, open_low=True)] = 1.0
     """A named observation outside this quantile of its innovation's distribution is a misread name; 1: never."""
-    assignment: Literal["agreeing", "optimal", "joint"] = "agreeing"
-    """optimal: the likeliest one-to-one matches; agreeing: those of them that all others agree with; joint: the most
-    jointly compatible ones (Neira and Tardos 2001)."""
-    joint_probability: Probability = 0.999
-    """joint: all matches together lie inside this quantile of their innovations' distribution."""
     proposed_by: Literal["estimate", "scan-matching"] = "estimate"
     """Where the robot is when matches are chosen: by the estimator's prediction; or by scan matching, which is used
     for nothing else."""
-    culling: bool = True
-    """Remove landmarks that were seen too rarely."""
     cull_period: PositiveCount = 25
     """Keyframes between two checks."""
     cull_below: Count = 3
-    """A landmark with fewer observations than this, a period after its first one, is removed."""
-    align: AlignConfig = field(default_factory=AlignConfig)
+    """A landmark with fewer observations than this, a period after its first one, is removed; 0: none is."""
 
 
 @dataclass(frozen=True)

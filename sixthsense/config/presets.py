@@ -37,7 +37,7 @@ PRESETS: dict[str, dict[str, Any]] = {
             "lines": {"ransac_threshold_m": 0.04, "ransac_iterations": 1000, "min_points": 8, "cut_false_alarm": 0.0},
         },
         # The report has no other rules than its two thresholds.
-        "association": {"method": "report", "assignment": "optimal", "pre_gate_m": 5.0, "new_separation_m": 0.0},
+        "association": {"match_gate": 20.0, "new_gate": 200.0, "pre_gate_m": 5.0, "new_separation_m": 0.0},
         "grid": {"cell_m": 0.04},
         "follow": {"heading_slack_rad": 0.01, "distance_slack_m": 0.01},
         "max_time": 1800.0,
@@ -86,11 +86,11 @@ PRESETS: dict[str, dict[str, Any]] = {
             },
             "laser": {"range_m": 0.1, "bearing_rad": 0.01},
         },
-        "association": {"culling": False, "known_probability": 0.999999},
+        "association": {"cull_below": 0, "known_probability": 0.999999},
         "isam2": {"undo_probability": 1.0},
     },
     # A graph states its own noise and matches, and its stamps of one second per pose are not real time.
-    "victoria": {"association": {"culling": False}, "isam2": {"undo_probability": 1.0}},
+    "victoria": {"association": {"cull_below": 0}, "isam2": {"undo_probability": 1.0}},
 }  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,10 +29,26 @@ _PROBATION = (
     "landmarks join the state at their first observation, since waiting multiplied the trajectory's error by 5.8"
 )
 
+_ONE_ASSIGNMENT = "the matches of a keyframe are chosen together, in one way"
+
 REMOVED: dict[str, Removed] = {
     "association.candidate_sightings": Removed(1, _PROBATION),
     "association.candidate_gate_m": Removed(0.2, _PROBATION),
     "association.candidate_scans": Removed(30, _PROBATION),
+    "association.joint_probability": Removed(0.999, _ONE_ASSIGNMENT),
+    "association.align": Removed(
+        {
+            "enabled": True,
+            "steps": 6,
+            "headings_rad": [0.12, 0.25],
+            "reach_m": 0.6,
+            "reach_rad": 0.2,
+            "scale_m": 0.05,
+            "enough": 0.6,
+            "margin": 0.15,
+        },
+        "the matches of a keyframe are chosen together, which needs no aligned pose",
+    ),
 }
 
 REMOVED_PRESETS = {
@@ -46,6 +63,10 @@ RENAMED: dict[str, str] = {
     "explore.revisit_sigma_m": "explore.loop_closure_sigma_m",
 }
 """by dotted name: the new name of a field or section, in the same section"""
+
+_OLD_GATES = (
+    "method", "match_probability", "new_probability", "match_below", "new_above", "assignment", "culling",
+)  # fmt: skip
 
 RENAMED_VALUES: dict[str, dict[str, str]] = {
     "front_end": {"scans": "scan-matching"},
@@ -99,7 +120,34 @@ def with_current_names(table: Mapping[str, Any], path: str = "") -> dict[str, An
         if key in current:
             raise ConfigError(f"{path}{key}: found under its old name, too, allowed: one of the two")
         current[key] = with_current_names(value, f"{name}.") if isinstance(value, Mapping) else value
+        if name == "association" and isinstance(value, Mapping):
+            current[key] = _with_current_gates(current[key])
     return current
+
+
+def _with_current_gates(association: dict[str, Any]) -> dict[str, Any]:
+    """The section's fields of earlier versions as gates on the squared distance, and no culling as `cull_below`."""
+    old = {name: association.pop(name) for name in _OLD_GATES if name in association}
+    if not old:
+        return association
+    note_renamed(", ".join(f"association.{name}" for name in old), "association.match_gate, new_gate and cull_below")
+    if old.get("method") == "report":
+        gates = {"match_gate": old.get("match_below", 20.0), "new_gate": old.get("new_above", 200.0)}
+    else:
+        gates = {}
+        for gate, name in (("match_gate", "match_probability"), ("new_gate", "new_probability")):
+            if name in old:
+                gates[gate] = _gate(f"association.{name}", old[name])
+    if old.get("culling") is False:
+        gates["cull_below"] = 0
+    return gates | association
+
+
+def _gate(name: str, probability: object) -> float:
+    """The quantile of chi-square with 2 degrees of freedom."""
+    if not isinstance(probability, float) or not 0.0 < probability < 1.0:
+        raise ConfigError(f"{name}: found {shown(probability)}, allowed: above 0 and below 1")
+    return -2.0 * math.log(1.0 - probability)
 
 
 def without_removed(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -148,38 +148,18 @@ class FeaturesFields(TypedDict, total=False):
     walls: WallsFields
 
 
-class AlignFields(TypedDict, total=False):
-    """Fields of `AlignConfig`."""
-
-    enabled: bool
-    steps: int
-    headings_rad: Sequence[float]
-    reach_m: float
-    reach_rad: float
-    scale_m: float
-    enough: float
-    margin: float
-
-
 class AssociationFields(TypedDict, total=False):
     """Fields of `AssociationConfig`."""
 
-    method: Literal["chi2", "report"]
-    match_probability: float
-    new_probability: float
-    match_below: float
-    new_above: float
+    match_gate: float
+    new_gate: float
     wall_gap_m: float
     pre_gate_m: float
     new_separation_m: float
     known_probability: float
-    assignment: Literal["agreeing", "optimal", "joint"]
-    joint_probability: float
     proposed_by: Literal["estimate", "scan-matching"]
-    culling: bool
     cull_period: int
     cull_below: int
-    align: AlignFields
 
 
 class ScansFields(TypedDict, total=False):

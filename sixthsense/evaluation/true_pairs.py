@@ -24,6 +24,7 @@ from sixthsense.core.source import Tick
 from sixthsense.evaluation.true_identities import Identity, TrueLandmarks, TrueLaser, identify
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.matching import compare
+from sixthsense.slam.association.observed import Observed
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators.base import Belief
 
@@ -72,9 +73,9 @@ class InnovationObserver:
         estimate = estimator.estimate()
         squared = np.full((len(observations), len(estimate.ids)), np.inf)
         if squared.size:
-            joint = estimator.joint_covariance(estimate.ids.tolist())
-            alike = np.array([s.is_wall for s in observations])[:, None] == estimate.walls[None, :]
-            squared = compare(observations, estimate, np.arange(len(estimate.ids)), joint, alike).squared
+            joint, observed = estimator.joint_covariance(estimate.ids.tolist()), Observed.of(observations)
+            found = compare(observed, observed.cov[:, None], estimate, np.arange(len(estimate.ids)), joint).squared
+            squared = np.where(observed.walls[:, None] == estimate.walls[None, :], found, np.inf)
         self.scans.append(PriorInnovations(tuple(observations), estimate.ids, squared))
 
 

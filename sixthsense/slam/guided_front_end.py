@@ -6,8 +6,6 @@ slip. The estimator is given odometry and observations, as without it: no aligne
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from sixthsense.config import Config
@@ -58,19 +56,10 @@ class GuidedFrontEnd(LandmarkFrontEnd):
     def _associated(self, features: Features | None, tick: Tick) -> Association:
         if features is None:
             return super()._associated(features, tick)
-        estimate = self._estimator.estimate()
-        self._proposed.place(self._guide.proposal(), estimate, self._associator.records)
-        found = self._associator.associate(features.observations, self._proposed)
-        nis, dof = self._associator.nis(found.observations, self._estimator)
-        return dataclasses.replace(
-            found, nis=nis, dof=dof, predicted_pose=estimate.pose, predicted_cov=estimate.pose_cov
-        )
+        self._proposed.place(self._guide.proposal(), self._estimator.estimate())
+        return self._associator.associate(features.observations, self._estimator, self._proposed)
 
-    def _updated(self, association: Association) -> Estimate:
-        self._estimator.update(association.observations)
-        estimate = self._estimator.estimate()
+    def _updated(self, association: Association, scan: Scan | None) -> Estimate:
+        estimate = super()._updated(association, scan)
         self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
-        gone = [*self._associator.cull(), *self._associator.merged(self._estimator)]
-        self._estimator.forget(gone)
-        self._proposed.forget(gone)
         return estimate

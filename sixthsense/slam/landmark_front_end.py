@@ -10,9 +10,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.blind_zone import BlindZone
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
@@ -35,8 +33,6 @@ class LandmarkFrontEnd:
         self._config, self._estimator, self._associator = config, estimator, associator
         self._ransac_rng, self._pose = ransac_rng, start
         self._keyframes = Keyframes(config.keyframes)
-        self._blind_zone = BlindZone()
-        self._vanished = Vanished(associator.records, config.grid.no_return_passes)
         self._predict = timed("predict", estimator.predict)
         self._extract = timed("extract", self._extracted)
         self._associate = timed("associate", self._associated)
@@ -63,13 +59,10 @@ class LandmarkFrontEnd:
         self._predict(motion)
         features = None if scan is None else self._extract(scan)
         association = self._associate(features, tick)
-        estimate = self._update(association)
-        if scan is not None:
-            estimate = self._unlearn(scan, estimate, association)
+        estimate = self._update(association, scan)
         self._pose = estimate.pose
-        lost = self._blind_zone.uncertainty(association)
-        if lost is not None:
-            self._estimator.predict(lost)
+        if association.lost is not None:
+            self._estimator.predict(association.lost)
         return Keyframe(motion, estimate, association, features)
 
     @property
@@ -98,18 +91,11 @@ class LandmarkFrontEnd:
             return self._associator.known(tick.observations or {}, self._estimator)
         return self._associator.associate(features.observations, self._estimator)
 
-    def _unlearn(self, scan: Scan, estimate: Estimate, association: Association) -> Estimate:
-        """The estimate without the landmarks of a prior map that are no longer there."""
-        gone = self._vanished.gone(scan, estimate, association.observations, self._associator.records)
-        if not gone:
-            return estimate
-        self._estimator.forget(gone)
-        for i in gone:
-            del self._associator.records[i]
-        self._associator.culled += len(gone)
-        return self._estimator.estimate()
-
-    def _updated(self, association: Association) -> Estimate:
+    def _updated(self, association: Association, scan: Scan | None) -> Estimate:
         self._estimator.update(association.observations)
-        self._estimator.forget([*self._associator.cull(), *self._associator.merged(self._estimator)])
-        return self._estimator.estimate()
+        estimate = self._estimator.estimate()
+        gone = self._associator.forgotten(scan, self._estimator, estimate, association)
+        if gone:
+            self._estimator.forget(gone)
+            estimate = self._estimator.estimate()
+        return estimate

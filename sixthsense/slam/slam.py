@@ -76,7 +76,8 @@ class Slam:
         self._start = start or Pose()
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
-        self.associator = Associator(self.config.association, None if prior_map is None else prior_map.fresh_records())
+        records = None if prior_map is None else prior_map.fresh_records()
+        self.associator = Associator(self.config.association, records, self.config.grid.no_return_passes)
         radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         self._mapper = Mapper(self.config.grid, radius_m, self.config.safety.body_m)
         self._deskew = Deskewer(self.config.features.deskew)

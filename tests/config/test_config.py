@@ -54,7 +54,7 @@ def test_the_report_preset_has_the_reports_numbers() -> None:
     assert config.world.laser.range_m == 0.01
     assert config.features.lines.ransac_iterations == 1000
     assert config.features.lines.ransac_threshold_m == 0.04
-    assert (config.association.match_below, config.association.new_above) == (20.0, 200.0)
+    assert (config.association.match_gate, config.association.new_gate) == (20.0, 200.0)
     assert (config.association.cull_period, config.association.cull_below) == (25, 3)
     assert config.grid.cell_m == 0.04
 
@@ -93,6 +93,7 @@ BAD_FIELDS = {
     "world.motion.distribution": ('[world.motion]\ndistribution = "cauchy"', "'cauchy'", "gaussian, uniform"),
     "follow.shortcut": ("[follow]\nshortcut = 1", "1", "true or false"),
     "association.match_probability": ("[association]\nmatch_probability = 1.0", "1.0", "above 0"),
+    "association.match_gate": ("[association]\nmatch_gate = 0", "0", "above 0"),
     "estimator": ('estimator = "ekff"', "'ekff'", "ekf"),
     "estimator ": ("estimator = []", "[]", "ekf"),
     "scene": ("scene = 3", "3", "a text"),

@@ -10,22 +10,17 @@ import sixthsense as ss
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command, Tick
 from sixthsense.slam.association.blind_zone import BlindZone
-from sixthsense.slam.association.records import Association
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
 from sixthsense.sources.world import World
 
 
-def association_of(discarded: int, matches: int) -> Association:
-    return Association({k: None for k in range(matches)}, discarded, 0.0, 2 * matches)  # type: ignore[misc]
-
-
 def test_only_scans_in_a_row_whose_observations_are_discarded_make_the_pose_uncertain() -> None:
     zone = BlindZone()
-    assert [zone.uncertainty(association_of(5, 1)) for _ in range(2)] == [None, None]
-    assert zone.uncertainty(association_of(1, 5)) is None
-    assert [zone.uncertainty(association_of(5, 1)) for _ in range(2)] == [None, None]
-    first, second = (zone.uncertainty(association_of(5, 1)) for _ in range(2))
+    assert [zone.uncertainty(matched=1, new=0, discarded=5) for _ in range(2)] == [None, None]
+    assert zone.uncertainty(matched=5, new=0, discarded=1) is None
+    assert [zone.uncertainty(matched=1, new=0, discarded=5) for _ in range(2)] == [None, None]
+    first, second = (zone.uncertainty(matched=1, new=0, discarded=5) for _ in range(2))
     assert first is not None and second is not None
     assert first.motion == Pose()
     assert np.all(np.diag(second.cov) > 2.0 * np.diag(first.cov))
@@ -33,7 +28,7 @@ def test_only_scans_in_a_row_whose_observations_are_discarded_make_the_pose_unce
 
 def test_scans_with_few_observations_do_not_end_the_blind_zone() -> None:
     zone = BlindZone()
-    found = [zone.uncertainty(association_of(count, 0)) for count in (5, 1, 5, 1, 5)]
+    found = [zone.uncertainty(matched=0, new=0, discarded=count) for count in (5, 1, 5, 1, 5)]
     assert found[:4] == [None] * 4 and found[4] is not None
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.records import Association
 
 _PATIENCE = 3
 """keyframes in a row before anything is done"""
@@ -32,16 +31,16 @@ class BlindZone:
     def __init__(self) -> None:
         self._scans = 0
 
-    def uncertainty(self, association: Association) -> Odometry | None:
+    def uncertainty(self, matched: int, new: int, discarded: int) -> Odometry | None:
         """Uncertainty of the pose beyond its covariance, as a motion of zero; None while observations match.
 
-        With it the gates are wide enough for the matches that the alignment of walls proposes, so that the robot is
-        localised again by all landmarks around it.
+        `matched`, `new` and `discarded` count the observations of a keyframe. With the uncertainty the gates are wide
+        enough for the right matches, so that the robot is localised again by all landmarks around it.
         """
-        if association.discarded <= association.dof // 2 + _new_landmarks(association):
+        if discarded <= matched + new:
             self._scans = 0
             return None
-        if association.discarded < _LEAST:
+        if discarded < _LEAST:
             return None
         self._scans += 1
         if self._scans < _PATIENCE:
@@ -49,7 +48,3 @@ class BlindZone:
         growth = 2.0 ** (self._scans - _PATIENCE)
         position, heading = (min(first * growth, most) for first, most in zip(_SIGMAS, _LARGEST, strict=True))
         return Odometry(Pose(), np.diag([position, position, heading]) ** 2)
-
-
-def _new_landmarks(association: Association) -> int:
-    return len(association.observations) - association.dof // 2

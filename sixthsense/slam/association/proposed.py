@@ -7,7 +7,7 @@ between. The robot is the origin here, since walls far from the origin have offs
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,6 +54,8 @@ class ProposedLandmarks:
         self._last: dict[LandmarkId, _Last] = {}
         self._here = Estimate(Pose(), np.zeros((3, 3)), np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.bool_))
         self._covs = np.zeros((0, 2, 2))
+        self.extents = np.zeros((0, 2, 2))
+        """(n, 2, 2) ends of the walls of `estimate`, in the robot's frame"""
 
     def estimate(self) -> Estimate:
         """The landmarks in the robot's frame."""
@@ -68,8 +70,8 @@ class ProposedLandmarks:
             joint[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = self._covs[row]
         return joint
 
-    def place(self, proposal: Proposal, estimate: Estimate, records: Mapping[LandmarkId, Record]) -> None:
-        """Place the landmarks of an estimate by a proposal, and their extents in `records` with them."""
+    def place(self, proposal: Proposal, estimate: Estimate) -> None:
+        """Place the landmarks of an estimate by a proposal, with their extents."""
         keys = np.array([self._last[i].key for i in estimate.ids.tolist()], dtype=np.int64)
         certain = (proposal.sigma_m[keys] < _MOST_SIGMA_M) & (proposal.sigma_rad[keys] < _MOST_SIGMA_RAD)
         order = np.flatnonzero(certain)[np.argsort(estimate.ids[certain])]
@@ -77,9 +79,7 @@ class ProposedLandmarks:
         last = [self._last[i] for i in ids.tolist()]
         poses = proposal.relative[keys]
         landmarks = moved(poses, np.array([known.landmark for known in last]).reshape(-1, 2), walls)
-        extents = moved_points(poses, np.array([known.extent for known in last]).reshape(-1, 2, 2))
-        for i, extent in zip(ids.tolist(), extents, strict=True):
-            records[i].extent = extent
+        self.extents = moved_points(poses, np.array([known.extent for known in last]).reshape(-1, 2, 2))
         pose_cov = np.diag([_SIGMA_M**2, _SIGMA_M**2, _SIGMA_RAD**2])
         self._here = Estimate(Pose(), pose_cov, ids, landmarks, walls)
         covs = np.array([known.cov for known in last]).reshape(-1, 2, 2)
@@ -94,20 +94,17 @@ class ProposedLandmarks:
         observations: Mapping[LandmarkId, Observation],
         records: Mapping[LandmarkId, Record],
     ) -> None:
-        """Fix the landmarks that keyframe `key` has observed to it, and give `records` their extents in the world."""
+        """Fix the landmarks that keyframe `key` has observed to it, with the extents that `records` has of them."""
         rows = {i: row for row, i in enumerate(estimate.ids.tolist())}
-        T_world_robot, T_robot_world = estimate.pose.array()[None], estimate.pose.inverse().array()[None]
+        T_robot_world = estimate.pose.inverse().array()[None]
         for i, observation in observations.items():
-            row = slice(rows[i], rows[i] + 1)
-            local = moved(T_robot_world, estimate.landmarks[row], estimate.walls[row])[0]
-            self._last[i] = _Last(key, local, records[i].extent, observation.cov)
-        for i in {*self._here.ids.tolist(), *observations}:
-            records[i].extent = moved_points(T_world_robot, records[i].extent[None])[0]
-
-    def forget(self, ids: Collection[LandmarkId]) -> None:
-        """Forget landmarks."""
-        for i in ids:
-            self._last.pop(i, None)
+            if i in rows:
+                row = slice(rows[i], rows[i] + 1)
+                local = moved(T_robot_world, estimate.landmarks[row], estimate.walls[row])[0]
+                extent = moved_points(T_robot_world, records[i].extent[None])[0]
+                self._last[i] = _Last(key, local, extent, observation.cov)
+        for i in set(self._last).difference(rows):
+            del self._last[i]
 
 
 def moved(poses: Array, landmarks: Array, walls: NDArray[np.bool_]) -> Array:

@@ -11,7 +11,9 @@ import numpy as np
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.crookedness import Footprint, MeanShape, correlation
+from sixthsense.slam.association.wall_extents import ends, joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,8 @@ class Association:
     """before the update"""
     predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) of the predicted pose, world frame"""
+    lost: Odometry | None = None
+    """uncertainty of the pose beyond its covariance, a motion of zero, if hardly an observation matches"""
     sightings = OldName("sightings", "observations")
 
 
@@ -57,9 +61,12 @@ class Record:
     """of the last observation of a wall; None of a wall of an earlier run"""
     sightings = OldName("sightings", "observations")
 
-    def seen_again(self, observation: Observation, footprint: Footprint) -> Observation:
-        """An observation of this wall, with what its shape's error has in common with that of the last one."""
-        before, self.footprint = self.footprint, footprint
+    def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
+        """An observation of this wall (2,) from `pose`, with what its shape's error has in common with the last one."""
+        seen = ends(pose, observation)
+        self.shape.add(observation.shape)
+        self.extent = joined(wall, self.extent, seen)
+        before, self.footprint = self.footprint, Footprint.of(pose, seen)
         if before is None or observation.shape_cov is None:
             return observation
-        return replace(observation, shape_kept=correlation(before, footprint))
+        return replace(observation, shape_kept=correlation(before, self.footprint))

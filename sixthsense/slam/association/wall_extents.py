@@ -1,29 +1,17 @@
-"""Extents of walls, which are in no estimator's state, and how near two walls are."""
+"""Extents of walls, which are in no estimator's state, and walls that may be one."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observation_innovations, observed_centre
+from sixthsense.slam.association.observed import Distances
 
 _PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
-
-
-@dataclass(frozen=True, slots=True)
-class Nearness:
-    """Angles, offsets and gaps of m observed walls against n landmarks; rows are observations."""
-
-    angle: Array
-    """(m, n) rad, between the normals"""
-    offset: Array
-    """(m, n) m, of the middle of the observed piece from the landmark's line"""
-    gap: Array
-    """(m, n) m along the landmark between the observed piece and the known extent; negative where they overlap"""
 
 
 def ends(pose: Pose, observation: Observation) -> Array:
@@ -33,29 +21,16 @@ def ends(pose: Pose, observation: Observation) -> Array:
     return np.asarray(pose @ (foot + np.outer(observation.extent, along)))
 
 
-def nearness(observed: Array, alphas: Array, landmarks: Array, extents: Array) -> Nearness:
-    """Compare observed walls, (m, 2, 2) ends and (m,) alphas, with landmarks (n, 2), whose extents are (n, 2, 2)."""
-    c, s = np.cos(landmarks[:, 0]), np.sin(landmarks[:, 0])
-    normal, along = np.column_stack([c, s]), np.column_stack([-s, c])
-    middle = observed.mean(axis=1)
-    mine = np.einsum("mek,nk->mne", observed, along)
-    theirs = np.einsum("nek,nk->ne", extents, along)
-    low = np.maximum(mine.min(axis=2), theirs.min(axis=1))
-    high = np.minimum(mine.max(axis=2), theirs.max(axis=1))
-    angle = wrap_angle(alphas[:, None] - landmarks[None, :, 0])
-    return Nearness(angle, middle @ normal.T - landmarks[:, 1], low - high)
-
-
 def collinear_pairs(
     landmarks: Array, extents: Array, recent: NDArray[np.bool_], gap_m: float, offset_m: float
 ) -> list[tuple[int, int]]:
     """Pairs of walls (n, 2), at least one of them `recent` (n,), that may be one by direction, offset and extent."""
     pairs: list[tuple[int, int]] = []
-    mine = np.flatnonzero(recent)
+    mine, walls = np.flatnonzero(recent), np.ones(len(landmarks), dtype=bool)
     if not len(mine):
         return pairs
-    near = nearness(extents[mine], landmarks[mine, 0], landmarks, extents)
-    close = (np.abs(near.angle) < _PARALLEL_RAD) & (np.abs(near.offset) <= offset_m) & (near.gap < gap_m)
+    near = Distances.between(extents[mine], landmarks[mine, 0], walls[mine], landmarks, walls, extents)
+    close = (near.turn_rad < _PARALLEL_RAD) & (near.metres <= offset_m) & (near.gap_m < gap_m)
     for j, k in zip(*np.nonzero(close), strict=True):
         first, second = int(mine[j]), int(k)
         if first != second and not (recent[second] and second < first):

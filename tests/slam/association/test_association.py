@@ -10,6 +10,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 
+REPORT = AssociationConfig(match_gate=20.0, new_gate=200.0, new_separation_m=0.0)
 POINTS = np.array([[3.0, 1.0], [-1.0, 2.0], [2.0, -2.0], [4.0, 3.0], [-2.0, -1.0]])
 
 
@@ -17,6 +18,15 @@ def sight(pose, ids, rng=None, sigma=0.02, points=POINTS):
     z, _, _ = predict_points(pose, points[list(ids)])
     z = z if rng is None else z + rng.normal(0, sigma, z.shape)
     return [Observation(Kind.CORNER, row, np.eye(2) * sigma**2) for row in z]
+
+
+def updated(estimator, associator, observations):
+    """The landmarks that are forgotten after a keyframe."""
+    association = associator.associate(observations, estimator)
+    estimator.update(association.observations)
+    gone = associator.forgotten(None, estimator, estimator.estimate(), association)
+    estimator.forget(gone)
+    return gone
 
 
 def known(config=None, sigma=0.02):
@@ -48,7 +58,7 @@ def test_a_far_observation_is_new_and_an_ambiguous_one_is_discarded():
 
 
 def test_the_reports_thresholds_are_on_the_squared_mahalanobis_distance():
-    estimator, associator = known(AssociationConfig(method="report", new_separation_m=0.0))
+    estimator, associator = known(REPORT)
     sigma = 0.02 * math.sqrt(2)
     for squared, matched, born in ((19.0, 1, 0), (21.0, 0, 0), (199.0, 0, 0), (201.0, 0, 1)):
         point = POINTS[0] + [math.sqrt(squared) * sigma, 0.0]
@@ -92,15 +102,12 @@ def test_culling_removes_landmarks_seen_too_rarely_but_no_younger_ones():
     culled = []
     for scan in range(1, 11):
         ids = [0] if scan not in (1, 8) else [0, 1] if scan == 1 else [0, 2]
-        estimator.update(associator.associate(sight(Pose(), ids), estimator).observations)
-        gone = associator.cull()
-        estimator.forget(gone)
+        gone = updated(estimator, associator, sight(Pose(), ids))
         culled += [(scan, i) for i in gone]
     assert culled == [(10, 1)]  # at scan 5 it was too young, as the third is at scan 10
     assert associator.culled == 1 and sorted(associator.records) == [0, 2]
-    off = Associator(AssociationConfig(culling=False, cull_period=1))
-    off.associate(sight(Pose(), range(5)), make_estimator("ekf", Pose(), np.zeros((3, 3))))
-    assert off.cull() == []
+    estimator, off = known(AssociationConfig(cull_below=0, cull_period=1))
+    assert updated(estimator, off, sight(Pose(), range(5))) == []
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05])
@@ -140,10 +147,9 @@ def test_among_close_landmarks_an_observation_is_matched_correctly_or_not_at_all
 
 
 @pytest.mark.parametrize("name", ["ekf", "isam2"])
-@pytest.mark.parametrize("method", ["chi2", "report"])
-def test_comparing_near_landmarks_only_changes_no_association(name, method):
+@pytest.mark.parametrize("config", [AssociationConfig(), REPORT], ids=["default", "report"])
+def test_comparing_near_landmarks_only_changes_no_association(name, config):
     """Pairs beyond the bound on sigmas cannot pass a gate: without the bound the result is the same."""
-    config = AssociationConfig(method=method)
     rng = np.random.default_rng(5)
     points = rng.uniform(-6, 6, (60, 2))
     step = Odometry(Pose(0.3, 0.0, 0.25), np.diag([1e-5, 1e-5, 1e-5]))

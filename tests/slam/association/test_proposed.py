@@ -37,7 +37,7 @@ def test_landmarks_are_where_they_would_be_observed_again(turn: float) -> None:
     proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     step = Pose(0.5, 0.2, turn)
     # The estimate has moved since, and is not asked.
-    proposed.place(proposal(step.inverse()), known(Pose(-9.0, 4.0, 2.0)), kept)
+    proposed.place(proposal(step.inverse()), known(Pose(-9.0, 4.0, 2.0)))
     there = proposed.estimate()
     assert there.pose == Pose() and there.ids.tolist() == [3, 7] and there.walls.tolist() == [False, True]
     expected = [initialize_landmark(step.inverse(), observation)[0] for observation in OBSERVATIONS.values()]
@@ -50,7 +50,7 @@ def test_the_covariance_is_that_of_the_observation_and_of_the_pose_it_was_made_f
     proposed, kept = ProposedLandmarks(), records()
     proposed.remember(0, known(HERE), OBSERVATIONS, kept)
     relative = np.array([step.array()])
-    proposed.place(Proposal(relative, np.array([sigma]), np.array([2 * sigma])), known(HERE), kept)
+    proposed.place(Proposal(relative, np.array([sigma]), np.array([2 * sigma])), known(HERE))
     joint = proposed.joint_covariance([7, 3])
     assert np.array_equal(joint, joint.T) and joint.shape == (7, 7)
     for i, block in ((7, joint[3:5, 3:5]), (3, joint[5:, 5:])):
@@ -63,18 +63,17 @@ def test_the_covariance_is_that_of_the_observation_and_of_the_pose_it_was_made_f
 def test_a_landmark_of_an_uncertain_keyframe_is_not_placed() -> None:
     proposed, kept = ProposedLandmarks(), records()
     proposed.remember(0, known(HERE), OBSERVATIONS, kept)
-    proposed.place(proposal(Pose(), sigma_m=2.0), known(HERE), kept)
+    proposed.place(proposal(Pose(), sigma_m=2.0), known(HERE))
     assert not len(proposed.estimate().ids)
 
 
-def test_extents_are_in_the_robots_frame_while_matches_are_chosen_and_in_the_world_after() -> None:
+def test_extents_are_placed_with_their_walls_and_stay_in_the_world_in_the_records() -> None:
     proposed, kept = ProposedLandmarks(), records()
     proposed.remember(0, known(HERE), OBSERVATIONS, kept)
-    assert np.allclose(kept[7].extent, HERE @ np.array([[1.0, 2.0], [3.0, 4.0]]))
-    proposed.place(proposal(Pose()), known(HERE), kept)
-    assert np.allclose(kept[7].extent, [[1.0, 2.0], [3.0, 4.0]])
-    proposed.remember(1, known(Pose()), {3: OBSERVATIONS[3]}, kept)
-    assert np.allclose(kept[7].extent, [[1.0, 2.0], [3.0, 4.0]])
+    step = Pose(0.5, 0.2, 0.3)
+    proposed.place(proposal(step.inverse()), known(HERE))
+    assert np.allclose(proposed.extents[1], (HERE @ step).inverse() @ kept[7].extent)
+    assert np.array_equal(kept[7].extent, [[1.0, 2.0], [3.0, 4.0]])
 
 
 def test_moved_walls_keep_their_angles_wrapped() -> None:

@@ -15,7 +15,8 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.wall_extents import ends, fused, joined, nearness
+from sixthsense.slam.association.observed import Distances
+from sixthsense.slam.association.wall_extents import ends, fused, joined
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.isam2_walls import lines, measurement
 from sixthsense.slam.features import extract
@@ -278,10 +279,11 @@ def test_a_mount_off_the_robots_centre_changes_no_wall():
 
 def test_extents_tell_walls_in_line_from_one_wall():
     landmark, extent = np.array([[math.pi / 2, 2.0]]), np.array([[[0.0, 2.0], [3.0, 2.0]]])
-    near = nearness(
-        np.array([[[4.0, 2.1], [5.0, 2.1]], [[1.0, 2.0], [2.0, 2.2]]]), np.array([1.6, 1.5]), landmark, extent
-    )
-    assert np.allclose(near.gap[:, 0], [1.0, -1.0]) and np.allclose(near.offset[:, 0], [0.1, 0.1])
+    observed = np.array([[[4.0, 2.1], [5.0, 2.1]], [[1.0, 2.0], [2.0, 2.2]]])
+    walls = np.ones(2, dtype=bool)
+    near = Distances.between(observed, np.array([1.6, 1.5]), walls, landmark, walls[:1], extent)
+    assert np.allclose(near.gap_m[:, 0], [1.0, -1.0]) and np.allclose(near.metres[:, 0], [0.1, 0.1])
+    assert np.allclose(near.turn_rad[:, 0], np.abs([1.6 - math.pi / 2, 1.5 - math.pi / 2]))
     whole = joined(landmark[0], extent[0], np.array([[4.0, 2.3], [5.0, 1.9]]))
     assert np.allclose(sorted(whole[:, 0]), [0.0, 5.0]) and np.allclose(whole[:, 1], 2.0)
 
@@ -347,9 +349,10 @@ def test_duplicate_walls_are_merged():
         second = Observation(Kind.WALL, np.array([0.0, -2.0 + offset]), COV, (0.5, 2.0))
         for longer in (-0.5, 0.48):
             seen = Observation(Kind.WALL, first.z, COV, (-2.0, longer))
-            estimator.update(associator.associate([seen, second], estimator).observations)
-        assert estimator.estimate().walls.sum() == 2
-        merged = associator.merged(estimator)
+            association = associator.associate([seen, second], estimator)
+            estimator.update(association.observations)
+            assert estimator.estimate().walls.sum() == 2
+            merged = associator.forgotten(None, estimator, estimator.estimate(), association)
         estimator.forget(merged)
         assert merged == gone and associator.walls_merged == len(gone)
         if gone:

@@ -1,0 +1,141 @@
+"""The observations of a keyframe as arrays, and how near they are to landmarks by geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import AssociationConfig
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import Observation
+from sixthsense.slam.estimators.base import Estimate
+
+Mask = NDArray[np.bool_]
+
+_TURN_LIMITS_RAD = (0.15, 0.6)
+"""between two walls: always plausible below the first, never above the second"""
+_OFFSET_LIMIT_M = 0.3
+"""between two walls: always plausible below"""
+
+
+class Observed(NamedTuple):
+    """The m observations of a keyframe, robot's frame."""
+
+    z: Array
+    """(m, 2)"""
+    cov: Array
+    """(m, 2, 2) of z"""
+    walls: Mask
+    """(m,) which of them are walls"""
+    ends: Array
+    """(m, 2, 2) both ends of a wall; twice the position of a point"""
+
+    @classmethod
+    def of(cls, observations: Sequence[Observation]) -> Observed:
+        """The arrays of some observations."""
+        z = np.array([s.z for s in observations]).reshape(-1, 2)
+        cov = np.array([s.cov for s in observations]).reshape(-1, 2, 2)
+        walls = np.array([s.is_wall for s in observations], dtype=bool)
+        along = np.array([s.extent for s in observations]).reshape(-1, 2)
+        c, s = np.cos(z[:, 0]), np.sin(z[:, 0])
+        x = np.where(walls[:, None], (z[:, 1] * c)[:, None] - along * s[:, None], z[:, :1])
+        y = np.where(walls[:, None], (z[:, 1] * s)[:, None] + along * c[:, None], z[:, 1:])
+        return cls(z, cov, walls, np.stack([x, y], axis=-1))
+
+    def sigmas_m(self, pose_cov: Array) -> Array:
+        """(m,) upper bound of the sigma of a point, or of a wall's middle, in the world; `pose_cov` (3, 3)."""
+        middle = 0.5 * (self.ends[:, 0] + self.ends[:, 1])
+        c, s = np.cos(self.z[:, 0]), np.sin(self.z[:, 0])
+        along = c * middle[:, 1] - s * middle[:, 0]
+        var = self.cov[:, 1, 1] - 2.0 * along * self.cov[:, 0, 1] + along**2 * self.cov[:, 0, 0]
+        own = np.where(self.walls, var, self.cov[:, 0, 0] + self.cov[:, 1, 1])
+        turned = np.hypot(middle[:, 0], middle[:, 1]) * math.sqrt(pose_cov[2, 2])
+        return np.asarray(np.sqrt(np.maximum(own, 0.0)) + turned + math.sqrt(pose_cov[0, 0] + pose_cov[1, 1]))
+
+
+class Distances(NamedTuple):
+    """Distances of m observations from n landmarks; those of another kind are infinitely far."""
+
+    metres: Array
+    """(m, n) between points; of a wall's middle from a landmark's line"""
+    turn_rad: Array
+    """(m, n) between walls, at least 0; 0 between points"""
+    gap_m: Array
+    """(m, n) along the landmark between an observed wall and the known extent; negative where they overlap"""
+    length_m: Array
+    """(m,) of an observed wall; 0 of a point"""
+
+    @classmethod
+    def at(cls, pose: Pose, observed: Observed, estimate: Estimate, extents: Array) -> Distances:
+        """Those of observations from the landmarks of an estimate, whose extents are (n, 2, 2), seen from `pose`."""
+        alphas = observed.z[:, 0] + pose.theta
+        landmarks, walls = estimate.landmarks, estimate.walls
+        return cls.between(pose @ observed.ends, alphas, observed.walls, landmarks, walls, extents)
+
+    @classmethod
+    def between(
+        cls, ends: Array, alphas: Array, is_wall: Mask, landmarks: Array, landmark_is_wall: Mask, extents: Array
+    ) -> Distances:
+        """Those of observations in the world, `ends` (m, 2, 2) and angles of normals `alphas` (m,), from landmarks."""
+        out = np.full((3, len(ends), len(landmarks)), np.inf)
+        _distances(ends, alphas, is_wall, landmarks, landmark_is_wall, extents, out)
+        return cls(out[0], out[1], out[2], np.hypot(*(ends[:, 1] - ends[:, 0]).T))
+
+    def plausible(self, sigmas: Array, known: Array, heading_sigma: float, cfg: AssociationConfig) -> Mask:
+        """(m, n) pairs that are near enough for a gate on the innovation.
+
+        `sigmas` (m,) of the observations in the world and `known` (n,) of the landmarks are upper bounds, m;
+        `heading_sigma` of the pose, rad. The sigma of a difference is at most the sum of both sigmas, however they are
+        correlated, so a point that is left out could not pass a gate. The factor of 2 allows for sigmas that grow when
+        the smoother relinearizes.
+        """
+        widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
+        is_wall = (self.length_m > 0.0)[:, None]
+        of_point = np.minimum(cfg.pre_gate_m, widest * (sigmas[:, None] + 2.0 * known[None, :]))
+        of_wall = np.clip(widest * sigmas, _OFFSET_LIMIT_M, cfg.pre_gate_m)[:, None]
+        turn = float(np.clip(widest * heading_sigma, *_TURN_LIMITS_RAD))
+        near = self.metres < np.where(is_wall, of_wall, of_point)
+        return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < cfg.wall_gap_m))
+
+    def apart(self, cfg: AssociationConfig) -> Mask:
+        """(m, n) pairs that are far enough apart to be of two landmarks, whatever their covariances say."""
+        is_near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _TURN_LIMITS_RAD[0])
+        return np.asarray(~(is_near & (self.gap_m < cfg.wall_gap_m)))
+
+    def covered(self, slack_m: Array) -> Array:
+        """(m, n) share, 0 to 1, of an observed wall on what is known of the landmark, after a shift by `slack_m` (m,).
+
+        1 for points.
+        """
+        length = np.maximum(self.length_m, 1e-9)[:, None]
+        share = np.clip((slack_m[:, None] - self.gap_m) / length, 0.0, 1.0)
+        return np.where(self.length_m[:, None] > 0.0, share, 1.0)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _distances(
+    ends: Array, alphas: Array, is_wall: Mask, landmarks: Array, landmark_is_wall: Mask, extents: Array, out: Array
+) -> None:
+    """Fill `out` (3, m, n) with metres, turn and gap of pairs of one kind; all in the world frame."""
+    for j in range(len(landmarks)):
+        c, s = math.cos(landmarks[j, 0]), math.sin(landmarks[j, 0])
+        first = c * extents[j, 0, 1] - s * extents[j, 0, 0]
+        last = c * extents[j, 1, 1] - s * extents[j, 1, 0]
+        for i in range(len(ends)):
+            if is_wall[i] != landmark_is_wall[j]:
+                continue
+            if not is_wall[i]:
+                out[0, i, j] = math.hypot(ends[i, 0, 0] - landmarks[j, 0], ends[i, 0, 1] - landmarks[j, 1])
+                out[1, i, j], out[2, i, j] = 0.0, -math.inf
+                continue
+            x, y = 0.5 * (ends[i, 0, 0] + ends[i, 1, 0]), 0.5 * (ends[i, 0, 1] + ends[i, 1, 1])
+            out[0, i, j] = abs(c * x + s * y - landmarks[j, 1])
+            turn = (alphas[i] - landmarks[j, 0] + math.pi) % (2.0 * math.pi) - math.pi
+            out[1, i, j] = abs(turn)
+            a, b = c * ends[i, 0, 1] - s * ends[i, 0, 0], c * ends[i, 1, 1] - s * ends[i, 1, 0]
+            out[2, i, j] = max(min(a, b), min(first, last)) - min(max(a, b), max(first, last))
