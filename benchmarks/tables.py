@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from evidence_rows import FIGURES, Figure, Kind
 from harness import HERE, RESULTS
+from headline import beside_others, headline
 
-PAGES = (HERE.parent / "README.md", HERE / "RESULTS.md", *sorted((HERE.parent / "docs" / "results").glob("*.md")))
+PAGES = (HERE.parent / "README.md", *sorted((HERE.parent / "docs" / "results").glob("*.md")))
 EVIDENCE, LOGS = HERE / "evidence.json", HERE / "evidence_logs.json"
 MARKER = re.compile(r"<!-- evidence: (?!end of )(.+?) -->")
 
@@ -34,9 +35,6 @@ HEADS: dict[Kind, tuple[str, ...]] = {
     "kernels": ("kernels",),
 }
 """column names of the setting"""
-
-README_KINDS: tuple[Kind, ...] = ("tour", "explore", "relations", "victoria", "mrclam")
-"""of the name `readme`; each kind of row is a name of its own"""
 
 ORDER = ("rectangle", "block", "apartment", "office", "loop", "ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 
@@ -125,7 +123,8 @@ def texts() -> dict[str, str]:
     """The text of each name, from the files."""
     rows = json.loads(EVIDENCE.read_text())["rows"]
     found: dict[str, str] = {kind: table(rows, kind) for kind in FIGURES}
-    found["readme"] = "\n\n".join(found[kind] for kind in README_KINDS)
+    found["headline"] = markdown(headline(rows), 3)
+    found["beside others"] = markdown(beside_others(rows))
     found["logs"] = logs_text(json.loads(LOGS.read_text())["rows"])
     return found | {file.stem: result_text(json.loads(file.read_text())) for file in sorted(RESULTS.glob("*.json"))}
 

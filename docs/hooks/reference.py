@@ -151,7 +151,8 @@ def _section(section: type[Section], path: str, level: int) -> list[str]:
             f"| `{path}{field.name}` | {value} | {_unit(field.name, text)} | {_allowed(hint)} | {_cell(text)} |"
         )
     if rows:
-        lines += ["| field | default | unit | allowed | meaning |", "| --- | --- | --- | --- | --- |", *rows, ""]
+        heads = ["| field | default | unit | allowed | meaning |", "| --- | --- | --- | --- | --- |"]
+        lines += ['<div class="fields" markdown>', "", *heads, *rows, "", "</div>", ""]  # stacked on a phone
     for below, kind in inner:
         lines += _section(kind, below, level + bool(path))
     return lines

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from sixthsense.figures.run import Run
 
 USAGE = """\
-usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|FILE.gif]]
+usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|.webp|.gif]]
 
 Draw the figures of finished or killed runs, and write report.html, a page with the figures, the metrics, the
 configuration and the command that repeats the run. A killed run is shown up to its last record.
@@ -27,8 +27,8 @@ Of a campaign there are medians and bands over its runs, errors over time and di
   --out DIR        folder to write; for several runs by default a new one under runs/
   --overwrite      write into DIR if it exists
   --figures FORM   svg or pdf: each figure as vector graphics, too; png (the default): bitmaps only
-  --animate [FILE] film of one run, FILE.mp4 (needs ffmpeg) or FILE.gif; by default animation.gif beside the
-                   figures
+  --animate [FILE] film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif
+                   beside the figures
 """
 
 OWN = {"out": Path, "overwrite": bool, "figures": str, "animate": Path}
@@ -43,7 +43,7 @@ def command(args: list[str]) -> int:
         return DONE
     from sixthsense.cli.options import OptionalValue, parse_positionals
 
-    film = OptionalValue(None, _is_film, "FILE.mp4 or FILE.gif")
+    film = OptionalValue(None, _is_film, "FILE.mp4, FILE.webp or FILE.gif")
     folders, given = parse_positionals(args, {**OWN, "animate": film})
     if not folders:
         raise UsageError("run: found nothing, allowed: folders of runs, or of a campaign")

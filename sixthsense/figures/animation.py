@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
-from numpy.typing import NDArray
 from PIL import Image
 
 from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
+from sixthsense.figures.cell_image import CellImage
 from sixthsense.figures.plot import (
     ESTIMATE,
     LANDMARK,
@@ -40,16 +40,17 @@ from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.runfolder import read_run
 
-SUFFIXES = (".mp4", ".gif")
+SUFFIXES = (".mp4", ".webp", ".gif")
 """File formats of a film."""
 MOST_FRAMES = 150
 
 _FRAMES_PER_S = 12.5
 _HELD = 20  # repetitions of the last frame
-_WIDTH_IN = {".mp4": 9.0, ".gif": 7.0}
+_WIDTH_IN = {".mp4": 9.0, ".webp": 9.0, ".gif": 7.0}
 _DPI = 100
 _GIF_COLORS = 64
-_MOST_CELLS = 800  # on a side; a frame has no more pixels to show them with
+_OCTREE = Image.Quantize.FASTOCTREE
+_WEBP_QUALITY = 30
 
 _LINE: dict[str, Any] = {"marker": "", "linestyle": "-"}
 _DOT: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.0}
@@ -60,12 +61,14 @@ class AnimationError(InputError):
 
 
 def check_film(file: Path | str) -> None:
-    """Raise AnimationError, with what is allowed, for another suffix than .mp4 and .gif, or an MP4 without ffmpeg."""
+    """Raise AnimationError, with what is allowed, for a suffix not in SUFFIXES, or an MP4 without ffmpeg."""
     suffix = Path(file).suffix.lower()
     if suffix not in SUFFIXES:
-        raise AnimationError(f"--animate: found {str(file)!r}, allowed: FILE.mp4 or FILE.gif")
+        raise AnimationError(f"--animate: found {str(file)!r}, allowed: FILE.mp4, FILE.webp or FILE.gif")
     if suffix == ".mp4" and shutil.which("ffmpeg") is None:
-        raise AnimationError(f"--animate: {file} needs the program ffmpeg, which is not installed, allowed: FILE.gif")
+        raise AnimationError(
+            f"--animate: {file} needs the program ffmpeg, which is not installed, allowed: FILE.webp or FILE.gif"
+        )
 
 
 def animate(
@@ -80,8 +83,8 @@ def animate(
 
     `finished` is the trace of that run: it gives the limits of the axes and the number of scans. The run is replayed,
     so each frame shows the map, the landmarks and their 95 % ellipses of its own moment. `on_frame` is called after
-    every frame. Raises AnimationError for a suffix other than .mp4 and .gif, for an MP4 without ffmpeg and for one that
-    ffmpeg fails to write.
+    every frame. Raises AnimationError for a suffix not in SUFFIXES, for an MP4 without ffmpeg and for one that ffmpeg
+    fails to write.
     """
     check_film(file)
     file = Path(file)
@@ -115,26 +118,37 @@ def _opened_film(figure: Any, file: Path) -> Iterator[AbstractMovieWriter]:
         index = ["-movflags", "+faststart"]
         writer = FFMpegWriter(fps=_FRAMES_PER_S, codec="h264", extra_args=index)  # type: ignore[arg-type]
     else:
-        writer = _GifWriter(fps=_FRAMES_PER_S)  # type: ignore[arg-type]
+        writer = _ImageWriter(fps=_FRAMES_PER_S)  # type: ignore[arg-type]
     try:
         with writer.saving(figure, str(partial), _DPI):
             yield writer
         partial.replace(file)
     except (BrokenPipeError, subprocess.CalledProcessError):
-        raise AnimationError(f"--animate: ffmpeg cannot write {file}, allowed: FILE.gif") from None
+        raise AnimationError(f"--animate: ffmpeg cannot write {file}, allowed: FILE.webp or FILE.gif") from None
     finally:
         partial.unlink(missing_ok=True)
 
 
-class _GifWriter(PillowWriter):
-    """Matplotlib's writer of GIFs with fewer colours, which halves the file."""
+class _ImageWriter(PillowWriter):
+    """Matplotlib's writer of GIF and WebP: a GIF with fewer colours, which halves the file, WebP with loss."""
 
     _frames: list[Image.Image]  # of the base class
 
     def grab_frame(self, **options: Any) -> None:
         super().grab_frame(**options)
         frame = self._frames[-1].convert("RGB")
-        self._frames[-1] = frame.quantize(_GIF_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+        is_gif = str(self.outfile).endswith(".gif")
+        self._frames[-1] = frame.quantize(_GIF_COLORS, _OCTREE, dither=Image.Dither.NONE) if is_gif else frame
+
+    def finish(self) -> None:
+        first, *others = self._frames
+        options: dict[str, Any] = {
+            "save_all": True,
+            "append_images": others,
+            "duration": round(1e3 / self.fps),
+            "loop": 0,
+        }
+        first.save(self.outfile, **options, quality=_WEBP_QUALITY)
 
 
 class _MapDrawing:
@@ -150,7 +164,7 @@ class _MapDrawing:
         self.figure: Any = new_figure(width_in, width_in)
         ax = self.figure.add_subplot()
         low, high = _limits(finished)
-        self._cells = _CellImage(low, high, finished.config.grid.cell_m)
+        self._cells = CellImage(low, high, finished.config.grid.cell_m)
         if scene is not None:
             draw_segments(ax, scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=1)
         self._add_map(ax)
@@ -241,45 +255,6 @@ class _MapDrawing:
         if estimate is not None:
             parts.append(f"{len(estimate.ids)} landmarks")
         self._caption.set_text(" · ".join(parts))
-
-
-class _CellImage:
-    """The grid within a rectangle as an image, at a coarser resolution if it has more cells than the film pixels."""
-
-    def __init__(self, low: Array, high: Array, cell_m: float) -> None:
-        self._first = np.floor(low[::-1] / cell_m).astype(np.int64)  # row, col
-        self._cell_m = cell_m
-        past = np.ceil(high[::-1] / cell_m).astype(np.int64)
-        self._step = max(1, -(-int((past - self._first).max()) // _MOST_CELLS))
-        self._shape = tuple((-(-(past - self._first) // self._step)).tolist())
-
-    @property
-    def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom and top, metres."""
-        row, col = self._first
-        side = self._step * self._cell_m
-        height, width = self._shape
-        return (
-            col * self._cell_m,
-            col * self._cell_m + width * side,
-            row * self._cell_m,
-            row * self._cell_m + height * side,
-        )
-
-    def empty(self) -> NDArray[np.uint8]:
-        """An image of unseen cells."""
-        return np.zeros(self._shape, dtype=np.uint8)
-
-    def shades(self, occupancy: NDArray[np.int8], origin: tuple[float, float]) -> NDArray[np.uint8]:
-        """0 unseen, 1 seen, 2 obstacle, of an (H, W) occupancy grid with its lower left corner at `origin`, metres."""
-        image = self.empty()
-        rows, cols = np.nonzero(occupancy >= 0)
-        shades = np.where(occupancy[rows, cols] == 100, 2, 1)
-        first = round(origin[1] / self._cell_m), round(origin[0] / self._cell_m)
-        at = [(cells + first[k] - self._first[k]) // self._step for k, cells in enumerate((rows, cols))]
-        inside = (at[0] >= 0) & (at[0] < image.shape[0]) & (at[1] >= 0) & (at[1] < image.shape[1])
-        np.maximum.at(image, (at[0][inside], at[1][inside]), shades[inside].astype(np.uint8))
-        return image
 
 
 def _limits(finished: Trace) -> tuple[Array, Array]:

@@ -1,6 +1,5 @@
 """Pages of the site that other files must agree with; `make docs` builds the site and checks its links."""
 
-import json
 import re
 import sys
 import tomllib
@@ -71,18 +70,6 @@ def test_every_page_but_the_glossary_ends_with_a_link_to_it() -> None:
     assert [re.findall('href="(.*?)"', made(name)) for name in names] == [[], ["glossary.html"], ["../glossary.html"]]
     settings = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
     assert "\n  - docs/hooks/glossary.py\n" in settings and "\n  - Glossary: glossary.md\n" in settings
-
-
-def test_the_figures_beside_others_are_those_of_the_evidence() -> None:
-    rows = json.loads((ROOT / "benchmarks" / "evidence.json").read_text())["rows"]
-    page = (DOCS / "comparison.md").read_text(encoding="utf-8")
-    for key, log in (("intel", "Intel Research Lab"), ("fr079", "Freiburg 079")):
-        values = {name: value for name, (value,) in rows[f"relations.{key}"]["values"].items()}
-        error = f"**{values['trans_m_mean']:.3f} ± {values['trans_m_std']:.3f}**"
-        assert f"| {log}, translation, m | {error} |" in page
-        assert f"| {log}, rotation, ° | **{values['rot_deg_mean']:.2f}** |" in page
-        name = "the Intel log" if key == "intel" else log
-        assert f"| replay of {name}, scan matching | {values['times_real_time']:.0f} times real time |" in page
 
 
 def test_no_page_denies_what_a_command_does() -> None:

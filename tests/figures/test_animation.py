@@ -38,9 +38,9 @@ def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, ended, 
 @pytest.mark.parametrize(
     ("args", "complaint"),
     [
-        (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4 or FILE.gif"),
-        (["--animate="], "--animate: found '', allowed: FILE.mp4 or FILE.gif"),
-        (["--animate=film"], "--animate: found 'film', allowed: FILE.mp4 or FILE.gif"),
+        (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4, FILE.webp or FILE.gif"),
+        (["--animate="], "--animate: found '', allowed: FILE.mp4, FILE.webp or FILE.gif"),
+        (["--animate=film"], "--animate: found 'film', allowed: FILE.mp4, FILE.webp or FILE.gif"),
         (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
     ],
 )

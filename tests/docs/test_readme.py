@@ -1,0 +1,53 @@
+"""README.md is a page that a newcomer reads in a minute, and what it says runs."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from sixthsense.cli import COMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+MOST_LINES = 120
+MOST_FILM_BYTES = 2_000_000
+GENERAL = ("", "--help", "--version")
+
+
+def test_readme_is_short_and_begins_with_a_small_film() -> None:
+    assert TEXT.count("\n") <= MOST_LINES
+    alternative, film = re.findall(r"!\[(.*?)\]\((.*?)\)", TEXT)[0]
+    assert len(alternative) > 20 and (ROOT / film).stat().st_size <= MOST_FILM_BYTES
+
+
+def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (code,) = re.findall(r"^```python\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
+    exec(compile(code, "README.md", "exec"), {"__name__": "README"})
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/start.md", "docs/howto/view.md", "docs/gallery.md"])
+def test_the_commands_of_a_page_are_there_with_their_options(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Those that need no robot and no log are run by hand before a release; this finds the misspelt ones."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    found = re.findall(r"(?<![\w./-])(?<!import )sixthsense ((?:--)?\w+)?([^\n`#)]*)", text)
+    assert found
+    for name, rest in found:
+        assert name in GENERAL or name in COMMANDS, name
+        flags = re.findall(r"--([a-z][\w.-]*)", rest)
+        if name not in COMMANDS or not flags:
+            continue
+        if main([name, "--help", "all"]) != 0:
+            assert main([name, "--help"]) == 0
+        known = capsys.readouterr().out
+        assert [flag for flag in flags if f"--{flag.rpartition('.')[0] or flag}" not in known + "--help"] == []
+
+
+def test_the_targets_of_make_are_there() -> None:
+    targets = re.findall(r"^(\w[\w-]*):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert set(re.findall(r"(?:`|^ {4})make ([\w-]+)", TEXT, re.MULTILINE)) <= set(targets)
+
+
+def test_links_lead_to_files() -> None:
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", TEXT)
+    assert len(links) > 20 and [link for link in links if not (ROOT / link).exists()] == []
