@@ -28,10 +28,14 @@ _PROBATION = (
     "landmarks join the state at their first observation, since waiting multiplied the trajectory's error by 5.8"
 )
 
+_TOUR = "the next view is the first of a short tour through all views, not the one with the most gain per time"
+
 REMOVED: dict[str, Removed] = {
     "association.candidate_sightings": Removed(1, _PROBATION),
     "association.candidate_gate_m": Removed(0.2, _PROBATION),
     "association.candidate_scans": Removed(30, _PROBATION),
+    "explore.gain_exponent": Removed(0.15, _TOUR),
+    "explore.overhead_s": Removed(1.0, _TOUR),
 }
 
 REMOVED_PRESETS = {

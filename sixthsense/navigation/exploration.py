@@ -257,11 +257,11 @@ class Exploration:
         closed = self._closed_walls.close(self._window, self._map.grid)
         window = self._drawn_window = closed.window
         task, failed_views = self._task, self._failed_views.within(window)
-        distances, sigma_m = self._distances(pose), self._history.sigma_m
+        distances = self._distances(pose)
         self._hidden_cells.update(window, distances.reachable)
         gain = ViewGain(closed, task.sensor, task.radius_m)
         viewpoints, hidden = gain.viewpoints(distances.reachable), self._hidden_cells
-        return ViewPlanner(gain, failed_views, pose, sigma_m, distances, viewpoints, task.config, hidden)
+        return ViewPlanner(gain, failed_views, pose, distances, viewpoints, task.config, task.home, hidden)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""
