@@ -17,6 +17,7 @@ from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
 
 _STEP, _DIAGONAL = 5, 7  # lengths of steps between tiles; 7 / 5 is nearly the root of 2
+_ROWS, _COLS = (0, 0, -1, 1, -1, -1, 1, 1), (-1, 1, 0, 0, -1, 1, -1, 1)  # to the neighbours, across edges first
 _RING = 8  # buckets of the search: more than the longest step
 _STOPS = 30  # so many views are visited by a tour, those with the shortest ways
 _NO_WAY = 1e6  # cells; more than any way, and a number that can be added
@@ -26,7 +27,7 @@ _LESS = 1e-6  # a tour that is not shorter by so much is as long
 _SEGMENT = 3  # most stops that are moved at once
 
 Links = NDArray[np.uint8]
-"""(H, W) of each tile: 1 if it leads to the next one of its row, 2 if to the one in the next row, 3 if to both."""
+"""(H, W) of each tile: a bit for each neighbour, set if it leads there; across a corner, by a third tile."""
 Steps = NDArray[np.int32]
 Cell = tuple[int, int]
 
@@ -84,33 +85,31 @@ def first_stop(lengths: Array) -> int:
 @numba.njit(cache=True, error_model="numpy")
 def _links(passable: Bools, tile: int) -> Links:
     height, width = passable.shape
-    links = np.zeros((height // tile + 1, width // tile + 1), dtype=np.uint8)
+    # Whether each tile leads to the next one of its row and to that in the next row; the rim leads nowhere.
+    across = np.zeros((height // tile + 3, width // tile + 3), dtype=np.bool_)
+    up = np.zeros_like(across)
     for r in range(height):
+        for c in range(tile - 1, width - 1, tile):
+            across[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r, c + 1]
+    for r in range(tile - 1, height - 1, tile):
         for c in range(width):
-            if passable[r, c]:
-                if c % tile == tile - 1 and c + 1 < width and passable[r, c + 1]:
-                    links[r // tile, c // tile] |= 1
-                if r % tile == tile - 1 and r + 1 < height and passable[r + 1, c]:
-                    links[r // tile, c // tile] |= 2
+            up[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r + 1, c]
+    links = np.zeros((height // tile + 1, width // tile + 1), dtype=np.uint8)
+    for r in range(1, len(across) - 1):
+        for c in range(1, across.shape[1] - 1):
+            link = 0
+            for k in range(8):
+                dr, dc = _ROWS[k], _COLS[k]
+                below, left = r + min(dr, 0), c + min(dc, 0)
+                if dr == 0:
+                    leads = across[r, left]
+                elif dc == 0:
+                    leads = up[below, c]
+                else:
+                    leads = (across[r, left] and up[below, c + dc]) or (up[below, c] and across[r + dr, left])
+                link |= leads << k
+            links[r - 1, c - 1] = link
     return links
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _leads(links: Links, r: int, c: int, dr: int, dc: int) -> bool:
-    """Whether a tile leads to a neighbour: across their edge, or by a third tile to one across the corner."""
-    if dr == 0 or dc == 0:
-        return _crosses(links, r, c, dr, dc)
-    if _crosses(links, r, c, dr, 0) and _crosses(links, r + dr, c, 0, dc):
-        return True
-    return _crosses(links, r, c, 0, dc) and _crosses(links, r, c + dc, dr, 0)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _crosses(links: Links, r: int, c: int, dr: int, dc: int) -> bool:
-    to_r, to_c = r + dr, c + dc
-    if not (0 <= to_r < links.shape[0] and 0 <= to_c < links.shape[1]):
-        return False
-    return bool(links[min(r, to_r), min(c, to_c)] & (1 if dr == 0 else 2))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -153,15 +152,14 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
         if steps[r, c] != at:
             continue  # a shorter way to it has been found since
         missing -= wanted[r, c]
-        for dr in range(-1, 2):
-            for dc in range(-1, 2):
-                there = at + (_DIAGONAL if dr != 0 and dc != 0 else _STEP)
-                if (dr == 0 and dc == 0) or not _leads(links, r, c, dr, dc):
+        for k in range(8):
+            if links[r, c] >> k & 1:
+                to_r, to_c = r + _ROWS[k], c + _COLS[k]
+                there = at + (_STEP if k < 4 else _DIAGONAL)
+                if 0 <= steps[to_r, to_c] <= there:
                     continue
-                if 0 <= steps[r + dr, c + dc] <= there:
-                    continue
-                steps[r + dr, c + dc] = there
-                stacks = push(stacks, sizes, there % _RING, (r + dr) * width + c + dc)
+                steps[to_r, to_c] = there
+                stacks = push(stacks, sizes, there % _RING, to_r * width + to_c)
                 queued += 1
 
 

@@ -67,7 +67,7 @@ class ViewPlanner:
     home: Array
     """(2,) where the tour ends, world frame"""
     hidden: HiddenCells
-    """centres of clusters that no reachable cell of this map sees, or beside which no view shows anything"""
+    """views of the clusters' centres; centres that no reachable cell of this map sees, or whose view shows nothing"""
 
     @property
     def window(self) -> MapWindow:
@@ -158,13 +158,15 @@ class ViewPlanner:
         would fit without the clearance.
         """
         centre = centre_cell(cells)
-        if self.hidden.has(*centre):
-            return None
+        known = self.hidden.view(*centre)
+        if known is not None or self.hidden.has(*centre):
+            return known
         view = self.viewpoints.nearest(centre)
         shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
         if view is None or shown == 0:
             self.hidden.add(*centre)
             return None
+        self.hidden.keep(*centre, (view, shown))
         return view, shown
 
     def by_distance(self, clusters: list[Cells]) -> list[int]:
