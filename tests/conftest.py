@@ -12,8 +12,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 @pytest.fixture(scope="session")
 def explored() -> ss.Run:
-    """The exploration of the scene rectangle with seed 1, one for all tests that only read it."""
-    return ss.run("rectangle", seed=1, progress=False)
+    """The exploration of the scene rectangle by a short-sighted robot, one for all tests that only read it."""
+    return ss.run("rectangle", seed=1, laser={"max_range": 2.0}, progress=False)
 
 
 @pytest.fixture(scope="session")

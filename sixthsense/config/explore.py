@@ -14,14 +14,10 @@ class ExploreConfig(Section):
     """Where to look next, and when all is seen (report section 4.5)."""
 
     method: Literal["frontier", "random"] = "frontier"
-    """frontier: the viewpoint with the most gain per time; random: places drawn in the largest unseen area (the
-    report's idea)."""
+    """frontier: the first viewpoint of a short tour through all of them and home; random: places drawn in the largest
+    unseen area (the report's idea)."""
     return_home: bool = True
     """Drive back to the start when all is seen."""
-    gain_exponent: Annotated[float, Range(0.0, 4.0)] = 0.15
-    """The value of a viewpoint is its gain, m^2, to this power, per second it takes; 0: the nearest first."""
-    overhead_s: Positive = 1.0
-    """Added to the time to a viewpoint, so that a very near one does not outweigh all others."""
     tries: PositiveCount = 2
     """A target that was not seen from this many viewpoints, with a full turn at each, is given up."""
     dust: Annotated[float, Range(0.0, 1.0)] = 0.001

@@ -30,6 +30,7 @@ _PROBATION = (
 )
 
 _ONE_ASSIGNMENT = "the matches of a keyframe are chosen together, in one way"
+_TOUR = "the next view is the first of a short tour through all views, not the one with the most gain per time"
 
 REMOVED: dict[str, Removed] = {
     "association.candidate_sightings": Removed(1, _PROBATION),
@@ -49,6 +50,8 @@ REMOVED: dict[str, Removed] = {
         },
         "the matches of a keyframe are chosen together, which needs no aligned pose",
     ),
+    "explore.gain_exponent": Removed(0.15, _TOUR),
+    "explore.overhead_s": Removed(1.0, _TOUR),
 }
 
 REMOVED_PRESETS = {

@@ -219,8 +219,6 @@ class ExploreFields(TypedDict, total=False):
 
     method: Literal["frontier", "random"]
     return_home: bool
-    gain_exponent: float
-    overhead_s: float
     tries: int
     dust: float
     margin_m: float

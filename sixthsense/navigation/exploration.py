@@ -140,6 +140,7 @@ class Exploration:
         visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
         failed = (self._target.mask(window) | visible) & window.unknown
         self._failed_views.count_failure(window, failed)
+        self._hidden_cells.clear()
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
         if self._target.occluded and often.any():
             # The views from before the gap have not opened it.
@@ -158,6 +159,7 @@ class Exploration:
         """Give the target up until a path leads to it, then choose another view."""
         self._passages.close_untried()
         self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
+        self._hidden_cells.clear()
         return self._choose_view(pose)
 
     def _close_loop(self, pose: Pose) -> State:
@@ -257,11 +259,10 @@ class Exploration:
         closed = self._closed_walls.close(self._window, self._map.grid)
         window = self._drawn_window = closed.window
         task, failed_views = self._task, self._failed_views.within(window)
-        distances, sigma_m = self._distances(pose), self._history.sigma_m
+        distances, gain = self._distances(pose), ViewGain(closed, task.sensor, task.radius_m)
         self._hidden_cells.update(window, distances.reachable)
-        gain = ViewGain(closed, task.sensor, task.radius_m)
         viewpoints, hidden = gain.viewpoints(distances.reachable), self._hidden_cells
-        return ViewPlanner(gain, failed_views, pose, sigma_m, distances, viewpoints, task.config, hidden)
+        return ViewPlanner(gain, failed_views, pose, distances, viewpoints, task.config, task.home, hidden)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""
@@ -269,8 +270,7 @@ class Exploration:
         free = self.driver.space.nearest_free(pose.position, 0.5)
         here = window.cell(pose.position if free is None else free)
         passable, blocked = window.seen & ~window.blocked, np.array(window.blocked)
-        reachable = self._reachable_cells.of(passable, blocked, window.first, here)
-        return Distances(passable, blocked, *here, reachable)
+        return Distances(passable, blocked, *here, self._reachable_cells.of(passable, blocked, window.first, here))
 
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)

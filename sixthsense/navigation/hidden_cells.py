@@ -1,8 +1,9 @@
-"""Cells for which no view is worth while, remembered while the map around them stays as it is."""
+"""The views of cells, or that none is worth while, remembered while the map around them stays as it is."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.navigation.map_window import MapWindow
 from sixthsense.slam.mapping.freespace import Bools
@@ -11,43 +12,53 @@ _TILE = 8
 """cells; changes are kept by squares of so many"""
 
 
+View = tuple[tuple[int, int], int]
+"""Row and col to look from, and how many cells that shows."""
+
+
 class HiddenCells:
-    """Remembers cells that a search has found no view for: far from the robot little changes between two searches."""
+    """Remembers what searches for views have found: far from the robot little changes between two searches."""
 
     def __init__(self, reach: float) -> None:
         """Remember what a search within `reach`, in cells, has found."""
         self._span = int(reach)
         self._cells: dict[tuple[int, int], bool] = {}
+        self._views: dict[tuple[int, int], View] = {}
         self._first = (0, 0)
         none = np.zeros((0, 0), dtype=np.bool_)
-        self._latest = none, none
+        self._latest = none, none, none
 
     def update(self, window: MapWindow, reachable: Bools) -> None:
         """Take in another map, of which the cells `reachable` (H, W) can be reached; forget the cells near changes."""
         changed = self._changed(window, reachable)
         if changed is None:
-            self._cells.clear()
-        elif self._cells and changed.any():
-            # A search looks at the square of `span` cells around a cell.
-            cells = np.array(list(self._cells))
-            low = np.maximum(cells - self._span, 0) // _TILE
-            past = np.minimum((cells + self._span) // _TILE + 1, changed.shape)
+            self.clear()
+        elif changed.any():
             count = np.pad(changed.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-            (top, left), (bottom, right) = low.T, past.T
-            near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
-            self._cells = {
-                cell: everywhere
-                for (cell, everywhere), gone in zip(self._cells.items(), near.tolist(), strict=True)
-                if not gone
-            }
+            for known in (self._cells, self._views):
+                for cell in self._near(count, list(known)):
+                    del known[cell]
+
+    def _near(self, count: NDArray[np.int64], known: list[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Which cells are near a change; `count` has the sums of the squares with a change, from the corner."""
+        if not known:
+            return []
+        # A search looks at the square of `span` cells around a cell.
+        cells = np.array(known)
+        low = np.maximum(cells - self._span, 0) // _TILE
+        past = np.minimum((cells + self._span) // _TILE + 1, np.array(count.shape) - 1)
+        (top, left), (bottom, right) = low.T, past.T
+        near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
+        return [known[k] for k in np.flatnonzero(near).tolist()]
 
     def clear(self) -> None:
         """Forget all cells, since something else is sought."""
         self._cells.clear()
+        self._views.clear()
 
     def _changed(self, window: MapWindow, reachable: Bools) -> Bools | None:
         """(H, W) the squares of `_TILE` cells with a change; None if the window is another one."""
-        first, latest, before = window.first, (reachable, window.obstacles), self._latest
+        first, latest, before = window.first, (reachable, window.obstacles, window.seen), self._latest
         self._first, self._latest, same = first, latest, first == self._first and reachable.shape == before[0].shape
         if not same:
             return None
@@ -66,3 +77,11 @@ class HiddenCells:
     def has(self, row: int, col: int, everywhere: bool = False) -> bool:
         """Whether a cell of the latest map is remembered; with `everywhere`, as hidden from wherever it would fit."""
         return self._cells.get((row, col), False) if everywhere else (row, col) in self._cells
+
+    def keep(self, row: int, col: int, view: View) -> None:
+        """Remember the view of a cell of the latest map."""
+        self._views[row, col] = view
+
+    def view(self, row: int, col: int) -> View | None:
+        """The view that is remembered of a cell of the latest map."""
+        return self._views.get((row, col))

@@ -56,13 +56,10 @@ class ViewGain:
     radius_m: float
     """the robot's"""
 
-    def crossed(self, wanted: Bools, row: int, col: int) -> int:
-        """How many of the `wanted` cells (H, W) beams from a cell would cross, holes in walls included."""
-        return self._gain(self.closed.window.obstacles, wanted, row, col)
-
     def shown(self, wanted: Bools, row: int, col: int) -> int:
         """How many of the `wanted` cells (H, W) a view from a cell shows."""
-        return self._gain(self.closed.opaque, wanted, row, col)
+        depth, sensor = round(_GAIN_DEPTH_M / self.closed.window.cell_m), self.sensor
+        return int(expected_gain(self.closed.opaque, wanted, row, col, sensor.rays, sensor.reach, depth))
 
     def shown_nearby(self, wanted: Bools, cell: tuple[int, int]) -> int:
         """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
@@ -79,7 +76,3 @@ class ViewGain:
     def viewpoints(self, allowed: Bools) -> Viewpoints:
         """The search among the `allowed` cells (H, W) for one that has a cell in view."""
         return Viewpoints(allowed, self.closed.window.obstacles, self.sensor.reach)
-
-    def _gain(self, obstacles: Bools, wanted: Bools, row: int, col: int) -> int:
-        depth = round(_GAIN_DEPTH_M / self.closed.window.cell_m)
-        return int(expected_gain(obstacles, wanted, row, col, self.sensor.rays, self.sensor.reach, depth))

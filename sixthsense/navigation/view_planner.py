@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.frontier import (
     adjacent_cells,
@@ -27,6 +26,7 @@ from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.hidden_cells import HiddenCells
 from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
+from sixthsense.navigation.tour import first_view
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.without_clearance import distances_without_clearance, fitting_cells
@@ -34,8 +34,7 @@ from sixthsense.slam.mapping.freespace import Bools
 
 _TILE_M = 1.0  # longer frontiers are split
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
-_FIRST_RADIUS, _LARGER_RADIUS = 20.0, 1.25  # cells; how far the distances to views are searched, step by step
-MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
+_WAY_TILE_M = 0.3  # side of the tiles over which ways between views are measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,43 +49,6 @@ class Candidates:
     """cells that may be left unseen"""
 
 
-class _View(NamedTuple):
-    """A target, and what its utility follows from but for the way."""
-
-    target: Target
-    row: int
-    """of the viewpoint in the window"""
-    col: int
-    """likewise"""
-    value: float
-    """of what is seen from it"""
-    turn_s: float
-    """time to turn towards it"""
-
-
-def best_view(views: list[_View], distances: Distances, seconds_per_cell: float, overhead_s: float) -> int | None:
-    """The index of the view with the largest value per time, the first of several; None without a view.
-
-    Distances are searched only as far as a view could still be better than the best that was reached.
-    """
-    radius = _FIRST_RADIUS
-    while views:
-        best, most, others = 0, -math.inf, -math.inf
-        for k, view in enumerate(views):
-            length = distances.known(view.row, view.col)
-            nearest = distances.radius if length is None else length
-            utility = view.value / (seconds_per_cell * nearest + view.turn_s + overhead_s)
-            if length is None:
-                others = max(others, utility)
-            elif utility > most:
-                best, most = k, utility
-        if others < most:
-            return best
-        distances.search(radius)
-        radius *= _LARGER_RADIUS
-    return None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewPlanner:
     """Chooses the next view from the map and the robot's pose."""
@@ -97,15 +59,15 @@ class ViewPlanner:
     """(H, W) how often each cell was not seen from a viewpoint chosen for it"""
     pose: Pose
     """the robot's"""
-    sigma_m: float
-    """largest standard deviation of its position"""
     distances: Distances
     """from the robot over free space, in cells"""
     viewpoints: Viewpoints
     """the search among the cells that it can reach"""
     config: Config
+    home: Array
+    """(2,) where the tour ends, world frame"""
     hidden: HiddenCells
-    """centres of clusters that no reachable cell of this map sees, or beside which no view shows anything"""
+    """views of the clusters' centres; centres that no reachable cell of this map sees, or whose view shows nothing"""
 
     @property
     def window(self) -> MapWindow:
@@ -151,32 +113,21 @@ class ViewPlanner:
         return cells - 1 if (cells - 1) * cell_m2 >= _GLIMPSED_M2 else cells
 
     def best(self, candidates: Candidates) -> Target | None:
-        """The visible target with the largest gain per time; None if all that is visible together is dust."""
-        window, explore, robot = self.window, self.config.explore, self.config.robot
-        # An uncertain robot prefers near targets.
-        seconds_per_cell = (1.0 + self.sigma_m / explore.loop_closure_sigma_m) * window.cell_m / robot.speed
-        views: list[_View] = []
-        shown_together = 0
-        for k in self.by_distance(candidates.clusters):
-            if len(views) == MAX_VIEWS and shown_together > candidates.dust:
-                break
-            cells = candidates.clusters[k]
-            found = self.view_beside(candidates.wanted, cells)
-            if found is None:
-                continue
-            (row, col), shown = found
-            shown_together += shown
-            if len(views) == MAX_VIEWS:
-                continue
-            target = self.target_of(candidates.wanted, cells, (row, col), occluded=False)
-            area = max(self.gain.crossed(candidates.wanted, row, col), len(target.cells)) * window.cell_m**2
-            ahead = window.point(row, col) - self.pose.position
-            turn = abs(wrap_angle(math.atan2(ahead[1], ahead[0]) - self.pose.theta)) if ahead.any() else 0.0
-            views.append(_View(target, row, col, area**explore.gain_exponent, turn / robot.turn_rate))
-        if shown_together <= candidates.dust:
+        """The first stop of a short tour through the views; None if all that is visible together is dust."""
+        window = self.window
+        found = [
+            (cells, *view) for cells in candidates.clusters if (view := self.view_beside(candidates.wanted, cells))
+        ]
+        # Small views are ignored, the smallest first, as long as all that they show is dust.
+        found.sort(key=lambda view: view[2])
+        ignored = np.searchsorted(np.cumsum([shown for *_, shown in found]), candidates.dust, side="right")
+        found = found[ignored:]
+        if not found:
             return None
-        best = best_view(views, self.distances, seconds_per_cell, explore.overhead_s)
-        return None if best is None else views[best].target
+        views, here = np.array([view for _, view, _ in found]), window.cell(self.pose.position)
+        tile = max(1, round(_WAY_TILE_M / window.cell_m))
+        k = first_view(self.distances, tile, here, views, window.cell(self.home))
+        return self.target_of(candidates.wanted, found[k][0], found[k][1], occluded=False)
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""
@@ -207,13 +158,15 @@ class ViewPlanner:
         would fit without the clearance.
         """
         centre = centre_cell(cells)
-        if self.hidden.has(*centre):
-            return None
+        known = self.hidden.view(*centre)
+        if known is not None or self.hidden.has(*centre):
+            return known
         view = self.viewpoints.nearest(centre)
         shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
         if view is None or shown == 0:
             self.hidden.add(*centre)
             return None
+        self.hidden.keep(*centre, (view, shown))
         return view, shown
 
     def by_distance(self, clusters: list[Cells]) -> list[int]:

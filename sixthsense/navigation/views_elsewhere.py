@@ -8,9 +8,11 @@ from sixthsense.navigation.frontier import adjacent_cells, centre_cell
 from sixthsense.navigation.gridsearch import Distances, cell_before_gap
 from sixthsense.navigation.map_window import Target
 from sixthsense.navigation.regions import Cells
-from sixthsense.navigation.view_planner import MAX_VIEWS, Candidates, ViewPlanner
+from sixthsense.navigation.view_planner import Candidates, ViewPlanner
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
+
+_MAX_VIEWS = 24  # so many views are compared, those of the nearest frontiers
 
 
 def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Target | None:
@@ -30,7 +32,7 @@ def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Tar
     targets: list[Target] = []
     for k in planner.by_distance(candidates.clusters):
         cells, centre = candidates.clusters[k], centre_cell(candidates.clusters[k])
-        if len(targets) == MAX_VIEWS:
+        if len(targets) == _MAX_VIEWS:
             break
         if planner.hidden.has(*centre, everywhere=True) or planner.view_beside(candidates.wanted, cells) is not None:
             continue  # nothing to see, or dust

@@ -10,7 +10,7 @@ from sixthsense.figures.report import report
 from sixthsense.figures.run import Run, load
 
 PAGE = "report.html"
-KINDS = {"map.png", "error.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
+KINDS = {"map.png", "error.png", "rpe.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
 
 
 @pytest.fixture
@@ -72,7 +72,9 @@ def test_a_killed_run_is_reported_without_times(folder, tmp_path):
 
 def test_the_command_writes_into_the_folder_of_one_run(folder, capsys):
     assert main(["report", str(folder)]) == 0
-    assert {file.name for file in (folder / "figures").iterdir()} == KINDS | {PAGE}
+    assert {file.name for file in (folder / "figures").iterdir()} == KINDS - {"rpe.png"} | {
+        PAGE
+    }  # too short a drive for relative errors
     assert "ate_rmse_m" in capsys.readouterr().out
 
 

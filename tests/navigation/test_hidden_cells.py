@@ -18,10 +18,10 @@ def window_of(obstacles):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_remembered_cell_has_no_viewpoint_however_the_map_has_changed(seed):
+def test_what_is_remembered_would_be_found_again_however_the_map_has_changed(seed):
     rng, hidden = np.random.default_rng(seed), HiddenCells(REACH)
     obstacles, reachable = rng.random((60, 70)) < 0.2, rng.random((60, 70)) < 0.02
-    remembered = 0
+    remembered = kept = 0
     for _ in range(30):
         changed = obstacles if rng.random() < 0.5 else reachable
         row, col = rng.integers(55), rng.integers(65)
@@ -29,12 +29,16 @@ def test_a_remembered_cell_has_no_viewpoint_however_the_map_has_changed(seed):
         hidden.update(window_of(obstacles.copy()), reachable.copy())
         viewpoints = Viewpoints(reachable, obstacles, REACH)
         for cell in rng.integers(60, size=(40, 2)).tolist():
-            visible = viewpoints.nearest((cell[0], cell[1])) is not None
-            assert not (visible and hidden.has(*cell))
+            view, known = viewpoints.nearest((cell[0], cell[1])), hidden.view(*cell)
+            assert not (view is not None and hidden.has(*cell))
+            assert known is None or known == (view, 1)
             remembered += hidden.has(*cell)
-            if not visible:
+            kept += known is not None
+            if view is None:
                 hidden.add(*cell)
-    assert remembered > 20
+            else:
+                hidden.keep(*cell, (view, 1))
+    assert remembered > 20 and kept > 20
 
 
 def test_a_window_with_another_corner_is_remembered_anew():

@@ -57,7 +57,7 @@ def planner(
     config = preset("default", explore={"dust": dust})
     gain = ViewGain(closed, sensor, RADIUS_M)
     viewpoints = gain.viewpoints(distances.reachable)
-    return ViewPlanner(gain, failed_views, pose, 0.0, distances, viewpoints, config, hidden)
+    return ViewPlanner(gain, failed_views, pose, distances, viewpoints, config, pose.position, hidden)
 
 
 def next_target(view: ViewPlanner) -> Target | None:

@@ -1,0 +1,244 @@
+"""The order in which views are visited: a short tour from the robot through all of them and home.
+
+Lengths are in cells. They are measured over tiles, squares of a few cells: a tile is entered from the next one where
+two passable cells meet across the edge between them. So no length leads through a wall that is thicker than a tile.
+"""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.core.geometry import Array
+from sixthsense.navigation.gridsearch import Distances
+from sixthsense.navigation.gridsearch.bucket_queue import push
+from sixthsense.navigation.regions import Cells
+from sixthsense.slam.mapping.freespace import Bools
+
+_STEP, _DIAGONAL = 5, 7  # lengths of steps between tiles; 7 / 5 is nearly the root of 2
+_ROWS, _COLS = (0, 0, -1, 1, -1, -1, 1, 1), (-1, 1, 0, 0, -1, 1, -1, 1)  # to the neighbours, across edges first
+_RING = 8  # buckets of the search: more than the longest step
+_STOPS = 30  # so many views are visited by a tour, those with the shortest ways
+_NO_WAY = 1e6  # cells; more than any way, and a number that can be added
+_LEG = 0.15  # the way to the first stop counts so much more: what is seen early may shorten the rest
+_OPTIONS = 6  # nearest views that may be the first stop instead of the tour's
+_LESS = 1e-6  # a tour that is not shorter by so much is as long
+_SEGMENT = 3  # most stops that are moved at once
+
+Links = NDArray[np.uint8]
+"""(H, W) of each tile: a bit for each neighbour, set if it leads there; across a corner, by a third tile."""
+Steps = NDArray[np.int32]
+Cell = tuple[int, int]
+
+
+class TileWays:
+    """Lengths of ways over the passable cells of one map."""
+
+    def __init__(self, passable: Bools, tile: int) -> None:
+        """`passable` is (H, W); a tile has `tile` cells a side."""
+        self._tile = tile
+        self._links: Links = _links(passable, tile)
+
+    def lengths(self, cell: Cell, cells: Cells) -> Array:
+        """(N,) lengths from a cell to `cells` (N, 2); inf without a way."""
+        return np.asarray(self._between(np.array([cell], dtype=np.int64), cells)[0])
+
+    def matrix(self, cells: Cells) -> Array:
+        """(N, N) lengths between cells (N, 2); inf without a way."""
+        upper = np.triu(self._between(cells, cells), 1)
+        return np.asarray(upper + upper.T)
+
+    def _between(self, sources: Cells, targets: Cells) -> Array:
+        lengths = _lengths(self._links, sources // self._tile, targets // self._tile) * (self._tile / _STEP)
+        straight = np.hypot(*(sources[:, None] - targets).transpose(2, 0, 1))
+        return np.asarray(np.maximum(lengths, straight))
+
+
+def first_view(distances: Distances, tile: int, here: Cell, views: Cells, home: Cell) -> int:
+    """The index of the view that a short tour from `here` through the nearest of `views` (N, 2) and home goes to first.
+
+    `distances` are those from `here`; a tile has `tile` cells a side, and one view in a tile is a stop.
+    """
+    ways = TileWays(distances.reachable, tile)
+    nearest = np.argsort(ways.lengths(here, views), kind="stable")
+    _, one_each = np.unique(views[nearest] // tile, axis=0, return_index=True)
+    stops = nearest[np.sort(one_each)][:_STOPS]
+    lengths = np.zeros((len(stops) + 2, len(stops) + 2))
+    lengths[1:-1, 1:-1] = ways.matrix(views[stops])
+    lengths[0, 1:-1] = lengths[1:-1, 0] = [distances.to(*view) for view in views[stops].tolist()]
+    homewards = ways.lengths(home, views[stops])
+    if np.isfinite(homewards).all():  # else the tour is open
+        lengths[-1, 1:-1] = lengths[1:-1, -1] = homewards
+    return int(stops[first_stop(lengths) - 1])
+
+
+def first_stop(lengths: Array) -> int:
+    """Which of the stops 1 to n - 2 is visited first on a tour from 0 through all to n - 1.
+
+    `lengths` are (n, n), inf where no way is known. Of the first stop of a short tour and the nearest ones, it is the
+    one with the least way to it, which counts a little more, plus the best tour found from there; the lowest of equals.
+    """
+    return int(_first_stop(np.minimum(lengths, _NO_WAY)))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _links(passable: Bools, tile: int) -> Links:
+    height, width = passable.shape
+    # Whether each tile leads to the next one of its row and to that in the next row; the rim leads nowhere.
+    across = np.zeros((height // tile + 3, width // tile + 3), dtype=np.bool_)
+    up = np.zeros_like(across)
+    for r in range(height):
+        for c in range(tile - 1, width - 1, tile):
+            across[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r, c + 1]
+    for r in range(tile - 1, height - 1, tile):
+        for c in range(width):
+            up[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r + 1, c]
+    links = np.zeros((height // tile + 1, width // tile + 1), dtype=np.uint8)
+    for r in range(1, len(across) - 1):
+        for c in range(1, across.shape[1] - 1):
+            link = 0
+            for k in range(8):
+                dr, dc = _ROWS[k], _COLS[k]
+                below, left = r + min(dr, 0), c + min(dc, 0)
+                if dr == 0:
+                    leads = across[r, left]
+                elif dc == 0:
+                    leads = up[below, c]
+                else:
+                    leads = (across[r, left] and up[below, c + dc]) or (up[below, c] and across[r + dr, left])
+                link |= leads << k
+            links[r - 1, c - 1] = link
+    return links
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _lengths(links: Links, sources: Cells, targets: Cells) -> Array:
+    """(M, N) lengths of ways between tiles, in steps; inf without one."""
+    lengths = np.full((len(sources), len(targets)), np.inf)
+    steps: Steps = np.empty(links.shape, dtype=np.int32)
+    wanted = np.zeros(links.shape, dtype=np.bool_)
+    for j in range(len(targets)):
+        wanted[targets[j, 0], targets[j, 1]] = True
+    for i in range(len(sources)):
+        _search(links, sources[i, 0], sources[i, 1], wanted, wanted.sum(), steps)
+        for j in range(len(targets)):
+            there = steps[targets[j, 0], targets[j, 1]]
+            if there >= 0:
+                lengths[i, j] = there
+    return lengths
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps: Steps) -> None:
+    """Write the lengths of ways from a tile to `steps`, -1 for none, until `missing` of the `wanted` tiles are met.
+
+    Dijkstra's search with a ring of buckets.
+    """
+    width = links.shape[1]
+    steps[:] = -1
+    steps[row, col] = 0
+    stacks, sizes = np.empty((_RING, 1024), dtype=np.int32), np.zeros(_RING, dtype=np.int64)
+    stacks[0, 0], sizes[0] = row * width + col, 1
+    at, queued = 0, 1
+    while queued > 0 and missing > 0:
+        slot = at % _RING
+        if sizes[slot] == 0:
+            at += 1
+            continue
+        sizes[slot] -= 1
+        queued -= 1
+        r, c = stacks[slot, sizes[slot]] // width, stacks[slot, sizes[slot]] % width
+        if steps[r, c] != at:
+            continue  # a shorter way to it has been found since
+        missing -= wanted[r, c]
+        for k in range(8):
+            if links[r, c] >> k & 1:
+                to_r, to_c = r + _ROWS[k], c + _COLS[k]
+                there = at + (_STEP if k < 4 else _DIAGONAL)
+                if 0 <= steps[to_r, to_c] <= there:
+                    continue
+                steps[to_r, to_c] = there
+                stacks = push(stacks, sizes, there % _RING, to_r * width + to_c)
+                queued += 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _first_stop(lengths: Array) -> int:
+    tour = short_tour(lengths)
+    nearest = np.argsort(lengths[0, 1:-1])[:_OPTIONS] + 1
+    best, least = int(tour[1]), np.inf
+    for stop in np.unique(np.append(nearest, tour[1])):
+        rest = np.append(stop, tour[1:][tour[1:] != stop])
+        shorten(lengths, rest)
+        cost = (1.0 + _LEG) * lengths[0, stop] + tour_length(lengths, rest)
+        if cost < least - _LESS:
+            best, least = int(stop), cost
+    return best
+
+
+@numba.njit(cache=True, error_model="numpy")
+def tour_length(lengths: Array, tour: Cells) -> float:
+    """Length of the way from stop to stop of `tour` (K,)."""
+    total = 0.0
+    for k in range(len(tour) - 1):
+        total += lengths[tour[k], tour[k + 1]]
+    return total
+
+
+@numba.njit(cache=True, error_model="numpy")
+def short_tour(lengths: Array) -> Cells:
+    """(n,) a short tour from 0 through all to n - 1: farthest insertion, then made shorter."""
+    n = len(lengths)
+    tour = np.array([0, n - 1])
+    away = np.minimum(lengths[0], lengths[n - 1])
+    away[0] = away[n - 1] = -1.0
+    for _ in range(n - 2):
+        stop = np.argmax(away)
+        cost = np.empty(len(tour) - 1)
+        for k in range(len(cost)):
+            a, b = tour[k], tour[k + 1]
+            cost[k] = lengths[a, stop] + lengths[stop, b] - lengths[a, b]
+        at = np.argmin(cost) + 1
+        tour = np.concatenate((tour[:at], np.array([stop]), tour[at:]))
+        away = np.minimum(away, lengths[stop])
+        away[tour] = -1.0
+    shorten(lengths, tour)
+    return tour
+
+
+@numba.njit(cache=True, error_model="numpy")
+def shorten(lengths: Array, tour: Cells) -> None:
+    """Reverse (2-opt) and move (or-opt) parts of `tour` (K,) until nothing makes it shorter; its ends stay."""
+    last = len(tour) - 1
+    better = True
+    while better:
+        better = False
+        for i in range(1, last):
+            for j in range(i, last):
+                # The part from i to j: reversed where it is, or moved between two other stops.
+                a, first, end, b = tour[i - 1], tour[i], tour[j], tour[j + 1]
+                kept = lengths[a, first] + lengths[end, b]
+                gain, to, turned = kept - lengths[a, end] - lengths[first, b], -1, True
+                for k in range(last if j - i < _SEGMENT else 0):
+                    if i - 1 <= k <= j:
+                        continue
+                    x, y = tour[k], tour[k + 1]
+                    saved = kept - lengths[a, b] + lengths[x, y]
+                    for turn in (False, True):
+                        head, tail = (end, first) if turn else (first, end)
+                        by = saved - lengths[x, head] - lengths[tail, y]
+                        if by > gain:
+                            gain, to, turned = by, k, turn
+                if gain <= _LESS:
+                    continue
+                better = True
+                part = tour[i : j + 1].copy()
+                if turned:
+                    part = part[::-1].copy()
+                if to < 0:
+                    tour[i : j + 1] = part
+                elif to < i:
+                    tour[to + 1 : j + 1] = np.concatenate((part, tour[to + 1 : i]))
+                else:
+                    tour[i : to + 1] = np.concatenate((tour[j + 1 : to + 1], part))
