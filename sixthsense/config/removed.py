@@ -134,16 +134,21 @@ def _with_current_gates(association: dict[str, Any]) -> dict[str, Any]:
     if not old:
         return association
     note_renamed(", ".join(f"association.{name}" for name in old), "association.match_gate, new_gate and cull_below")
-    if old.get("method") == "report":
-        gates = {"match_gate": old.get("match_below", 20.0), "new_gate": old.get("new_above", 200.0)}
-    else:
-        gates = {}
+    current: dict[str, Any] = {}
+    method = old.get("method", "chi2")
+    if method == "report":
+        current = {"match_gate": old.get("match_below", 20.0), "new_gate": old.get("new_above", 200.0)}
+    elif method == "chi2":
         for gate, name in (("match_gate", "match_probability"), ("new_gate", "new_probability")):
             if name in old:
-                gates[gate] = _gate(f"association.{name}", old[name])
+                current[gate] = _gate(f"association.{name}", old[name])
+    else:
+        raise ConfigError(f"association.method: found {shown(method)}, allowed: leave it out")
     if old.get("culling") is False:
-        gates["cull_below"] = 0
-    return gates | association
+        current["cull_below"] = 0
+    for name in current.keys() & association.keys():
+        raise ConfigError(f"association.{name}: found under its old name, too, allowed: one of the two")
+    return current | association
 
 
 def _gate(name: str, probability: object) -> float:

@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 
 import pytest
+from scipy.stats import chi2
 
 import sixthsense as ss
 from sixthsense.cli import main
+from sixthsense.config import Config, ConfigError, merge
 from sixthsense.config.removed import RENAMED, RENAMED_VALUES, RenamedWarning
 
 OLD = {
@@ -80,3 +82,27 @@ def test_old_keys_of_metrics_give_the_new_ones() -> None:
         assert metrics["revisits_found"] == 3
     with pytest.raises(KeyError, match="did you mean loop_closures_found"):
         metrics["loop_closure_found"]
+
+
+@pytest.mark.parametrize(
+    ("old", "now"),
+    [
+        ({"method": "chi2", "match_probability": 0.99}, {"match_gate": pytest.approx(chi2.ppf(0.99, 2))}),
+        ({"new_probability": 0.9999, "culling": True}, {"new_gate": pytest.approx(chi2.ppf(0.9999, 2))}),
+        ({"method": "report", "match_below": 9.0, "assignment": "optimal"}, {"match_gate": 9.0, "new_gate": 200.0}),
+        ({"culling": False}, {"cull_below": 0}),
+    ],
+)
+def test_gates_of_earlier_versions_are_squared_distances(old: dict[str, object], now: dict[str, object]) -> None:
+    with pytest.warns(RenamedWarning):
+        association = merge(Config(), {"association": old}).association
+    assert {name: getattr(association, name) for name in now} == now
+
+
+@pytest.mark.parametrize(
+    "old",
+    [{"method": "nearest"}, {"match_probability": 1.5}, {"match_probability": 0.99, "match_gate": 9.0}],
+)
+def test_gates_of_earlier_versions_that_say_nothing_are_one_line(old: dict[str, object]) -> None:
+    with pytest.warns(RenamedWarning), pytest.raises(ConfigError, match=r"^association\.\w+: found .*, allowed: "):
+        merge(Config(), {"association": old})

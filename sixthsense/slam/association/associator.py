@@ -77,8 +77,7 @@ class Associator:
         matches = match(observations, observed, belief, extents, self.records, self._crookedness.excess, self._config)
         known, pieces = self._seen_again(observations, matches, estimate)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
-        sigmas = observed.sigmas_m(estimate.pose_cov)
-        new, more = self._start_landmarks(observations, np.flatnonzero(matches.is_new).tolist(), sigmas, estimate)
+        new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
         discarded = len(observations) - len(accepted) - pieces
         lost = self._blind_zone.uncertainty(len(known), len(new), discarded)
@@ -196,14 +195,17 @@ class Associator:
         return np.array([self.records[i].extent for i in estimate.ids.tolist()]).reshape(-1, 2, 2)
 
     def _start_landmarks(
-        self, observations: Sequence[Observation], unmatched: list[int], sigmas: Array, estimate: Estimate
+        self, observations: Sequence[Observation], observed: Observed, unmatched: list[int], estimate: Estimate
     ) -> tuple[dict[LandmarkId, Observation], int]:
         """New landmarks of the observations at `unmatched`, and how many further observations were fused with these.
 
-        `sigmas` (m,) metres, of all observations in the world.
+        `observed` are the arrays of all observations.
         """
         new: dict[LandmarkId, Observation] = {}
         pieces = 0
+        if not unmatched:
+            return new, pieces
+        sigmas = observed.sigmas_m(estimate.pose_cov)
         for k in unmatched:
             observation = observations[k]
             # One scan may show a wall's end from both sides, or a wall in two pieces: that is one landmark. Of two
@@ -231,8 +233,9 @@ class Associator:
             return False
         if not one.is_wall:
             return math.dist(one.z, other.z) <= self._config.new_separation_m
-        known = Estimate(Pose(), np.zeros((3, 3)), np.zeros(1, np.int64), other.z[None], np.ones(1, dtype=bool))
-        extent = ends(Pose(), other)[None]
-        if Distances.at(Pose(), Observed.of([one]), known, extent).apart(self._config)[0, 0]:
+        here, wall = Pose(), np.ones(1, dtype=bool)
+        extent = ends(here, other)[None]
+        distances = Distances.between(ends(here, one)[None], one.z[:1], wall, other.z[None], wall, extent)
+        if distances.apart(self._config)[0, 0]:
             return False
         return disagreement(one.z, other.z, one.cov + other.cov) <= self._config.match_gate
