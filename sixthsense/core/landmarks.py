@@ -62,6 +62,9 @@ class Observation:
     """(2, 2) part of `cov` by the shape of a wall where it was seen; None: it is straight; not recorded"""
     shape_kept: float = field(default=0.0, repr=False, compare=False)
     """correlation of the error by the shape with that of the wall's last observation, 0 to 1; not recorded"""
+    stretch: int = field(default=0, repr=False, compare=False)
+    """number, among those of its wall, of the stretch and side that was seen: there the shape's error stays; not
+    recorded"""
 
     @property
     def is_wall(self) -> bool:

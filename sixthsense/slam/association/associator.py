@@ -225,6 +225,10 @@ class Associator:
                 record.extent = ends(estimate.pose, observation)
                 record.footprint = Footprint.of(estimate.pose, record.extent)
         squares = {i: self.records[i].shape.square_m2(self._crookedness.excess) for i in new}
+        for i, square_m2 in squares.items():
+            footprint = self.records[i].footprint
+            if square_m2 > 0.0 and footprint is not None:
+                self.records[i].stretch_of(footprint)
         return {i: less_certain(observation, squares[i]) for i, observation in new.items()}, pieces
 
     def _are_one(self, one: Observation, other: Observation) -> bool:

@@ -59,6 +59,8 @@ class Record:
     """of a wall"""
     footprint: Footprint | None = None
     """of the last observation of a wall; None of a wall of an earlier run"""
+    stretches: list[Footprint] = field(default_factory=list)
+    """of a wall that is not straight: what was seen of it at once, each hardly like the others"""
     sightings = OldName("sightings", "observations")
 
     def seen_again(self, observation: Observation, pose: Pose, wall: Array) -> Observation:
@@ -67,6 +69,15 @@ class Record:
         self.shape.add(observation.shape)
         self.extent = joined(wall, self.extent, seen)
         before, self.footprint = self.footprint, Footprint.of(pose, seen)
-        if before is None or observation.shape_cov is None:
+        if observation.shape_cov is None:
             return observation
-        return replace(observation, shape_kept=correlation(before, self.footprint))
+        kept = 0.0 if before is None else correlation(before, self.footprint)
+        return replace(observation, shape_kept=kept, stretch=self.stretch_of(self.footprint))
+
+    def stretch_of(self, seen: Footprint) -> int:
+        """Number of the stretch that is most like what was seen; a new one, if none has most of its error."""
+        alike = [correlation(stretch, seen) for stretch in self.stretches]
+        if alike and max(alike) > 0.5:
+            return alike.index(max(alike))
+        self.stretches.append(seen)
+        return len(self.stretches) - 1

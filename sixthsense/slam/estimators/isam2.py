@@ -18,16 +18,16 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_observations
 from sixthsense.slam.estimators.checks import check_links, check_prior, check_wheels
 from sixthsense.slam.estimators.isam2_chain import Chain
-from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose, to_pose2
+from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_joint import JointCovariances
 from sixthsense.slam.estimators.isam2_links import LinkFactors
-from sixthsense.slam.estimators.isam2_observations import ObservationFactors, point_factor
+from sixthsense.slam.estimators.isam2_observations import ObservationFactors
+from sixthsense.slam.estimators.isam2_observing import Observing
 from sixthsense.slam.estimators.isam2_prior import PriorFactor
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_walls import exact_factor, wall_factor, wall_frame
 from sixthsense.slam.estimators.isam2_wheels import KEY as WHEELS
 from sixthsense.slam.estimators.isam2_wheels import motion_factor, prior_factor, start_factor
 
@@ -57,6 +57,7 @@ class ISAM2:
         self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
         self._chain = Chain()
         self._solution = Solution(self._solver, self._landmarks, self._head, self._chain)
+        self._observing = Observing(self._solver, self._landmarks, self._head, self._loss)
         self._joint = JointCovariances(self._solver, self._solution, self._head)
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
@@ -98,14 +99,10 @@ class ISAM2:
         if not observations:
             return
         first = self._unsolved.graph.size()
-        is_first = [i not in self._landmarks.keys for i in observations]
-        for (i, observation), is_new in zip(observations.items(), is_first, strict=True):
-            if is_new:
-                self._landmarks.add(i, guess, observation, self._unsolved.values)
-            self._unsolved.graph.add(self._factor(self._landmarks.keys[i], guess, observation, is_new))
+        rows = self._observing.add(self._poses - 1, guess, observations, self._unsolved)
         places = self._solve_waiting(self._chain.due())[first:]
-        for (i, observation), place, is_new in zip(observations.items(), places, is_first, strict=True):
-            self._factors.add(self._poses - 1, i, place, observation, is_new)
+        for row, place in zip(rows, places, strict=True):
+            self._factors.add(row, place)
         if is_spare:
             self._chain.spare(self._poses - 1)
         self._solver.relinearize(self._last_solved, guess)
@@ -250,15 +247,6 @@ class ISAM2:
         if not least or self._head.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
             return False
         return self._joint.map_gain(guess, observations, self._pending) < least
-
-    def _factor(self, key: int, guess: Pose, observation: Observation, is_new: bool) -> gtsam.NonlinearFactor:
-        pose = X(self._poses - 1)
-        if not observation.is_wall:
-            return point_factor(key, pose, observation, self._loss)
-        if self._head.wheels is not None and not is_new:
-            return exact_factor(key, pose, observation, self._loss)
-        frame = wall_frame(guess, observation) if is_new else to_pose(self._solver.isam.calculateEstimatePose2(key))
-        return wall_factor((key, frame), (pose, guess), observation, is_new, self._loss)
 
     def _converge(self) -> None:
         """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""

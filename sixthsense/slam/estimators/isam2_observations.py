@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -16,10 +17,25 @@ _FIELDS = (("pose", np.int64), ("id", np.int64), ("place", np.int64), ("wall", n
            ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip
 
 
+NO_POSE = -1
+"""of the factor between a wall and what is seen of it"""
+
+
 def point_factor(point: int, pose: int, observation: Observation, loss: Loss | None) -> gtsam.NonlinearFactor:
     """The observation of a point as a factor between the variables with these keys."""
     bearing, distance, cov = observation.bearing_range()
     return gtsam.BearingRangeFactor2D(pose, point, gtsam.Rot2(bearing), distance, with_loss(noise_of(cov), loss))
+
+
+class FactorOf(NamedTuple):
+    """What a factor of an observation is of."""
+
+    pose: int
+    """index of the pose that it was observed from, or `NO_POSE`"""
+    landmark: LandmarkId
+    observation: Observation
+    is_first: bool
+    """whether it fixes the landmark: it stays where others contradict it"""
 
 
 class ObservationFactors:
@@ -29,11 +45,12 @@ class ObservationFactors:
         self._rows = np.zeros(256, dtype=list(_FIELDS))
         self._count = 0
 
-    def add(self, pose: int, i: LandmarkId, place: int, observation: Observation, is_first: bool) -> None:
-        """Add an observation of landmark `i` from the pose with that index; its factor has that place in the graph."""
+    def add(self, factor: FactorOf, place: int) -> None:
+        """Add an observation whose factor has that place in the graph."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[self._count] = (pose, i, place, observation.is_wall, is_first, observation.z, observation.cov)
+        pose, i, seen, is_first = factor
+        self._rows[self._count] = (pose, i, place, seen.is_wall, is_first, seen.z, seen.cov)
         self._count += 1
 
     def places(self, ids: Collection[LandmarkId]) -> list[int]:

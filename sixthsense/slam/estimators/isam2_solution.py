@@ -69,8 +69,9 @@ class Solution:
         if len(is_wall):
             points = np.asarray(gtsam.utilities.extractPoint2(values)).reshape(-1, 2)
             points = points[: np.count_nonzero(~is_wall)]  # GTSAM adds empty rows for vectors of another size: wheels
-        # In the order of their keys: the letter of walls comes before that of poses, then the number.
-        walls, self._in_graph = np.split(frames, [np.count_nonzero(is_wall)])
+        # In the order of their keys: the letters of apparent walls, of walls and of poses, then the number.
+        apparent = len(landmarks.stretches)
+        _, walls, self._in_graph = np.split(frames, [apparent, apparent + np.count_nonzero(is_wall)])
         means, axes = lines(walls)
         landmarks.means = np.empty((len(is_wall), 2))
         landmarks.means[is_wall], landmarks.means[~is_wall] = means, points

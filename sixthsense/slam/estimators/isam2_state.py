@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L, W
+from gtsam.symbol_shorthand import L, V, W
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
@@ -39,10 +39,14 @@ class Landmarks:
     is_wall: dict[LandmarkId, bool] = field(default_factory=dict)
     by_tangent: dict[LandmarkId, Array] = field(default_factory=dict)
     """(2, 3) or (2, 2) Jacobian of a landmark by its variable's tangent in GTSAM"""
+    stretches: dict[tuple[LandmarkId, int], int] = field(default_factory=dict)
+    """keys of the apparent walls: stretches of a wall that is not straight, by its id and the stretch's number"""
     means: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) at the last solution"""
     made: int = 0
     """number of landmarks so far, forgotten ones included"""
+    apparent: int = 0
+    """number of apparent walls so far, forgotten ones included"""
 
     def add(self, i: LandmarkId, guess: Pose, observation: Observation, values: gtsam.Values) -> None:
         """Add a landmark that is observed from `guess`, and its initial value to `values`."""
@@ -58,12 +62,19 @@ class Landmarks:
         self.made += 1
         return self.keys[i]
 
+    def next_stretch(self, i: LandmarkId, stretch: int) -> int:
+        """The key of a stretch that is new."""
+        self.stretches[i, stretch] = key = int(V(self.apparent))
+        self.apparent += 1
+        return key
+
     def drop(self, ids: Collection[LandmarkId]) -> None:
         """Remove landmarks."""
         if len(self.means) == len(self.keys):
             self.means = self.means[~np.isin(self.ids(), list(ids))]
         for i in ids:
             del self.keys[i], self.is_wall[i]
+        self.stretches = {at: key for at, key in self.stretches.items() if at[0] in self.keys}
 
     def ids(self) -> NDArray[np.int64]:
         """(n,) of the landmarks."""

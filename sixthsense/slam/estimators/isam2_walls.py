@@ -8,6 +8,7 @@ wall.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -45,6 +46,25 @@ def measurement(pose: Pose, frame: Pose, observation: Observation, is_first: boo
     # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
     to_centre = centre.inverse()
     return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
+
+
+def stretch_factor(
+    wall: tuple[int, Pose], key: int, pose: Pose, observation: Observation
+) -> tuple[Pose, gtsam.NonlinearFactor]:
+    """The frame of an apparent wall that is observed from `pose`, and its factor, with the key of the wall's variable.
+
+    An apparent wall is the wall and an error of its shape. Its origin is where a turn and a shift by that error are
+    independent.
+    """
+    assert observation.shape_cov is not None
+    wall_key, frame = wall
+    of_shape = replace(observation, cov=observation.shape_cov)
+    x, y = observed_centre(of_shape)
+    centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)
+    place = Pose(x=(frame.inverse() @ pose @ centre).x)
+    _, of_turn, of_shift = line_errors(observation.shape_cov)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([_FIRST_M, math.sqrt(of_shift), math.sqrt(of_turn)]))
+    return frame @ place, gtsam.BetweenFactorPose2(wall_key, key, to_pose2(place), noise)
 
 
 def lines(frames: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.crookedness import Footprint, correlation, less_certain
+from sixthsense.slam.association.records import Record
 from sixthsense.slam.association.wall_extents import ends
 from sixthsense.slam.estimators import make_estimator
 
@@ -76,6 +77,50 @@ def test_a_wall_that_is_seen_otherwise_says_less_of_the_pose(name):
         estimator.update({0: replace(crooked, shape_kept=kept)})
         variances.append(estimator.estimate().pose_cov[1, 1])
     assert variances[0] < variances[1] < variances[2] < 1e-3
+
+
+@pytest.mark.parametrize("stretches", [[0], [0] * 20, [0, 1, 2, 3], [0, 0, 1, 1, 1, 2] * 3])
+def test_in_the_smoother_each_stretch_has_one_error(stretches):
+    """The wall has the information of its stretches, each with its shape's covariance and the mean of its scans'."""
+    clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 4e-6]))
+    crooked = less_certain(clean, 1e-4)
+    estimator = filtered("isam2", [replace(crooked, stretch=k) for k in stretches])
+    counts = np.bincount(stretches)
+    information = sum(np.linalg.inv(crooked.shape_cov + clean.cov / n) for n in counts)
+    about_robot = estimator.joint_covariance([0])[3:, 3:]
+    assert about_robot[0, 0] == pytest.approx(np.linalg.inv(information)[0, 0], rel=1e-3)
+    x, y = 0.0, -2.0  # the landmark's offset is from the world's origin, the observed one from the robot
+    lever = np.array([[1.0, 0.0], [math.cos(math.pi / 2) * y - math.sin(math.pi / 2) * x, 1.0]])
+    assert about_robot == pytest.approx(lever @ np.linalg.inv(information) @ lever.T, rel=1e-3, abs=1e-12)
+
+
+def test_in_the_smoother_a_stretch_that_was_seen_says_more_of_the_pose():
+    clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6]))
+    crooked = less_certain(clean, 1e-4)
+    variances = []
+    for stretch in (0, 1):
+        estimator = filtered("isam2", [crooked] * 6)
+        estimator.predict(Odometry(Pose(), np.diag([1e-2, 1e-2, 1e-6])))
+        estimator.update({0: replace(crooked, stretch=stretch)})
+        variances.append(estimator.estimate().pose_cov[1, 1])
+    assert variances[0] < 1e-5 < 1e-4 < variances[1] < 3e-4
+
+
+def test_apparent_walls_go_with_their_wall():
+    crooked = less_certain(wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6])), 1e-4)
+    estimator = make_estimator("isam2", Pose(0.0, -2.0, 0.3), np.zeros((3, 3)))
+    for stretch in (0, 1):
+        estimator.update({0: replace(crooked, stretch=stretch), 1: crooked})
+    estimator.forget([0])
+    estimator.update({1: replace(crooked, stretch=1), 2: crooked})
+    assert estimator.estimate().landmarks == pytest.approx(np.tile([math.pi / 2, 0.0], (2, 1)), abs=1e-6)
+    assert len(estimator.trajectory()) == 3
+
+
+def test_a_wall_has_a_stretch_for_each_place_that_shows_another_error():
+    record = Record(Kind.WALL, 1, 0, 0)
+    seen = [footprint(-1.0, 1.0), footprint(-0.8, 1.0), footprint(3.0, 5.0), footprint(-1.0, 0.8), footprint(3.1, 5.0)]
+    assert [record.stretch_of(each) for each in [*seen, footprint(-1.0, 1.0, (0.0, 2.0))]] == [0, 0, 1, 0, 1, 2]
 
 
 def test_ends_of_a_wall_are_its_footprint():
