@@ -1,7 +1,7 @@
 """From observations to factors and variables: a wall that is not straight is observed as it appears.
 
-An apparent wall is the wall and an error of its shape. That stays while the same stretch is seen from the same side. It is
-a variable of its own, so that an error that stays is no new evidence of the wall.
+An apparent wall is the wall and an error of its shape. That stays while the same stretch is seen from the same side.
+It is a variable of its own, so that an error that stays is no new evidence of the wall.
 """
 
 from __future__ import annotations
