@@ -24,6 +24,7 @@ class HiddenCells:
         self._span = int(reach)
         self._cells: dict[tuple[int, int], bool] = {}
         self._views: dict[tuple[int, int], View] = {}
+        self._ignored: set[tuple[int, int]] = set()
         self._first = (0, 0)
         none = np.zeros((0, 0), dtype=np.bool_)
         self._latest = none, none, none
@@ -38,6 +39,7 @@ class HiddenCells:
             for known in (self._cells, self._views):
                 for cell in self._near(count, list(known)):
                     del known[cell]
+            self._ignored.intersection_update(self._views)
 
     def _near(self, count: NDArray[np.int64], known: list[tuple[int, int]]) -> list[tuple[int, int]]:
         """Which cells are near a change; `count` has the sums of the squares with a change, from the corner."""
@@ -55,6 +57,7 @@ class HiddenCells:
         """Forget all cells, since something else is sought."""
         self._cells.clear()
         self._views.clear()
+        self._ignored.clear()
 
     def _changed(self, window: MapWindow, reachable: Bools) -> Bools | None:
         """(H, W) the squares of `_TILE` cells with a change; None if the window is another one."""
@@ -85,3 +88,22 @@ class HiddenCells:
     def view(self, row: int, col: int) -> View | None:
         """The view that is remembered of a cell of the latest map."""
         return self._views.get((row, col))
+
+    def worthwhile(self, cells: list[tuple[int, int]], dust: float) -> list[int]:
+        """The indices of the cells whose views are not ignored, of those whose view is remembered.
+
+        The views that show least are ignored while together they show at most `dust` cells, and until the map around
+        them changes. Else small views would take turns, and the robot would cross the building for each.
+        """
+        shown = [self._views[cell][1] for cell in cells]
+        spare = dust - sum(count for cell, count in zip(cells, shown, strict=True) if cell in self._ignored)
+        kept = []
+        for k in sorted(range(len(cells)), key=shown.__getitem__):
+            if cells[k] in self._ignored:
+                continue
+            spare -= shown[k]
+            if spare >= 0.0:
+                self._ignored.add(cells[k])
+            else:
+                kept.append(k)
+        return kept

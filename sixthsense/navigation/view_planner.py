@@ -118,10 +118,7 @@ class ViewPlanner:
         found = [
             (cells, *view) for cells in candidates.clusters if (view := self.view_beside(candidates.wanted, cells))
         ]
-        # Small views are ignored, the smallest first, as long as all that they show is dust.
-        found.sort(key=lambda view: view[2])
-        ignored = np.searchsorted(np.cumsum([shown for *_, shown in found]), candidates.dust, side="right")
-        found = found[ignored:]
+        found = [found[k] for k in self.hidden.worthwhile([centre_cell(cells) for cells, *_ in found], candidates.dust)]
         if not found:
             return None
         views, here = np.array([view for _, view, _ in found]), window.cell(self.pose.position)

@@ -62,3 +62,20 @@ def test_a_cell_that_is_hidden_from_everywhere_is_hidden_from_where_the_robot_ca
     changed[31, 31] = True
     hidden.update(window_of(changed), window.obstacles)
     assert hidden.has(3, 4) and not hidden.has(30, 31, everywhere=True)
+
+
+def test_small_views_are_ignored_up_to_the_dust_until_the_map_around_them_changes():
+    hidden, window = HiddenCells(REACH), window_of(np.zeros((60, 60), dtype=np.bool_))
+    hidden.update(window, window.obstacles)
+    cells = [(5, 5), (5, 50), (50, 5)]
+    for cell, shown in zip(cells, (9, 4, 3), strict=True):
+        hidden.keep(*cell, (cell, shown))
+    assert hidden.worthwhile(cells, 2.0) == [2, 1, 0]
+    assert hidden.worthwhile(cells, 5.0) == [1, 0]
+    hidden.keep(5, 5, ((5, 5), 1))  # the rest of a view that has been seen
+    assert hidden.worthwhile(cells, 5.0) == [1]
+    reachable = window.obstacles.copy()
+    reachable[50, 6] = True
+    hidden.update(window, reachable)
+    hidden.keep(50, 5, ((50, 6), 9))
+    assert hidden.worthwhile(cells, 3.5) == [1, 2]
