@@ -165,7 +165,7 @@ class GridConfig(Section):
     cell_m: Annotated[float, Range(1e-3, 10.0)] = 0.05
     """Side of a cell."""
     walls: bool = True
-    """Fitted walls count as hits, beside the laser's ends."""
+    """Fitted walls, and gaps between returns of one wall that the robot could not pass, count as hits, too."""
     min_hits: PositiveCount = 1
     """Fewest hits of an obstacle."""
     passes_per_hit: Positive = 4.0

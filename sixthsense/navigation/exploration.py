@@ -15,7 +15,7 @@ from sixthsense.navigation.closed_walls import ClosedWalls
 from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.gridsearch import Distances, ReachableCells
-from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.known_views import KnownViews
 from sixthsense.navigation.limited_map import LimitedMap
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
@@ -51,7 +51,7 @@ class Exploration:
         self._task, self._limited = task, LimitedMap(task)
         self._widening, self._passages = self._limited.widening, self._limited.passages
         self._target, self._failed_views = NO_TARGET, FailedViewCounts()
-        self._hidden_cells, self._reachable_cells = HiddenCells(task.sensor.reach), ReachableCells()
+        self._known_views, self._reachable_cells = KnownViews(), ReachableCells()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
         self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
@@ -140,7 +140,6 @@ class Exploration:
         visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
         failed = (self._target.mask(window) | visible) & window.unknown
         self._failed_views.count_failure(window, failed)
-        self._hidden_cells.clear()
         often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
         if self._target.occluded and often.any():
             # The views from before the gap have not opened it.
@@ -152,14 +151,12 @@ class Exploration:
     def _look_again(self, pose: Pose) -> State:
         """Choose a view as if nothing had been given up: who was in the way may have gone."""
         self._failed_views, self._retries = FailedViewCounts(), 0
-        self._hidden_cells.clear()
         return self._choose_view(pose)
 
     def _mark_unreachable(self, pose: Pose) -> State:
         """Give the target up until a path leads to it, then choose another view."""
         self._passages.close_untried()
         self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
-        self._hidden_cells.clear()
         return self._choose_view(pose)
 
     def _close_loop(self, pose: Pose) -> State:
@@ -219,7 +216,6 @@ class Exploration:
             return None
         self._retries += 1
         visible = self._make_view_planner(pose).visible_again()
-        self._hidden_cells.clear()
         self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
         return self._next_target(pose) if visible.any() else None
 
@@ -228,13 +224,11 @@ class Exploration:
         before = self._widening.step
         while not self._widening.is_last:
             self._widening.step += 1
-            self._hidden_cells.clear()
             self._update_window(pose)
             target = self._next_target(pose)
             if target is not None:
                 return target
         self._widening.step = before
-        self._hidden_cells.clear()
         self._update_window(pose)
         return None
 
@@ -245,7 +239,6 @@ class Exploration:
             shown = self._passages.open_to(planner, place, self._map.grid)
             if shown is not None:
                 self._failed_views.reset(planner.window, shown, 0)
-                self._hidden_cells.clear()
                 self._update_window(pose)
                 target = self._next_target(pose) or self._unreachable_target(pose)
                 if target is not None:
@@ -260,9 +253,8 @@ class Exploration:
         window = self._drawn_window = closed.window
         task, failed_views = self._task, self._failed_views.within(window)
         distances, gain = self._distances(pose), ViewGain(closed, task.sensor, task.radius_m)
-        self._hidden_cells.update(window, distances.reachable)
-        viewpoints, hidden = gain.viewpoints(distances.reachable), self._hidden_cells
-        return ViewPlanner(gain, failed_views, pose, distances, viewpoints, task.config, task.home, hidden)
+        viewpoints = gain.viewpoints(distances.reachable)
+        return ViewPlanner(gain, failed_views, pose, distances, viewpoints, task.config, task.home, self._known_views)
 
     def _distances(self, pose: Pose) -> Distances:
         """Distances from the robot over cells that were seen and are not blocked."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.gridsearch.bucket_queue import push
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
@@ -55,18 +54,19 @@ class TileWays:
         return np.asarray(np.maximum(lengths, straight))
 
 
-def first_view(distances: Distances, tile: int, here: Cell, views: Cells, home: Cell) -> int:
+def first_view(reachable: Bools, tile: int, here: Cell, views: Cells, home: Cell) -> int:
     """The index of the view that a short tour from `here` through the nearest of `views` (N, 2) and home goes to first.
 
-    `distances` are those from `here`; a tile has `tile` cells a side, and one view in a tile is a stop.
+    Ways lead over the `reachable` cells (H, W). A tile has `tile` cells a side, and one view in a tile is a stop.
     """
-    ways = TileWays(distances.reachable, tile)
-    nearest = np.argsort(ways.lengths(here, views), kind="stable")
+    ways = TileWays(reachable, tile)
+    away = ways.lengths(here, views)
+    nearest = np.argsort(away, kind="stable")
     _, one_each = np.unique(views[nearest] // tile, axis=0, return_index=True)
     stops = nearest[np.sort(one_each)][:_STOPS]
     lengths = np.zeros((len(stops) + 2, len(stops) + 2))
     lengths[1:-1, 1:-1] = ways.matrix(views[stops])
-    lengths[0, 1:-1] = lengths[1:-1, 0] = [distances.to(*view) for view in views[stops].tolist()]
+    lengths[0, 1:-1] = lengths[1:-1, 0] = away[stops]
     homewards = ways.lengths(home, views[stops])
     if np.isfinite(homewards).all():  # else the tour is open
         lengths[-1, 1:-1] = lengths[1:-1, -1] = homewards

@@ -62,7 +62,7 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
     for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
             view = allowed.nearest(centre)
-            if view is not None and planner.gain.shown(hidden, *view) > 0:
+            if view is not None and planner.gain.shown(hidden, view, centre) > 0:
                 mark_visible(visible[reason], planner.gain.closed.opaque, hidden, *view, planner.gain.sensor.reach)
                 break
     places = []

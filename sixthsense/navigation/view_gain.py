@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sixthsense.config import LaserConfig
 from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.closed_walls import ClosedMap
-from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.visibility import expected_gain, gapless_reach
 from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
@@ -56,12 +56,18 @@ class ViewGain:
     radius_m: float
     """the robot's"""
 
-    def shown(self, wanted: Bools, row: int, col: int) -> int:
-        """How many of the `wanted` cells (H, W) a view from a cell shows."""
+    def shown(self, wanted: Bools, view: Cell, cell: Cell) -> int:
+        """How many of the `wanted` cells (H, W) a view, from one cell of another, shows up to a little behind that."""
         depth, sensor = round(_GAIN_DEPTH_M / self.closed.window.cell_m), self.sensor
-        return int(expected_gain(self.closed.opaque, wanted, row, col, sensor.rays, sensor.reach, depth))
+        reach = min(sensor.reach, math.dist(view, cell) + depth)
+        return int(expected_gain(self.closed.opaque, wanted, *view, sensor.rays, reach, depth))
 
-    def shown_nearby(self, wanted: Bools, cell: tuple[int, int]) -> int:
+    def span(self, view: Cell, cell: Cell) -> int:
+        """How many rows and columns around a cell determine its nearest view and what that shows."""
+        around = _NEARBY_M + _GAIN_DEPTH_M + self.radius_m
+        return math.ceil(2.0 * math.dist(view, cell) + around / self.closed.window.cell_m)
+
+    def shown_nearby(self, wanted: Bools, cell: Cell) -> int:
         """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
         window = self.closed.window
         radius, span = self.radius_m / window.cell_m, _NEARBY_M / window.cell_m
@@ -71,7 +77,7 @@ class ViewGain:
         obstacles = window.obstacles[part].copy()  # contiguous as the whole map is: one type of array for the kernels
         fitting = window.seen[part] & ~too_near(obstacles, radius)
         view = Viewpoints(fitting, obstacles, span).nearest((cell[0] - top, cell[1] - left))
-        return 0 if view is None else self.shown(wanted, view[0] + top, view[1] + left)
+        return 0 if view is None else self.shown(wanted, (view[0] + top, view[1] + left), cell)
 
     def viewpoints(self, allowed: Bools) -> Viewpoints:
         """The search among the `allowed` cells (H, W) for one that has a cell in view."""

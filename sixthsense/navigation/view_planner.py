@@ -23,7 +23,7 @@ from sixthsense.navigation.frontier import (
     frontier_clusters,
 )
 from sixthsense.navigation.gridsearch import Distances
-from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.known_views import KnownViews, View
 from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
 from sixthsense.navigation.tour import first_view
@@ -34,7 +34,6 @@ from sixthsense.slam.mapping.freespace import Bools
 
 _TILE_M = 1.0  # longer frontiers are split
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
-_WAY_TILE_M = 0.3  # side of the tiles over which ways between views are measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +65,7 @@ class ViewPlanner:
     config: Config
     home: Array
     """(2,) where the tour ends, world frame"""
-    hidden: HiddenCells
+    known: KnownViews
     """views of the clusters' centres; centres that no reachable cell of this map sees, or whose view shows nothing"""
 
     @property
@@ -100,6 +99,7 @@ class ViewPlanner:
         edge = edge[in_large_regions(window.free, edge, self.glimpsed_cells(), window.cell(self.pose.position))]
         dust = explore.dust * np.count_nonzero(window.seen)
         wanted, edge = drop_small_regions(wanted, edge, dust)
+        self.known.update(window.first, (self.distances.reachable, window.obstacles, wanted))
         return Candidates(wanted, frontier_clusters(edge, self.tile), dust)
 
     def glimpsed_cells(self) -> int:
@@ -118,15 +118,13 @@ class ViewPlanner:
         found = [
             (cells, *view) for cells in candidates.clusters if (view := self.view_beside(candidates.wanted, cells))
         ]
-        # Small views are ignored, the smallest first, as long as all that they show is dust.
-        found.sort(key=lambda view: view[2])
-        ignored = np.searchsorted(np.cumsum([shown for *_, shown in found]), candidates.dust, side="right")
-        found = found[ignored:]
+        found = [found[k] for k in self.known.worthwhile([centre_cell(cells) for cells, *_ in found], candidates.dust)]
         if not found:
             return None
         views, here = np.array([view for _, view, _ in found]), window.cell(self.pose.position)
-        tile = max(1, round(_WAY_TILE_M / window.cell_m))
-        k = first_view(self.distances, tile, here, views, window.cell(self.home))
+        # A wall is inflated to more than twice the robot's radius: no way over such tiles leads through one.
+        tile = max(1, math.floor(2.0 * self.gain.radius_m / window.cell_m))
+        k = first_view(self.distances.reachable, tile, here, views, window.cell(self.home))
         return self.target_of(candidates.wanted, found[k][0], found[k][1], occluded=False)
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
@@ -158,15 +156,16 @@ class ViewPlanner:
         would fit without the clearance.
         """
         centre = centre_cell(cells)
-        known = self.hidden.view(*centre)
-        if known is not None or self.hidden.has(*centre):
-            return known
+        known = self.known.get(centre)
+        if known is not None:
+            return None if known.cell is None else (known.cell, known.shown)
         view = self.viewpoints.nearest(centre)
-        shown = 0 if view is None else self.gain.shown(wanted, *view) or self.gain.shown_nearby(wanted, centre)
+        shown = 0 if view is None else self.gain.shown(wanted, view, centre) or self.gain.shown_nearby(wanted, centre)
         if view is None or shown == 0:
-            self.hidden.add(*centre)
+            span = int(self.gain.sensor.reach) if view is None else self.gain.span(view, centre)
+            self.known.add(centre, View(None, 0, span))
             return None
-        self.hidden.keep(*centre, (view, shown))
+        self.known.add(centre, View(view, shown, self.gain.span(view, centre)))
         return view, shown
 
     def by_distance(self, clusters: list[Cells]) -> list[int]:

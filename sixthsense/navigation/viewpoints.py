@@ -18,6 +18,8 @@ _TILE = 8
 """cells; squares of so many without a viewpoint or an obstacle are skipped"""
 _ALLOWED, _OBSTACLE = np.uint8(1), np.uint8(2)
 
+Cell = tuple[int, int]
+"""Row and column."""
 Kinds = NDArray[np.uint8]
 """(H, W) of each cell: allowed, an obstacle, both or neither"""
 
@@ -29,7 +31,7 @@ class Viewpoints:
         """`allowed` and `obstacles` are (H, W) and must not change afterwards; `reach` of a view is in cells."""
         self._allowed, self._obstacles, self._reach = allowed, obstacles, reach
 
-    def nearest(self, cell: tuple[int, int]) -> tuple[int, int] | None:
+    def nearest(self, cell: Cell) -> Cell | None:
         """The nearest allowed cell from which no obstacle hides a cell, both row and col; None if there is none."""
         index = _nearest(*self._kinds, self._obstacles, *cell, self._reach)
         return divmod(int(index), self._obstacles.shape[1]) if index >= 0 else None

@@ -6,9 +6,11 @@ import numpy as np
 
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell
 from sixthsense.navigation.gridsearch import Distances, cell_before_gap
+from sixthsense.navigation.known_views import View
 from sixthsense.navigation.map_window import Target
 from sixthsense.navigation.regions import Cells
 from sixthsense.navigation.view_planner import Candidates, ViewPlanner
+from sixthsense.navigation.viewpoints import Cell
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -34,11 +36,11 @@ def nearest_shown_elsewhere(planner: ViewPlanner, candidates: Candidates) -> Tar
         cells, centre = candidates.clusters[k], centre_cell(candidates.clusters[k])
         if len(targets) == _MAX_VIEWS:
             break
-        if planner.hidden.has(*centre, everywhere=True) or planner.view_beside(candidates.wanted, cells) is not None:
+        if planner.view_beside(candidates.wanted, cells) is not None or _is_hidden(planner, centre):
             continue  # nothing to see, or dust
         there = views_elsewhere.nearest(centre)
-        if there is None or gain.shown(candidates.wanted, *there) == 0:
-            planner.hidden.add(*centre, everywhere=True)
+        if there is None or gain.shown(candidates.wanted, there, centre) == 0:
+            planner.known.add(centre, View(None, 0, int(gain.sensor.reach), nowhere=True))
             continue
         view = planner.viewpoints.nearest(centre)
         at = view or _gap_to(planner, beyond_gaps.nearest(centre), without_clearance) or _nearest(places, centre)
@@ -61,12 +63,18 @@ def cells_approached_at(planner: ViewPlanner, candidates: Candidates, here: tupl
     approached = np.zeros_like(candidates.wanted)
     for cells in candidates.clusters:
         centre = centre_cell(cells)
-        if planner.hidden.has(*centre, everywhere=True) or planner.viewpoints.nearest(centre) is not None:
+        if _is_hidden(planner, centre) or planner.viewpoints.nearest(centre) is not None:
             continue
         gap = _gap_to(planner, beyond_gaps.nearest(centre), without_clearance)
         if looked_at[gap or _nearest(places, centre)]:
             approached[tuple(adjacent_cells(candidates.wanted, cells).T)] = True
     return approached
+
+
+def _is_hidden(planner: ViewPlanner, cell: Cell) -> bool:
+    """Whether it is remembered that a cell is seen from nowhere."""
+    known = planner.known.get(cell)
+    return known is not None and known.nowhere
 
 
 def _gap_to(planner: ViewPlanner, view: tuple[int, int] | None, without_clearance: Distances) -> tuple[int, int] | None:

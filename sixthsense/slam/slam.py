@@ -31,6 +31,7 @@ from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
@@ -78,8 +79,8 @@ class Slam:
         self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
         records = None if prior_map is None else prior_map.fresh_records()
         self.associator = Associator(self.config.association, records, self.config.grid.no_return_passes)
-        radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
-        self._mapper = Mapper(self.config.grid, radius_m, self.config.safety.body_m)
+        self._radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
+        self._mapper = Mapper(self.config.grid, self._radius_m, self.config.safety.body_m)
         self._deskew = Deskewer(self.config.features.deskew)
         self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()
@@ -252,7 +253,11 @@ class Slam:
         return WheelOdometry(self.config.assumed)
 
     def _mapped(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
-        self._mapper.add(self.trajectory, scan, keyframe.walls_robot, moving.standing_robot)
+        walls = keyframe.walls_robot
+        if self.config.grid.walls:
+            gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
+            walls = np.concatenate([walls, gaps])
+        self._mapper.add(self.trajectory, scan, walls, moving.standing_robot)
 
     def _step(
         self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None, moving: Moving

@@ -9,7 +9,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.navigation.closed_walls import ClosedMap
 from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.gridsearch import Distances
-from sixthsense.navigation.hidden_cells import HiddenCells
+from sixthsense.navigation.known_views import KnownViews
 from sixthsense.navigation.map_window import MapWindow, Target
 from sixthsense.navigation.regions import frontier_cells
 from sixthsense.navigation.unseen_places import unseen_places
@@ -50,14 +50,13 @@ def planner(
     opaque = ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_))
     closed = ClosedMap(window, opaque, np.argwhere(frontier_cells(window.free, window.unknown)))
     distances = Distances(seen & ~blocked, blocked, *HERE)
-    sensor, hidden = SensorModel(180, 100.0, 40.0, 1.0), HiddenCells(100.0)
-    hidden.update(window, distances.reachable)
+    sensor, known = SensorModel(180, 100.0, 40.0, 1.0), KnownViews()
     failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
     pose = Pose(*window.point(*HERE), 0.0)
     config = preset("default", explore={"dust": dust})
     gain = ViewGain(closed, sensor, RADIUS_M)
     viewpoints = gain.viewpoints(distances.reachable)
-    return ViewPlanner(gain, failed_views, pose, distances, viewpoints, config, pose.position, hidden)
+    return ViewPlanner(gain, failed_views, pose, distances, viewpoints, config, pose.position, known)
 
 
 def next_target(view: ViewPlanner) -> Target | None:
