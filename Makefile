@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= 1
 
-.PHONY: run test test-all notebooks check kernels bench evidence evidence-logs guard docs clean
+.PHONY: run test test-all notebooks check kernels bench evidence evidence-logs guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -44,6 +44,12 @@ evidence-logs: $(VENV)/installed kernels  ## the same of scan matching on logs, 
 
 guard: $(VENV)/installed kernels  ## has a headline figure become worse than its spread explains?
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/guard.py
+
+pictures: $(VENV)/installed kernels  ## all pictures and films of README, site and gallery, and the notebooks; docs/pictures.toml
+	$(BIN)/python docs/pictures.py
+
+pictures-check: $(VENV)/installed kernels  ## which of them look otherwise today? Before a release
+	$(BIN)/python docs/pictures.py --check
 
 docs: $(VENV)/installed  ## site/index.html; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict

@@ -12,6 +12,7 @@ from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, d
 from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
 from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns, draw_wall_bands
 from sixthsense.figures.settings import Change, compare_features, draw_change, strays_m
+from sixthsense.figures.sliders import slider
 from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "legend",
     "new_axes",
     "record",
+    "slider",
     "strays_m",
     "window",
     "worst_culled",

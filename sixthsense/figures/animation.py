@@ -51,6 +51,7 @@ _DPI = 100
 _GIF_COLORS = 64
 _OCTREE = Image.Quantize.FASTOCTREE
 _WEBP_QUALITY = 30
+_COLUMNS, _ROW_IN = 4, 0.2  # of the legend
 
 _LINE: dict[str, Any] = {"marker": "", "linestyle": "-"}
 _DOT: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.0}
@@ -175,8 +176,9 @@ class _MapDrawing:
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         if title:
             self.figure.suptitle(title, fontsize=11)
-        self.figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-        self.figure.set_size_inches(width_in, _even(map_height(ax, width_in) + 0.15))
+        legend = self.figure.legend(loc="outside lower center", ncols=_COLUMNS, frameon=False, fontsize=9)
+        rows = -(-len(legend.get_texts()) // _COLUMNS)
+        self.figure.set_size_inches(width_in, _even(map_height(ax, width_in) + _ROW_IN * (rows - 1)))
         self.figure.set_dpi(_DPI)
         self.figure.canvas.draw()
         self.figure.set_layout_engine("none")  # the layout is settled: a caption's length must not move the axes

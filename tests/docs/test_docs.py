@@ -3,7 +3,6 @@
 import dataclasses
 import os
 import re
-import shlex
 import subprocess
 import sys
 import typing
@@ -19,25 +18,9 @@ from sixthsense.config import Section
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = ["start.md", "concepts/consistency.md", *sorted(f"howto/{page.name}" for page in DOCS.glob("howto/*.md"))]
 NEEDS = {"howto/campaign.md": "dask", "howto/interop.md": "evo"}
-BLOCK = re.compile(r'^```(python|console|toml)(?: title="(.*?)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 
 sys.path.insert(0, str(DOCS / "hooks"))
-
-
-def script(page: str, folder: Path) -> str:
-    """The code of a page as one program, its files written into the folder."""
-    lines = ["from sixthsense.cli import main"]
-    for language, title, text in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
-        if language == "toml" and title:
-            (folder / title).write_text(text, encoding="utf-8")
-        elif language == "python":
-            lines.append(text)
-        elif language == "console":
-            for line in text.splitlines():
-                command, *words = shlex.split(line.removeprefix("$ "))
-                assert command == "sixthsense"
-                lines.append(f"assert main({words}) == 0")
-    return "\n".join(lines)
+from page_code import script  # noqa: E402
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page not in NEEDS])
