@@ -232,7 +232,7 @@ def test_a_robot_that_does_not_know_where_it_is_has_not_explored(tmp_path: Path)
 
 
 def test_without_the_return_home_it_ends_away_from_the_start(tmp_path: Path) -> None:
-    made = explored(tmp_path, L_SHAPE, explore={"return_home": False})
+    made = explored(tmp_path, two_rooms(1.0), explore={"return_home": False})
     assert made.outcome == "explored"
     assert "home_error_m" not in made.metrics
     assert math.dist(made.trace.truths[-1][:2], made.trace.truths[0][:2]) > 0.5
