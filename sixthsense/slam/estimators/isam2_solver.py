@@ -106,5 +106,5 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     parameters.setFactorization(factorization)
     parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
     parameters.enableAdaptiveReorder = True  # a stale order costs 50 % more at the 99th percentile
-    parameters.enablePartialRelinearizationCheck = True  # only below poses that have moved: a fifth of the time on Intel
+    parameters.enablePartialRelinearizationCheck = True  # only below poses that have moved
     return parameters
