@@ -13,21 +13,18 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import WIDE_GATE_M
 from sixthsense.slam.scans.map_views import MapViews
-from sixthsense.slam.scans.place_search import is_same_place
+from sixthsense.slam.scans.place_search import MOST_POINTS, is_same_place
 from sixthsense.slam.scans.submap import pyramid
-from sixthsense.slam.scans.tracking import Tracked, aligned
+from sixthsense.slam.scans.tracking import LEAST_SCORE, Tracked, aligned
 from sixthsense.slam.scans.visibility import Agreement, judged
 
 _KNOWN_M, _KNOWN_RAD = 0.03, 0.02  # sigmas below which linearization at the given pose is good
-_MARGIN_M = 0.15  # of the window beyond its sigmas
-_MOST_POINTS = 200
 _LEAST_SHARE = 0.5  # of the returns that the map can judge
-_LEAST_SCORE = 0.3
 _SIGMAS, _MOST_SQUARE = 3.0, 21.1  # of the window; of a pose in it, 0.9999 of chi-square with 3 degrees of freedom
-_APART, _WEAK = Apart(0.5, 0.2), 1.0  # of peaks; information where the scan alone says the pose
+_WEAK = 1.0  # information where the scan alone says the pose
 _STRETCH_M = 1.0  # along a wall that hides the place along it; a shorter one is matched by landmarks
 _AS_GOOD = 0.85  # another place that explains at least this part is as good
 
@@ -97,14 +94,14 @@ def _places(views: MapViews, key: int, laser: Array, cov: Array) -> list[_Place]
     obstacles = views.obstacles
     if not len(obstacles) or not len(own):
         return []
-    own = own[np.linspace(0, len(own) - 1, min(len(own), _MOST_POINTS)).astype(np.int64)]
+    own = own[np.linspace(0, len(own) - 1, min(len(own), MOST_POINTS)).astype(np.int64)]
     sigmas = np.sqrt(np.diag(cov))
     half_rad = min(_SIGMAS * float(sigmas[2]) + _KNOWN_RAD, math.pi)
-    window = Window(laser, _SIGMAS * float(sigmas[:2].max()) + _MARGIN_M, half_rad)
+    window = Window(laser, _SIGMAS * float(sigmas[:2].max()) + _KNOWN_M, half_rad)
     floor = np.diag([_KNOWN_M, _KNOWN_M, _KNOWN_RAD]) ** 2 * 1e-2
     prior = Prior(laser, np.asarray(np.linalg.inv(cov + floor), dtype=np.float64))
     places = []
-    for at in peaks(pyramid(obstacles), own, window, _LEAST_SCORE, _APART)[:, 1:]:
+    for at in peaks(pyramid(obstacles), own, window, LEAST_SCORE, PLACE)[:, 1:]:
         alone = aligned(_views(views, key, at), Prior(at, _WEAK * np.eye(3)), at, WIDE_GATE_M)
         both = aligned(_views(views, key, alone.pose), prior, alone.pose, WIDE_GATE_M)
         if both.slip <= _MOST_SQUARE:

@@ -25,8 +25,8 @@ NORMALS_AGREE = 0.7  # least cosine between the normals of partners
 _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 
 SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
-_SCALE_M = 0.05  # of the Cauchy loss on that distance
-_NARROWEST_M, _NARROWER = 0.12, 0.8  # the last gate, and the ratio of one gate to the one before
+SCALE_M = 0.05  # of the Cauchy loss on that distance
+SURFACE_M, _NARROWER = 0.12, 0.8  # nearer returns are of one surface: the last gate; and the ratio of one to the next
 _MOST_STEPS = 14
 _NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
 _STEP_M, _STEP_RAD = 3e-4, 1e-4  # a smaller step ends the iteration
@@ -264,9 +264,9 @@ def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, su
     moves any more. Returns the largest weight of one target.
     """
     scale = 1.0 / (SIGMA_M * SIGMA_M * max(1, len(views.targets)))
-    gate, most = max(gate_m, _NARROWEST_M), 0.0
+    gate, most = max(gate_m, SURFACE_M), 0.0
     for _ in range(_MOST_STEPS):
-        most = add_all(views, pose, Loss(gate, _SCALE_M), both, sums)
+        most = add_all(views, pose, Loss(gate, SCALE_M), both, sums)
         off = pose - prior.pose
         off[2] = (off[2] + math.pi) % (2.0 * math.pi) - math.pi
         pull = prior.information @ off
@@ -275,11 +275,11 @@ def align(views: Views, prior: Prior, gate_m: float, both: bool, pose: Array, su
         move = solved(scale * matrix(sums, HESSIAN) + weight * prior.information, -gradient)
         pose += move
         shift, turn = abs(move[0]) + abs(move[1]), abs(move[2])
-        if gate == _NARROWEST_M and shift < _STEP_M and turn < _STEP_RAD:
+        if gate == SURFACE_M and shift < _STEP_M and turn < _STEP_RAD:
             break
-        gate = max(_NARROWER * gate, _NARROWEST_M)
+        gate = max(_NARROWER * gate, SURFACE_M)
         if shift < _NEAR_M and turn < _NEAR_RAD:
-            gate = _NARROWEST_M
+            gate = SURFACE_M
     pose[2] = (pose[2] + math.pi) % (2.0 * math.pi) - math.pi
     return most
 

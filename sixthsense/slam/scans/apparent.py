@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import HESSIAN, SPREAD, SUMS, Loss, add_one_way, matrix
+from sixthsense.slam.scans.alignment import HESSIAN, SPREAD, SUMS, SURFACE_M, Loss, add_one_way, matrix
+from sixthsense.slam.scans.links import FEW_RETURNS
 from sixthsense.slam.scans.scan_store import Returns
 
-_LEAST_RETURNS = 3.0  # returns' worth of information of a direction that a scan observes
-_OWN_LOSS = Loss(0.12, 1.0)
+_OWN_LOSS = Loss(SURFACE_M, 1.0)
 
 
 def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
@@ -29,7 +29,7 @@ def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
     sums = np.zeros(SUMS)
     add_one_way(returns, key, key, np.zeros(3), _OWN_LOSS, sums)
     weights, axes = np.linalg.eigh(returns.bearings.stride * (matrix(sums, HESSIAN) - matrix(sums, SPREAD)))
-    observed = weights > _LEAST_RETURNS
+    observed = weights > FEW_RETURNS
     variances = np.where(observed, 2.0 * sigma_m**2 / np.where(observed, weights, 1.0), 0.0)
     return np.asarray((axes * variances) @ axes.T)
 

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, Pyramid
 
 STEP_RAD = 0.012
@@ -39,6 +39,15 @@ class Apart(NamedTuple):
 
     distance_m: float
     turn_rad: float
+
+    def same(self, off: Array) -> NDArray[np.bool_]:
+        """(...,) whether relative poses (..., 3) are of one place."""
+        near = np.hypot(off[..., 0], off[..., 1]) < self.distance_m
+        return np.asarray(near & (np.abs(wrap_angle(off[..., 2])) < self.turn_rad))
+
+
+PLACE = Apart(0.7, 0.2)
+"""of peaks: alignment leads to one pose from nearer ones"""
 
 
 def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int = MOST_PEAKS) -> Array:

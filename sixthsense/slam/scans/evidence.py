@@ -16,18 +16,15 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.alignment import HITS, inverse
-from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.links import WIDE_GATE_M, align_pairs
+from sixthsense.slam.scans.graph import REACH_M, ScanGraph
+from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, align_pairs
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.visibility import explained
 
-_BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
 _PARTNERS = 2  # known scans that each is compared with
-_REACH_M = 4.0  # between the centres of two views
-_LEAST_SEEN = 0.3  # of the returns must be where the other scan could see, or the pair says nothing
-_LEAST_HITS = 20.0
-_FIRST_M, _SHIFT_M, _SHIFT_M_PER_M = 0.5, 0.05, 0.08  # an alignment may shift the first scan, and the next ones
+_BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
+_SHIFT_M, _SHIFT_M_PER_M = 0.05, 0.08  # an alignment may shift a scan beyond the one before
 _SHIFT_RAD = 0.1
 _LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
 _CLEARLY = 0.32  # scans' worth of points that a place must explain beyond another one
@@ -65,7 +62,7 @@ class OldPass(NamedTuple):
 
     def partners(self, key: int, at: Array, most: int) -> NDArray[np.int64]:
         """Those whose views overlap most."""
-        return self.keys[self.graph.overlapping(key, at, self.keys, _REACH_M)[:most]]
+        return self.keys[self.graph.overlapping(key, at, self.keys, REACH_M)[:most]]
 
 
 class Evidence(NamedTuple):
@@ -110,7 +107,7 @@ def evidence_of(
     open_places = np.arange(len(at))
     for n, key in enumerate(keys.tolist()):
         moved = between(poses[before], poses[key])
-        most_m = _FIRST_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
+        most_m = WIDE_GATE_M if n == 0 else _SHIFT_M + _SHIFT_M_PER_M * float(np.hypot(moved[0], moved[1]))
         for k in open_places.tolist():
             shares[k, n], at[k] = _compared(scans, key, compose(at[k], moved), known[k], most_m)
         if n == 0:
@@ -133,7 +130,7 @@ def _compared(scans: PlacedScans, key: int, at: Array, known: Surroundings, most
     aligned = align_pairs(returns, targets, np.full(len(targets), key), off, WIDE_GATE_M)
     shift = between(off, aligned.poses)
     is_near = (np.hypot(shift[:, 0], shift[:, 1]) <= most_m) & (np.abs(shift[:, 2]) <= _SHIFT_RAD)
-    is_near &= aligned.sums[:, HITS] >= _LEAST_HITS
+    is_near &= aligned.sums[:, HITS] >= LEAST_HITS
     total, best, there = np.zeros(3), 0.0, at
     for k, target in enumerate(targets.tolist()):
         pair = aligned.poses[k] if is_near[k] else off[k]
@@ -141,5 +138,5 @@ def _compared(scans: PlacedScans, key: int, at: Array, known: Surroundings, most
         total += found
         if is_near[k] and found[0] > best:
             best, there = found[0], compose(poses[target], pair)
-    share = float(total[0] / total[1]) if total[1] >= max(_LEAST_SEEN * total[2], 1.0) else np.nan
+    share = float(total[0] / total[1]) if total[1] >= max(SEEN_SHARE * total[2], 1.0) else np.nan
     return share, there

@@ -11,14 +11,12 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.scans.alignment import Prior, Views
+from sixthsense.slam.scans.graph import REACH_M, REACH_RAD
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import informations_in_world, with_wheel_errors
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
-from sixthsense.slam.scans.tracking import SLIP_SIGMAS, refine
-
-_REACH_M, _REACH_RAD = 1.5, 1.0  # to keyframes that a scan is aligned with
-_MOST = 3
+from sixthsense.slam.scans.tracking import NEAREST, SLIP_SIGMAS, refine
 
 
 class TrackedScan(NamedTuple):
@@ -46,15 +44,15 @@ def refined(store: ScanStore, poses: Array, scans: list[TrackedScan], mount: Mou
     found = compose(poses[keys], mount.laser_motions(motions[rows]))
     covs = np.array([mount.laser_odometry(with_wheel_errors(scans[k].odometry)).cov for k in rows])
     informations = informations_in_world(poses[keys], covs)
-    around = cKDTree(poses[:, :2]).query_ball_point(found[:, :2], _REACH_M, return_sorted=True)
+    around = cKDTree(poses[:, :2]).query_ball_point(found[:, :2], REACH_M, return_sorted=True)
     is_aligned = np.zeros(len(rows), dtype=np.bool_)
     for i, k in enumerate(rows):
         near = np.array(around[i], dtype=np.int64)
-        near = near[np.abs(wrap_angle(poses[near, 2] - found[i, 2])) < _REACH_RAD]
+        near = near[np.abs(wrap_angle(poses[near, 2] - found[i, 2])) < REACH_RAD]
         scan = scans[k].scan
         if len(near) < 2 or scan is None:
             continue
-        references = near[np.argsort(np.abs(near - keys[i]), kind="stable")[:_MOST]]
+        references = near[np.argsort(np.abs(near - keys[i]), kind="stable")[:NEAREST]]
         views = Views(store.returns, store.put(scan), references, poses[references])
         tracked = refine(views, Prior(found[i], informations[i], SLIP_SIGMAS))
         found[i], is_aligned[i] = tracked.pose, True

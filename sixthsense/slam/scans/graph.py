@@ -15,7 +15,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, PoseGraphEstimator, takes_out_poses
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.alignment import SUMS
-from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, Alignments, align_pairs, covariances
+from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
@@ -25,13 +25,12 @@ RECENT_GROUP = -2
 """the group of links between keyframes of one pass"""
 RECENT = 4  # keyframes before a keyframe that it is linked to
 _OLD = 4  # most links of a keyframe to old ones
-_OLD_AGE = 20  # keyframes; nearer ones are of the same pass
+OLD_AGE = 20  # keyframes; nearer ones are of the same pass
 _LINKED_LATELY = 6  # keyframes back from the newest whose old partners' neighbours are linked
 _ALONG = 8  # keyframes to either side of an old partner
-_REACH_M, _REACH_RAD = 3.0, 2.0  # between the poses of linked scans: the views must overlap
-_M_PER_RAD = 1.0  # what a turn counts against a distance when the nearest are selected
-_RECENT_AGREEMENT, _OLD_AGREEMENT = 0.6, 0.8  # least share of hits among hits and views through, of the usual one
-_MAX_SHIFT_M = 0.5  # between an alignment's begin and its end
+REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
+M_PER_RAD = 0.5  # what a turn counts as a distance
+AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
 _ARCS = 2  # of a keyframe to old ones: further links hardly make it more certain
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
 _FACTOR_KEYS, _FACTOR_LINKS = 200, 2000  # keyframes and links at the end that the variance factor is estimated from
@@ -127,7 +126,7 @@ class ScanGraph:
     def link(self, key: int, old: NDArray[np.int64], group: int) -> list[int]:
         """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones."""
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
-        good = np.flatnonzero(recent.agree(self.store.returns, _RECENT_AGREEMENT, self.usual_agreement))
+        good = np.flatnonzero(recent.agree(self.store.returns, AGREEMENT, self.usual_agreement))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old, group)
 
@@ -135,8 +134,8 @@ class ScanGraph:
         """Link a keyframe to old ones near it, whose poses relative to it are known to some decimetres; their ids."""
         found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
-        near = np.hypot(shift[:, 0], shift[:, 1]) < _MAX_SHIFT_M
-        good = np.flatnonzero(found.agree(self.store.returns, _OLD_AGREEMENT, self.usual_agreement) & near)
+        near = np.hypot(shift[:, 0], shift[:, 1]) < WIDE_GATE_M
+        good = np.flatnonzero(found.agree(self.store.returns, AGREEMENT, self.usual_agreement) & near)
         return self.give([(found, int(k)) for k in good], OLD_LOSS, group)
 
     def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
@@ -264,7 +263,7 @@ class ScanGraph:
         around: set[int] = set()
         for other in range(max(0, key - _LINKED_LATELY), key):
             for old in self.old_links.get(other, ()):
-                around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - _OLD_AGE)))
+                around.update(range(max(0, old - _ALONG), min(old + _ALONG + 1, key - OLD_AGE)))
         candidates = np.array(sorted(around), dtype=np.int64)
         return self.nearest(key, candidates[self.is_kept[candidates]])
 
@@ -272,8 +271,8 @@ class ScanGraph:
         """Those of the candidates whose views overlap that of a keyframe most, by their poses."""
         off = between(self.poses[key], self.poses[candidates])
         distance, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
-        near = np.flatnonzero((distance < _REACH_M) & (turn < _REACH_RAD))
-        order = np.argsort(distance[near] + _M_PER_RAD * turn[near], kind="stable")
+        near = np.flatnonzero((distance < REACH_M) & (turn < REACH_RAD))
+        order = np.argsort(distance[near] + M_PER_RAD * turn[near], kind="stable")
         return candidates[near[order][:_OLD]]
 
     def overlapping(self, key: int, pose: Array, candidates: NDArray[np.int64], reach_m: float) -> NDArray[np.int64]:
@@ -286,7 +285,7 @@ class ScanGraph:
         off = seen - compose(pose, self._centres[key])[:2]
         distance = np.hypot(off[:, 0], off[:, 1])
         turn = np.abs(wrap_angle(self.poses[candidates, 2] - pose[2]))
-        order = np.argsort(distance + _M_PER_RAD * turn, kind="stable")
+        order = np.argsort(distance + M_PER_RAD * turn, kind="stable")
         return np.asarray(order[distance[order] < reach_m])
 
     def linked_old(self, key: int) -> NDArray[np.int64]:

@@ -29,9 +29,9 @@ from sixthsense.slam.scans.visibility import compare_views
 TRACKED_GATE_M, NEAR_GATE_M, WIDE_GATE_M = 0.15, 0.25, 0.5
 """first gates of pairs whose relative pose is known to centimetres, to two decimetres, and to half a metre"""
 _ANCHOR = 1.0  # returns' worth that holds the start value where the scans say nothing; no information of the link
-_LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
+LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
 _MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
-_SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
+SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
 _FLOOR_M = 3e-4
 FEW_RETURNS = 3.0
@@ -61,9 +61,9 @@ class Alignments:
         """
         cells = 2 * returns.bearings.beams // returns.bearings.stride
         hits, weights = self.sums[:, HITS], self.sums[:, WEIGHT]
-        least_hits = max(_LEAST_HITS, usual * _LEAST_HIT_SHARE * cells)
+        least_hits = max(LEAST_HITS, usual * _LEAST_HIT_SHARE * cells)
         seen, through, count = self.views[:, :, 0], self.views[:, :, 1], self.views[:, :, 2]
-        is_shared = (seen >= usual * _SEEN_SHARE * count) & (seen >= usual * least_agreement * (seen + through))
+        is_shared = (seen >= usual * SEEN_SHARE * count) & (seen >= usual * least_agreement * (seen + through))
         return np.asarray((hits >= least_hits) & (weights >= _MEAN_WEIGHT * hits) & is_shared.all(axis=1))
 
 

@@ -19,18 +19,15 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.estimators import takes_out_poses
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
-from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, ScanGraph
 from sixthsense.slam.scans.place_search import PlaceSearch
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
 from sixthsense.slam.scans.verification import vote_for
-from sixthsense.slam.scans.votes import Vote, Votes
+from sixthsense.slam.scans.votes import NEW_M, Vote, Votes
 
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
-_AMBIGUOUS_M = 1.5  # of travel before the next search where places look alike: there is little new before that
-_M_PER_RAD = 0.3  # what a turn counts as travel
-_OLD_AGE = 25  # keyframes; nearer ones are of the same pass
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
 _WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
@@ -71,7 +68,7 @@ class LoopClosures:
             self._carried(key, np.asarray(np.linalg.inv(odometry_information), dtype=np.float64))
             return
         step = between(self._graph.poses[key - 1], self._graph.poses[key])
-        travel = math.hypot(step[0], step[1]) + _M_PER_RAD * abs(step[2])
+        travel = math.hypot(step[0], step[1]) + M_PER_RAD * abs(step[2])
         self._travelled[key] = self._travelled[key - 1] + travel
         values, axes = np.linalg.eigh(tracked.information)
         cov = np.linalg.inv((axes * np.maximum(values, 0.0)) @ axes.T + odometry_information)
@@ -100,7 +97,7 @@ class LoopClosures:
             self._thinning.look(key)
 
     def _look_around(self, key: int) -> None:
-        old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - _OLD_AGE)])
+        old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE)])
         if not len(old):
             return
         sigma_m, sigma_rad = self._graph.uncertainty.sigmas(key, self._graph.poses)
@@ -116,7 +113,7 @@ class LoopClosures:
             return
         if found.is_ambiguous:
             self._refused += 1
-            self._search_from_m = float(self._travelled[key]) + _AMBIGUOUS_M
+            self._search_from_m = float(self._travelled[key]) + NEW_M
             return
         vote = vote_for(self._graph, key, self._travelled, found)
         if vote is None:

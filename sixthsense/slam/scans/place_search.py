@@ -13,27 +13,26 @@ from numpy.typing import NDArray
 
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.evidence import OldPass, PlacedScans, Surroundings, evidence_of, followed_back
-from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.graph import REACH_M, ScanGraph
 from sixthsense.slam.scans.poses import between, compose
-from sixthsense.slam.scans.submap import Pyramid, pyramid, submap_points
+from sixthsense.slam.scans.submap import VOXEL_M, Pyramid, pyramid, submap_points
 
 RECENT_M = 6.0
 """travel of the submap that is searched for"""
-_RECENT_VOXEL_M, _OLD_VOXEL_M = 0.2, 0.05
+_VOXEL_M = 0.2  # of these points; those of old submaps are denser
 LEAST_POINTS = 60
 """without as many points of the last metres there is no search"""
-_MOST_POINTS = 300
+MOST_POINTS = 200
 _ANCHORS_APART_M, _HALF_M = 3.0, 5.0  # travel between the anchors of old submaps, and along each of them to either side
 _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
-_SIGMAS, _MARGIN_M, _MARGIN_RAD = 2.0, 1.5, 0.12  # of the window that is searched
-_REACH_SIGMAS, _REACH_M = 2.5, 4.0  # an old place may be this far from the estimate
+SIGMAS = 2.0  # of the window that is searched
+_MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 _BACK_M = 16.0  # travel beyond the submap whose old keyframes are compared
-_APART = Apart(0.7, 0.2)  # two poses that are nearer are of one place
 
 
 class Hypothesis(NamedTuple):
@@ -76,14 +75,14 @@ def best_place(
     """
     top, min_score = 0.0, min_score * scans.usual_agreement
     for look in looks:
-        best = peaks(look.cells, points, look.window, max(min_score, top), _APART, most=1)
+        best = peaks(look.cells, points, look.window, max(min_score, top), PLACE, most=1)
         top = max(top, float(best[0, 0]) if len(best) else 0.0)
     # What is worth a comparison is known only now, and most looks end here.
     if top < min_score:
         return None
     found: list[_Candidate] = []
     for look in looks:
-        rows = peaks(look.cells, points, look.window, _AS_GOOD * top, _APART)
+        rows = peaks(look.cells, points, look.window, _AS_GOOD * top, PLACE)
         placed = compose(look.frame, rows[:, 1:])
         found += [_Candidate(pose, score, look.known) for pose, score in zip(placed, rows[:, 0].tolist(), strict=True)]
     return _judged(scans, keys, _distinct(found))
@@ -113,16 +112,15 @@ def _distinct(candidates: list[_Candidate]) -> list[_Candidate]:
 
 def is_same_place(one: Array, other: Array) -> bool:
     """Whether two poses (3,) are nearer than places can be told apart."""
-    off = between(one, other)
-    return bool(np.hypot(off[0], off[1]) < _APART.distance_m and abs(off[2]) < _APART.turn_rad)
+    return bool(PLACE.same(between(one, other)))
 
 
 def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
     """(N, 2) points of the scans of the last metres, in the frame of the newest, `key`; `travelled_m` (K,) at each."""
     keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
-    points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
-    if len(points) > _MOST_POINTS:
-        points = points[np.linspace(0, len(points) - 1, _MOST_POINTS).astype(np.int64)]
+    points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _VOXEL_M)
+    if len(points) > MOST_POINTS:
+        points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
     return points
 
 
@@ -161,8 +159,8 @@ class PlaceSearch:
         self, key: int, anchor: int, old: NDArray[np.int64], sigmas: tuple[Array, Array], travelled_m: Array
     ) -> Look:
         """The submap around an anchor, and where in it the keyframe may be; `sigmas` are of position and heading."""
-        half_m = min(_SIGMAS * float(sigmas[0][anchor]) + _MARGIN_M, self._config.search_radius_m)
-        half_rad = min(_SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
+        half_m = min(SIGMAS * float(sigmas[0][anchor]) + _MARGIN_M, self._config.search_radius_m)
+        half_rad = min(SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
         frame = self._graph.poses[anchor]
         window = Window(between(frame, self._graph.poses[key]), half_m, half_rad)
         around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + _BACK_M]
@@ -176,7 +174,7 @@ class PlaceSearch:
         anchors = firsts[np.isin(firsts, old)]
         off = self._graph.poses[anchors, :2] - self._graph.poses[key, :2]
         distance, sigma = np.hypot(off[:, 0], off[:, 1]), sigma_m[anchors]
-        reach = np.minimum(_REACH_SIGMAS * sigma, self._config.search_radius_m) + _REACH_M
+        reach = np.minimum(SIGMAS * sigma, self._config.search_radius_m) + REACH_M
         possible = np.flatnonzero((distance < reach) & (sigma < _MOST_SIGMA_M))
         order = possible[np.argsort(distance[possible] / np.maximum(sigma[possible], 0.5), kind="stable")]
         chosen: list[int] = []
@@ -193,7 +191,7 @@ class PlaceSearch:
         keys = np.flatnonzero(np.abs(travelled_m - travelled_m[anchor]) < _HALF_M)
         is_whole, keys = bool(keys[-1] < past), keys[keys < past]
         poses = self._graph.poses
-        points = submap_points(self._graph.store.returns, keys, between(poses[anchor], poses[keys]), _OLD_VOXEL_M)
+        points = submap_points(self._graph.store.returns, keys, between(poses[anchor], poses[keys]), VOXEL_M)
         cells = pyramid(points)
         if is_whole:
             self._submaps[anchor] = cells

@@ -12,6 +12,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.scan_store import Returns
 
 CELL_M = 0.1
+VOXEL_M = 0.05  # of the points that a submap is made of
 BLOCK = 4  # cells along the side of a block
 PEAK = 17  # of a cell with a point; sums of some thousand points fit into 16 bits
 _RANGE_M = 12.0  # farther returns are few and their place depends on the heading

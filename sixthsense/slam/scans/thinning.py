@@ -11,9 +11,8 @@ import numpy as np
 
 from sixthsense.core.geometry import wrap_angle
 from sixthsense.slam.scans.closing import Closings
-from sixthsense.slam.scans.graph import RECENT, ScanGraph
+from sixthsense.slam.scans.graph import OLD_AGE, RECENT, ScanGraph
 
-_AGE = 20  # keyframes; those of the present place stay, and the newest cost the estimator least
 _BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
 _NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
 _ENOUGH = 8  # such keyframes
@@ -32,7 +31,7 @@ class Thinning:
 
     def look(self, key: int) -> None:
         """Judge keyframes that are old enough at the newest one, `key`."""
-        for k in range(self._next, key - _AGE + 1):
+        for k in range(self._next, key - OLD_AGE + 1):
             if self._is_spare(k):
                 self._spare.append(k)
             self._next = k + 1

@@ -13,10 +13,10 @@ import numpy as np
 
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix
-from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
+from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
 from sixthsense.slam.scans.poses import between, compose
-from sixthsense.slam.scans.submap import pyramid, submap_points
+from sixthsense.slam.scans.submap import VOXEL_M, pyramid, submap_points
 from sixthsense.slam.scans.visibility import Agreement, judged
 
 SLIP_SIGMAS = 6.0
@@ -27,12 +27,11 @@ _WEAK = 0.05  # weight of odometry that may have slipped
 _DOUBTED, _LOST = 0.9, 0.5  # a pose is doubted, or lost, at which less than this part of what usually agrees does
 _CLEARLY = 0.5  # another pose must leave at most this part of what contradicts
 _SEARCHED_SIGMAS = 3.0  # half the side of the window that is searched
-_LEAST_SCORE = 0.3  # share of the returns that a submap must explain where a scan is searched
-_VOXEL_M, _MOST = 0.05, 8  # of the submap, and places in it that are looked at
-_NEAREST = 3  # keyframes that a scan is aligned with at a place
+LEAST_SCORE = 0.3  # share of the returns that a submap must explain where a scan is searched
+_MOST = 8  # places in the submap that are looked at
+NEAREST = 3  # keyframes that a scan is aligned with at a place
 _FEW = 0.5 * FEW_RETURNS  # those of a link count both ways
 _LEAST = 1e-3  # 1/m^2, 1/rad^2: information of next to nothing
-_APART = Apart(0.5, 0.2)  # two poses that are nearer are of one place
 
 
 class Tracked(NamedTuple):
@@ -108,10 +107,10 @@ def search(views: Views, prior: Prior, usual: float) -> Tracked:
     own = own[own[:, 2] > 0.0, :2].astype(np.float64)
     found = [aligned(_nearest(views, prior.pose), prior._replace(slip_sigmas=np.inf), prior.pose, NEAR_GATE_M)]
     if len(own) and len(targets):
-        points = submap_points(returns, targets, between(prior.pose, at), _VOXEL_M)
+        points = submap_points(returns, targets, between(prior.pose, at), VOXEL_M)
         window = Window(np.zeros(3), _SEARCHED_SIGMAS * SLIP_M, _SEARCHED_SIGMAS * SLIP_RAD)
         loose = Prior(prior.pose, np.diag([SLIP_M**-2, SLIP_M**-2, SLIP_RAD**-2]))
-        for row in peaks(pyramid(points), own, window, _LEAST_SCORE, _APART, _MOST):
+        for row in peaks(pyramid(points), own, window, LEAST_SCORE, PLACE, _MOST):
             place = compose(prior.pose, row[1:])
             found.append(aligned(_nearest(views, place), loose, place, WIDE_GATE_M).judged_by(prior))
     return _chosen(found, usual)
@@ -120,7 +119,7 @@ def search(views: Views, prior: Prior, usual: float) -> Tracked:
 def _nearest(views: Views, pose: Array) -> Views:
     """The views with the targets that are nearest to a pose."""
     off = views.at - pose
-    order = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:_NEAREST]
+    order = np.argsort(np.hypot(off[:, 0], off[:, 1]) + np.abs(wrap_angle(off[:, 2])), kind="stable")[:NEAREST]
     return views._replace(targets=views.targets[order], at=views.at[order])
 
 

@@ -7,17 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.evidence import PlacedScans
+from sixthsense.slam.scans.graph import AGREEMENT
 from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
 from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis
 from sixthsense.slam.scans.poses import between, compose
-from sixthsense.slam.scans.votes import Vote
+from sixthsense.slam.scans.tracking import NEAREST
+from sixthsense.slam.scans.votes import NEAR, Vote
 
-_PARTNERS = 3  # known scans that each recent one is aligned with
-_LEAST_PAIRS, _LEAST_GOOD, _GOOD_SHARE = 4, 3, 0.4
-_AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
-_APART_M, _APART_RAD = 0.35, 0.06  # of the poses that good pairs imply, from their median
+_LEAST_GOOD, _GOOD_SHARE = 3, 0.4  # pairs that align, and their share
 
 
 class Verified(NamedTuple):
@@ -36,18 +35,15 @@ def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hyp
     """
     moved = compose(found.pose, between(scans.poses[key], scans.poses[recent]))
     targets, sources, starts = _pairs(scans, found, recent, moved)
-    if len(targets) < _LEAST_PAIRS:
-        return None
     poses = scans.poses
     aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
-    good = aligned.agree(scans.store.returns, _AGREEMENT, scans.usual_agreement)
+    good = aligned.agree(scans.store.returns, AGREEMENT, scans.usual_agreement)
     least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
     if np.count_nonzero(good) < least:
         return None
     said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
     middle = np.median(said[good], axis=0)
-    off = said - middle
-    good &= (np.hypot(off[:, 0], off[:, 1]) < _APART_M) & (np.abs(wrap_angle(off[:, 2])) < _APART_RAD)
+    good &= NEAR.same(said - middle)
     rows = np.flatnonzero(good)
     if len(rows) < least or len(set(sources[rows].tolist())) < 2:
         return None
@@ -68,7 +64,7 @@ def _pairs(
     pairs = [
         (target, int(recent[k]), k)
         for k in range(len(recent) - 1, -1, -2)
-        for target in found.known.partners(int(recent[k]), moved[k], _PARTNERS).tolist()
+        for target in found.known.partners(int(recent[k]), moved[k], NEAREST).tolist()
     ]
     targets, sources, rows = np.array(pairs, dtype=np.int64).reshape(-1, 3).T
     old = ~np.isin(targets, recent)

@@ -13,13 +13,10 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import NORMALS_AGREE, Views, partner
+from sixthsense.slam.scans.alignment import NORMALS_AGREE, SCALE_M, SURFACE_M, Views, partner
 from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.scan_store import Returns
 
-_TOLERANCE_M = 0.12  # between returns of one surface
-_HIDDEN_M = 0.3  # a point this far behind a return is hidden
-_LINE_GATE_M, _LINE_SCALE_M = 0.12, 0.05  # of the distance of a point that lies on a line
 _LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
 
 UNSEEN, THROUGH, SURFACE = 0, 1, 2
@@ -54,9 +51,9 @@ def look_at(returns: Returns, target: int, x: float, y: float) -> int:
             dx, dy = x - points[target, q, 0], y - points[target, q, 1]
             gap = min(gap, math.sqrt(dx * dx + dy * dy), abs(distance - r))
             shortest = min(shortest, r)
-    if gap < _TOLERANCE_M:
+    if gap < SURFACE_M:
         return SURFACE
-    if shortest < math.inf and distance < shortest - 2.0 * _TOLERANCE_M:
+    if shortest < math.inf and distance < shortest - 2.0 * SURFACE_M:
         return THROUGH
     return UNSEEN
 
@@ -118,7 +115,7 @@ def compare_views(returns: Returns, target: int, source: int, pose: Array) -> tu
 def on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: float, y: float) -> float:
     """Weight of point k of `source`, at (x, y) and turned by `turn`, on the nearest line of `target`; 0 for none."""
     points, normals = returns.points, returns.normals
-    q = partner(returns, target, x, y, _LINE_GATE_M)
+    q = partner(returns, target, x, y, SURFACE_M)
     if q < 0:
         return 0.0
     dx, dy = x - points[target, q, 0], y - points[target, q, 1]
@@ -130,7 +127,7 @@ def on_line(returns: Returns, target: int, source: int, k: int, turn: float, x: 
         if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
             return 0.0
         r = abs(nx * dx + ny * dy)
-    return 1.0 / (1.0 + (r / _LINE_SCALE_M) ** 2) if r < _LINE_GATE_M else 0.0
+    return 1.0 / (1.0 + (r / SCALE_M) ** 2) if r < SURFACE_M else 0.0
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -155,7 +152,7 @@ def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
         for beam in range(centre - 1, centre + 2):
             if bearings.closed or 0 <= beam < bearings.beams:
                 farthest = max(farthest, points[target, beam % bearings.beams, 2])
-        if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + _HIDDEN_M):
+        if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + 2.0 * SURFACE_M):
             total[0] += weight
             total[1] += 1.0
     return total

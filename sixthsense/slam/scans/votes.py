@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from sixthsense.core.geometry import Array
+from sixthsense.slam.scans.branch_and_bound import Apart
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.links import Alignments
 from sixthsense.slam.scans.poses import between, compose
 
-_APART_M, _LASTS_M = 1.5, 10.0  # travel between two votes that count both, and after which one is dropped
-_NEAR_M, _M_PER_M = 0.3, 0.03  # largest distance between agreeing votes, and per travel between them
-_NEAR_RAD, _RAD_PER_M = 0.05, 0.005
+NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
+_LASTS_M = 10.0  # travel after which a vote is dropped
+NEAR = Apart(0.35, 0.06)  # poses that agree about a place
 
 
 class Vote(NamedTuple):
@@ -38,7 +38,7 @@ class Votes:
         self._votes = [*lasting, vote]
         agreeing = [each for each in self._votes if self._agree(each, vote)]
         span = vote.travelled_m - agreeing[0].travelled_m
-        if span < _APART_M or 2 * len(agreeing) <= len(self._votes):
+        if span < NEW_M or 2 * len(agreeing) <= len(self._votes):
             return []
         self._votes = []
         return agreeing
@@ -47,6 +47,4 @@ class Votes:
         """Whether two votes say the same of the newest scan's pose."""
         poses = self._scans.poses
         said = compose(one.pose, between(poses[one.key], poses[newest.key]))
-        off, apart = between(said, newest.pose), newest.travelled_m - one.travelled_m
-        near = math.hypot(off[0], off[1]) < _NEAR_M + _M_PER_M * apart
-        return near and abs(off[2]) < _NEAR_RAD + _RAD_PER_M * apart
+        return bool(NEAR.same(between(said, newest.pose)))
