@@ -177,8 +177,8 @@ def _consistency(trace: Trace) -> dict[str, float]:
 
 def _prediction_nees(trace: Trace, truth: Array) -> dict[str, float]:
     """NEES of the predicted pose just before each update, from the first full-rank covariance on."""
-    poses = np.array([a.predicted_pose.array() for a in trace.associations])
-    covs = np.array([a.predicted_cov for a in trace.associations])
+    poses = np.array([e.pose.array() for e in trace.key_predicted])
+    covs = np.array([e.pose_cov for e in trace.key_predicted])
     first = metrics.full_rank_from(covs)
     if first == len(poses):
         return {}

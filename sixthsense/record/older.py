@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from sixthsense.config import Config
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, odometry
-from sixthsense.record.reading import pose_estimate
 from sixthsense.record.trace import Trace
-from sixthsense.slam.association.records import Association
+from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.keyframes import Keyframes
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step
@@ -39,8 +41,8 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
             before = tick.odometry
         if tick.stamp_ns in estimates:
             pose, cov = estimates[tick.stamp_ns]
-            unknown = Association({}, 0, 0.0, 0)
-            trace.add_keyframe(tick, Keyframe(folded.take(), pose_estimate(pose, cov), unknown, None))
+            unknown = Estimate.of_pose(Pose(), np.zeros((3, 3)))
+            trace.add_keyframe(tick, Keyframe(folded.take(), unknown, Estimate.of_pose(pose, cov)))
         trace.add_tick(tick, tick.odometry)
         if tick.scan is not None or tick.observations is not None:
             since = folded.since.motion

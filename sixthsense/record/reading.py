@@ -155,7 +155,7 @@ def _take_scan(table: Line, trace: Trace) -> None:
 
 def _take_keyframe(table: Line, trace: Trace) -> None:
     motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
-    estimate = pose_estimate(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
+    estimate = Estimate.of_pose(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
     observations = dict(map(_observation, _unpacked(table, "observations", (-1, 10)).tolist()))
     association = Association(
         observations,
@@ -163,13 +163,13 @@ def _take_keyframe(table: Line, trace: Trace) -> None:
         _number(table, "nis"),
         _whole(table, "dof"),
         _whole(table, "fused"),
-        _pose(table, "predicted_pose"),
-        _array(table, "predicted_cov", (3, 3)),
     )
+    predicted = Estimate.of_pose(_pose(table, "predicted_pose"), _array(table, "predicted_cov", (3, 3)))
     walls, row, totals = _unpacked(table, "walls", (-1, 2, 2)), _times(table, "ms"), _times(table, "total_ms")
     truth = _truth(table, bool(trace.key_stamps_ns), bool(trace.key_truths))
     trace.key_stamps_ns.append(_stamp(table, "keyframe", trace.key_stamps_ns))
     trace.key_odometry.append(motion)
+    trace.key_predicted.append(predicted)
     trace.key_estimates.append(estimate)
     if truth is not None:
         trace.key_truths.append(truth)
@@ -208,11 +208,6 @@ _KINDS: dict[str, Callable[[Line, Trace], None]] = {
     "plan": _take_plan,
     "end": _take_end,
 }
-
-
-def pose_estimate(pose: Pose, pose_cov: Array) -> Estimate:
-    """An estimate of which only the pose is known."""
-    return Estimate(pose, pose_cov, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
 
 
 def _observation(row: list[float]) -> tuple[LandmarkId, Observation]:

@@ -28,7 +28,7 @@ class Recorder:
         assert trace.live is not None
         trace.live.scan = step.scan or trace.live.scan
         if keyframe is not None:
-            trace.live.features = keyframe.features or trace.live.features
+            trace.live.features = keyframe.features
             trace.add_keyframe(tick, keyframe)
         trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
         if tick.scan is not None or tick.observations is not None:

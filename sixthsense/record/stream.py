@@ -157,6 +157,7 @@ def _scan_line(trace: Trace, k: int) -> Line:
 
 def _keyframe_line(trace: Trace, k: int) -> Line:
     estimate, association, motion = trace.key_estimates[k], trace.associations[k], trace.key_odometry[k]
+    predicted = trace.key_predicted[k]
     line = {
         "keyframe": trace.key_stamps_ns[k],
         "motion": motion.motion.array().tolist(),
@@ -168,8 +169,8 @@ def _keyframe_line(trace: Trace, k: int) -> Line:
         "nis": float(association.nis),
         "dof": int(association.dof),
         "fused": int(association.fused),
-        "predicted_pose": association.predicted_pose.array().tolist(),
-        "predicted_cov": association.predicted_cov.tolist(),
+        "predicted_pose": predicted.pose.array().tolist(),
+        "predicted_cov": predicted.pose_cov.tolist(),
         "walls": packed(trace.walls_found[k]),
         "ms": trace.stopwatch.rows[k],
         "total_ms": trace.stopwatch.totals,

@@ -65,6 +65,8 @@ class Trace:
     """per keyframe: record time"""
     key_odometry: list[Odometry] = field(default_factory=list)
     """per keyframe: motion since the previous keyframe"""
+    key_predicted: list[Estimate] = field(default_factory=list)
+    """per keyframe: the pose before its update"""
     key_estimates: list[Estimate] = field(default_factory=list)
     """per keyframe: estimate after its update"""
     key_truths: list[Array] = field(default_factory=list)
@@ -154,11 +156,12 @@ class Trace:
         """Record a keyframe after its update."""
         self.key_odometry.append(keyframe.motion)
         self.key_stamps_ns.append(tick.stamp_ns)
+        self.key_predicted.append(Estimate.of_pose(keyframe.predicted.pose, keyframe.predicted.pose_cov))
         self.key_estimates.append(keyframe.estimate)
         if tick.truth is not None:
             self.key_truths.append(tick.truth.array())
         self.associations.append(keyframe.association)
-        self.walls_found.append(keyframe.walls_robot)
+        self.walls_found.append(keyframe.features.walls)
 
     def carried_scans(self) -> list[int]:
         """Indices of the scans before which the robot was carried: no path leads there."""

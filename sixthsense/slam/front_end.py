@@ -15,13 +15,10 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.features import Features
+from sixthsense.slam.features import NO_FEATURES, Features
 
 Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
 """From the name of a stage and its function to the function that runs in its place."""
-
-_NO_WALLS = np.zeros((0, 2, 2))
-_NO_WALLS.flags.writeable = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +27,14 @@ class Keyframe:
 
     motion: Odometry
     """since the keyframe before"""
+    predicted: Estimate
+    """the pose before the update"""
     estimate: Estimate
     """after the update"""
-    association: Association
+    association: Association = Association()
     """which observation is of which landmark"""
-    features: Features | None
-    """robot's frame; None where the log itself gives the observations, and where scans are aligned"""
-
-    @property
-    def walls_robot(self) -> Array:
-        """(W, 2, 2) wall segments, metres."""
-        return _NO_WALLS if self.features is None else self.features.walls
+    features: Features = NO_FEATURES
+    """walls and landmarks that were extracted from the scan, robot's frame"""
 
 
 class LoopClosureCounts(NamedTuple):

@@ -18,7 +18,7 @@ from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
-from sixthsense.slam.features import Features
+from sixthsense.slam.features import NO_FEATURES, Features
 from sixthsense.slam.front_end import LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.front_end import ScanFrontEnd
@@ -40,6 +40,8 @@ class GuidedFrontEnd(LandmarkFrontEnd):
         super().__init__(config, estimator, associator, ransac_rng, start, timed)
         self._guide = ScanFrontEnd(config, ISAM2(start, np.zeros((3, 3)), config.isam2), start, timed)
         self._proposed = ProposedLandmarks()
+        self._is_at_guide = True
+        """whether the last keyframe is one of the guide's, not of observations that the log gives"""
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:
@@ -48,18 +50,25 @@ class GuidedFrontEnd(LandmarkFrontEnd):
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         keyframe = self._guide.take(tick, scan, increment)
+        if scan is None:
+            motion = super()._motion_to(tick, scan, increment)
+            self._is_at_guide = self._is_at_guide and motion is None
+            return motion
         if keyframe is None:
             return None
-        self._keyframes.take()
-        return keyframe.motion
+        # The guide's motion is since its own last keyframe.
+        by_wheels, is_since_guide = self._keyframes.take(), self._is_at_guide
+        self._is_at_guide = True
+        return keyframe.motion if is_since_guide else by_wheels
 
-    def _associated(self, features: Features | None, tick: Tick) -> Association:
-        if features is None:
+    def _associated(self, features: Features, tick: Tick) -> Association:
+        if features is NO_FEATURES:
             return super()._associated(features, tick)
         self._proposed.place(self._guide.proposal(), self._estimator.estimate())
         return self._associator.associate(features.observations, self._estimator, self._proposed)
 
     def _updated(self, association: Association, scan: Scan | None) -> Estimate:
         estimate = super()._updated(association, scan)
-        self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
+        if scan is not None:
+            self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
         return estimate

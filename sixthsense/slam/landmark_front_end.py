@@ -12,7 +12,7 @@ from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator
-from sixthsense.slam.features import Features, extract
+from sixthsense.slam.features import NO_FEATURES, Features, extract
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
 from sixthsense.slam.keyframes import Keyframes
 
@@ -57,13 +57,15 @@ class LandmarkFrontEnd:
         if motion is None:
             return None
         self._predict(motion)
-        features = None if scan is None else self._extract(scan)
+        features = NO_FEATURES if scan is None else self._extract(scan)
         association = self._associate(features, tick)
+        if association.slip is not None:
+            self._predict(association.slip)
+            motion = motion.then(association.slip)
+        predicted = self._estimator.estimate()
         estimate = self._update(association, scan)
         self._pose = estimate.pose
-        if association.lost is not None:
-            self._estimator.predict(association.lost)
-        return Keyframe(motion, estimate, association, features)
+        return Keyframe(motion, predicted, estimate, association, features)
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:
@@ -86,8 +88,8 @@ class LandmarkFrontEnd:
     def _extracted(self, scan: Scan) -> Features:
         return extract(scan, self._config.assumed, self._config.features, self._ransac_rng)
 
-    def _associated(self, features: Features | None, tick: Tick) -> Association:
-        if features is None:
+    def _associated(self, features: Features, tick: Tick) -> Association:
+        if features is NO_FEATURES:
             return self._associator.known(tick.observations or {}, self._estimator)
         return self._associator.associate(features.observations, self._estimator)
 

@@ -253,7 +253,7 @@ class Slam:
         return WheelOdometry(self.config.assumed)
 
     def _mapped(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
-        walls = keyframe.walls_robot
+        walls = keyframe.features.walls
         if self.config.grid.walls:
             gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
             walls = np.concatenate([walls, gaps])

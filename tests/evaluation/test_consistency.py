@@ -11,11 +11,11 @@ from sixthsense.loop import run
 def test_the_prediction_is_less_certain_than_the_update_and_both_have_their_nees():
     """The predicted pose is that of the estimator between `predict` and `update`: the motion since the last update."""
     trace = run(preset(scene="rectangle", task="tour", max_time=20.0, estimator="ekf-invariant"))
-    for k, association in enumerate(trace.associations[1:], start=1):
+    for k, predicted in enumerate(trace.key_predicted[1:], start=1):
         expected = trace.key_estimates[k - 1].pose @ trace.key_odometry[k].motion
-        assert np.allclose(association.predicted_pose.array(), expected.array(), atol=1e-12)
+        assert np.allclose(predicted.pose.array(), expected.array(), atol=1e-12)
         updated = trace.key_estimates[k].pose_cov
-        assert np.linalg.eigvalsh(association.predicted_cov - updated)[0] > -1e-12
+        assert np.linalg.eigvalsh(predicted.pose_cov - updated)[0] > -1e-12
     values = measure(trace)
     assert 0.0 < values["prediction_nees_world_mean"] < 10.0
     assert 0.0 <= values["pose_nees_in_band"] <= 1.0

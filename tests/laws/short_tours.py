@@ -86,8 +86,8 @@ def of_trace(trace: Trace) -> Keyframes:
         np.array(trace.key_truths),
         np.array([e.pose.array() for e in trace.key_estimates]),
         np.array([e.pose_cov for e in trace.key_estimates]),
-        np.array([a.predicted_pose.array() for a in trace.associations]),
-        np.array([a.predicted_cov for a in trace.associations]),
+        np.array([e.pose.array() for e in trace.key_predicted]),
+        np.array([e.pose_cov for e in trace.key_predicted]),
         np.array([(a.nis, a.dof) for a in trace.associations]),
     )
 
@@ -108,9 +108,9 @@ def replayed(
         for tick in ticks:
             keyframe = slam.take(tick).keyframe
             if keyframe is not None and tick.truth is not None:
-                estimate, a = keyframe.estimate, keyframe.association
-                rows.append((tick.truth.array(), estimate.pose.array(), estimate.pose_cov, a.predicted_pose.array(),
-                             a.predicted_cov, (a.nis, a.dof)))  # fmt: skip
+                estimate, predicted, a = keyframe.estimate, keyframe.predicted, keyframe.association
+                rows.append((tick.truth.array(), estimate.pose.array(), estimate.pose_cov, predicted.pose.array(),
+                             predicted.pose_cov, (a.nis, a.dof)))  # fmt: skip
     return Keyframes(*(np.array(column) for column in zip(*rows, strict=True)))
 
 

@@ -15,13 +15,14 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.slam.association.blind_zone import BlindZone
+from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
 from sixthsense.slam.association.matches import Matches, match
 from sixthsense.slam.association.matching import compare_known, matches_nis
 from sixthsense.slam.association.observed import Distances, Observed
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Record
+from sixthsense.slam.association.slip import LEAST, found_after_slip, says_slip
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -50,7 +51,6 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
-        self._blind_zone = BlindZone()
         self._vanished = Vanished(self.records, no_return_passes)
         self.observer: Observer | None = None
         """called before the observations of a keyframe are matched; for evaluation"""
@@ -68,20 +68,36 @@ class Associator:
             self.observer(observations, estimator)
         estimate = estimator.estimate()
         if not observations:
-            return Association({}, 0, 0.0, 0, 0, estimate.pose, estimate.pose_cov)
+            return Association()
         for observation in observations:
             self._crookedness.add(observation.shape)
         observed = Observed.of(observations)
         belief = estimator if proposed is None else proposed
         extents = self._extents(estimate) if proposed is None else proposed.extents
-        matches = match(observations, observed, belief, extents, self.records, self._crookedness.excess, self._config)
+        matches, slip = self._matched(observations, observed, belief, extents)
         known, pieces = self._seen_again(observations, matches, estimate)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
         new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
         discarded = len(observations) - len(accepted) - pieces
-        lost = self._blind_zone.uncertainty(len(known), len(new), discarded)
-        return Association(accepted, discarded, nis, dof, pieces, estimate.pose, estimate.pose_cov, lost)
+        return Association(accepted, discarded, nis, dof, pieces, slip)
+
+    def _matched(
+        self,
+        observations: Sequence[Observation],
+        observed: Observed,
+        belief: Belief,
+        extents: Array,
+    ) -> tuple[Matches, Odometry | None]:
+        """The matches at the pose of a belief, or where the robot is after a slip, and the slip."""
+
+        def at(pose: Belief) -> Matches:
+            return match(observations, observed, pose, extents, self.records, self._crookedness.excess, self._config)
+
+        found = at(belief)
+        if len(extents) < LEAST or not says_slip(found):
+            return found, None
+        return found_after_slip(at, belief) or (found, None)
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches, estimate: Estimate
@@ -118,7 +134,7 @@ class Associator:
         for i, observation in accepted.items():
             self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan)).observations += 1
         dof = 2 * (len(old) - len(misread))
-        return Association(accepted, len(misread), nis, dof, 0, estimate.pose, estimate.pose_cov)
+        return Association(accepted, len(misread), nis, dof)
 
     def nis(self, observations: Mapping[LandmarkId, Observation], estimator: Belief) -> tuple[float, int]:
         """Normalised innovation squared of all observations, and its degrees of freedom; new landmarks left out."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.crookedness import noise_of_pairs
 from sixthsense.slam.association.joint_assignment import Indices, best_matches, squared_given
@@ -35,6 +35,8 @@ class Matches(NamedTuple):
     """(3 + 2k, 3 + 2k) covariance of the pose and these"""
     innovation: Innovations | None
     """against these; None: there are none"""
+    pose: Pose
+    """that the matches imply"""
 
     def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
         """Normalised innovation squared of the matched observations together."""
@@ -69,7 +71,7 @@ def match(
     near = np.flatnonzero(plausible.any(axis=0))
     joint = belief.joint_covariance(estimate.ids[near].tolist())
     if not len(near):
-        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, joint, None)
+        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, joint, None, estimate.pose)
     for j, k in enumerate(near):
         own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
     squares = np.array([own[k].shape.square_m2(excess) for k in near])
@@ -89,7 +91,7 @@ def match(
     if np.count_nonzero(is_matched) > contradicting:
         is_apart |= is_beside
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
-    return Matches(landmark, is_far & is_apart, estimate.ids[near], joint, innovation)
+    return Matches(landmark, is_far & is_apart, estimate.ids[near], joint, innovation, here)
 
 
 def _lacking(log_det: Array, inside: Mask) -> Array:

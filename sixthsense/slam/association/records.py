@@ -20,22 +20,18 @@ from sixthsense.slam.association.wall_extents import ends, joined
 class Association:
     """The observations of one keyframe with the landmarks they are of."""
 
-    observations: Mapping[LandmarkId, Observation]
+    observations: Mapping[LandmarkId, Observation] = field(default_factory=dict)
     """those to update with; an id that the estimator does not know is a new landmark"""
-    discarded: int
+    discarded: int = 0
     """observations that are too far for a match and too near for a new landmark"""
-    nis: float
+    nis: float = 0.0
     """normalised innovation squared of all matches together, before the update"""
-    dof: int
+    dof: int = 0
     """its degrees of freedom, 2 per match"""
     fused: int = 0
     """observations that were fused with another one of the same wall"""
-    predicted_pose: Pose = Pose()
-    """before the update"""
-    predicted_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    """(3, 3) of the predicted pose, world frame"""
-    lost: Odometry | None = None
-    """uncertainty of the pose beyond its covariance, a motion of zero, if hardly an observation matches"""
+    slip: Odometry | None = None
+    """motion that the odometry has missed, if the scan matches only with it"""
     sightings = OldName("sightings", "observations")
 
 

@@ -32,6 +32,11 @@ class Estimate:
     walls: NDArray[np.bool_]
     """(n,) which of them are walls"""
 
+    @classmethod
+    def of_pose(cls, pose: Pose, pose_cov: Array) -> Estimate:
+        """An estimate of which only the pose is known."""
+        return cls(pose, pose_cov, np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_))
+
 
 class Belief(Protocol):
     """Pose and landmarks with their joint covariance."""

@@ -1,5 +1,5 @@
 """From a scan to walls and landmarks, and the de-skewing before it."""
 
-from sixthsense.slam.features.extraction import Features, extract
+from sixthsense.slam.features.extraction import NO_FEATURES, Features, extract
 
-__all__ = ["Features", "extract"]
+__all__ = ["NO_FEATURES", "Features", "extract"]

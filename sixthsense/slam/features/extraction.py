@@ -40,6 +40,11 @@ class Features:
     sightings = OldName("sightings", "observations")
 
 
+NO_FEATURES = Features(np.zeros((0, 2, 2)), (), (), ())
+"""where the log itself gives the observations, and where scans are aligned"""
+NO_FEATURES.walls.flags.writeable = False
+
+
 def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.random.Generator) -> Features:
     """Extract walls and landmarks from a scan; `assumed` is the estimator's noise model, `rng` seeds RANSAC."""
     noise = assumed.laser

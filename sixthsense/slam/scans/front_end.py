@@ -17,7 +17,6 @@ from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.proposed import Proposal
-from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
 from sixthsense.slam.last_velocity import LastVelocity
@@ -127,8 +126,7 @@ class ScanFrontEnd:
         self._link(key)
         self._close_loops(key)
         estimate = self._stand_at_keyframe()
-        association = Association({}, 0, 0.0, 0, 0, predicted.pose, predicted.pose_cov)
-        return Keyframe(motion, estimate, association, None)
+        return Keyframe(motion, predicted, estimate)
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:

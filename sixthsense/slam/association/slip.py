@@ -1,0 +1,79 @@
+"""A robot that is not where it is believed to be: hardly a landmark matches, and all would if the robot had slipped.
+
+The wheels have missed a motion: they slip, or the robot is pushed. Its covariance is added to the pose, and the matches
+are searched anew, at several headings, since geometry is compared at a pose. The matches must agree about the slip: D^2
+is that of all of them together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.association.matches import Matches
+from sixthsense.slam.estimators.base import Belief, Estimate
+
+LEAST = 3
+"""landmarks that tell where the robot is, and whether a few others are wrong"""
+_SIGMA_M, _STEP_RAD = 0.5, 0.25
+"""sigma of the position, and the step of the headings that are tried, whose sigma is half of it"""
+_STEPS = (0, 1, -1, 2, -2)
+
+
+class Slipped:
+    """A belief after a slip, whose covariance is the same along all directions."""
+
+    def __init__(self, belief: Belief, slip: Odometry) -> None:
+        self._belief, self._slip = belief, slip
+
+    def estimate(self) -> Estimate:
+        """The present pose with its covariance, and the landmarks' means."""
+        before = self._belief.estimate()
+        return replace(before, pose=before.pose @ self._slip.motion, pose_cov=before.pose_cov + self._slip.cov)
+
+    def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
+        joint = self._belief.joint_covariance(ids)
+        joint[:3, :3] += self._slip.cov
+        return joint
+
+
+def found_after_slip(at: Callable[[Belief], Matches], belief: Belief) -> tuple[Matches, Odometry] | None:
+    """The matches of a robot that has slipped, and the slip; None if most of the scan matches nowhere near.
+
+    `at` gives the matches at a belief. Of all headings that are tried that is taken at which most matches.
+    """
+    before, cov = belief.estimate().pose, np.diag([_SIGMA_M, _SIGMA_M, 0.5 * _STEP_RAD]) ** 2
+    best: tuple[Matches, Odometry] | None = None
+    for step in _STEPS:
+        slip = Odometry(Pose(theta=step * _STEP_RAD), cov)
+        found = at(Slipped(belief, slip))
+        if _matched(found) < LEAST:
+            continue
+        slip = Odometry(before.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
+        found = at(Slipped(belief, slip))
+        if best is None or _matched(found) > _matched(best[0]):
+            best = found, slip
+    return best if best is not None and _tells_place(best[0]) else None
+
+
+def says_slip(matches: Matches) -> bool:
+    """Whether a scan shows landmarks, and hardly one of them where it is believed to be."""
+    matched = int(np.count_nonzero(matches.landmark >= 0))
+    neither = len(matches.landmark) - matched - int(np.count_nonzero(matches.is_new))
+    return len(matches.landmark) >= LEAST and (matched < LEAST - 1 or 2 * neither > len(matches.landmark))
+
+
+def _tells_place(matches: Matches) -> bool:
+    """Whether most of a scan matches, and enough landmarks to tell where the robot is."""
+    matched = matches.landmark[matches.landmark >= 0]
+    return len(np.unique(matched)) >= LEAST and 2 * len(matched) > len(matches.landmark)
+
+
+def _matched(matches: Matches) -> int:
+    return int(np.count_nonzero(matches.landmark >= 0))
