@@ -51,5 +51,7 @@ class Recorder:
         trace.loop_closures, trace.links = result.loop_closures, result.links
         if result.wheels is not None:
             trace.wheels = result.wheels.with_sigmas()
+        if result.sensor is not None:
+            trace.sensor = result.sensor.with_sigmas()
         if result.since_key is not None:
             trace.since_key = list(result.since_key)
