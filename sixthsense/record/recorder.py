@@ -26,7 +26,7 @@ class Recorder:
         trace, keyframe = self._trace, step.keyframe
         trace.stopwatch.end_tick(keyframe is not None)
         assert trace.live is not None
-        trace.live.scan = step.scan or trace.live.scan
+        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since_cov
         if keyframe is not None:
             trace.live.features = keyframe.features or trace.live.features
             trace.add_keyframe(tick, keyframe)

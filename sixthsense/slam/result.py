@@ -33,6 +33,8 @@ class Step:
     """motion since the last tick; None at the first"""
     since_keyframe: Pose
     """motion since the last keyframe"""
+    since_cov: Array
+    """(3, 3) of its error, axes of the keyframe; without odometry that of the guess from the last velocity"""
     scan: Scan | None
     """de-skewed"""
     keyframe: Keyframe | None

@@ -273,8 +273,8 @@ class Slam:
         self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None, moving: Moving
     ) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry
-        since = self._front_end.since_keyframe
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
+        since = self._front_end.since_keyframe, self._front_end.since_cov
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, *since, scan, keyframe, self.grid, moving)
 
     def _increment(self, before: Pose, tick: Tick) -> Odometry:
         """The motion since the last tick, with the covariance that the log states or that of the assumed noise.

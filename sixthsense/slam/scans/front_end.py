@@ -104,6 +104,11 @@ class ScanFrontEnd:
             return self._since.motion
         return self._T_key_world @ self._pose
 
+    @property
+    def since_cov(self) -> Array:
+        """(3, 3) of that motion's error, axes of the keyframe."""
+        return self._since.cov if self._velocity is None else self._velocity.lasting(self._since).cov
+
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
         """Process a tick: every scan is tracked; keyframes are linked with earlier ones."""
         if increment is not None:
