@@ -31,6 +31,7 @@ class _EstimateFields(TypedDict, total=False):
 
     front_end: Literal["landmarks", "scan-matching"]
     calibrate_wheels: bool
+    calibrate_sensor: bool
     no_odometry: bool
     people: bool | None
     max_time: float | None

@@ -66,6 +66,17 @@ class WheelsFields(TypedDict, total=False):
     track_sigma: float
     drift_sigma_rad_per_m: float
     latency_sigma_s: float
+    jitter_sigma_s: float
+    curve_loss_sigma_m_per_rad: float
+
+
+class SensorFields(TypedDict, total=False):
+    """Fields of `SensorConfig`."""
+
+    scale_sigma: float
+    yaw_sigma_rad: float
+    forward_sigma_m: float
+    bearing_scale_sigma: float
 
 
 class AssumedFields(TypedDict, total=False):
@@ -80,6 +91,7 @@ class AssumedFields(TypedDict, total=False):
     floor_m: float
     floor_rad: float
     wheels: WheelsFields
+    sensor: SensorFields
 
 
 class KeyframeFields(TypedDict, total=False):

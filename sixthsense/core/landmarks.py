@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
 
@@ -65,11 +66,21 @@ class Observation:
     stretch: int = field(default=0, repr=False, compare=False)
     """number, among those of its wall, of the stretch and side that was seen: there the shape's error stays; not
     recorded"""
+    sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
+    """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 
     @property
     def is_wall(self) -> bool:
         """Whether z is a line."""
         return self.kind == Kind.WALL
+
+    def with_sensor(self, values: Sensor) -> Observation:
+        """The same observation of a point for other parameters of the sensor; of a wall, the observation itself."""
+        if self.is_wall or (self.sensor is not None and self.sensor.values == values):
+            return self
+        z, cov = (self.z, self.cov) if self.sensor is None else (self.sensor.z, self.sensor.cov)
+        corrected, by_z = values.corrected(z)
+        return replace(self, z=corrected, cov=by_z @ cov @ by_z.T, sensor=SensorTerms(values, z, cov))
 
     def bearing_range(self) -> tuple[float, float, Array]:
         """The same observation of a point in polar coordinates: bearing (rad), range (m) and their covariance (2, 2).

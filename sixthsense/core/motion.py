@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numba
@@ -11,7 +12,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arc import arc, arc_jacobian
 from sixthsense.core.covariance import composed_covariance, turned_covariance
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.pose_kernels import driven
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
 
@@ -151,19 +152,60 @@ class WheelOdometry:
         self._assumed = assumed
         self.wheels = Wheels.assumed(assumed)
         """the present values"""
-        self._velocity: Array | None = None
+        self._reported = _Reported()
 
     def increment(self, before: Pose, after: Pose, duration_s: float) -> Odometry:
         """As `odometry`; `duration_s` is the time between the two poses."""
-        reported = before.inverse() @ after if before != after else Pose()
-        velocity = reported.array() / duration_s
-        change = np.zeros(3) if self._velocity is None else velocity - self._velocity
-        self._velocity = velocity
-        if before == after and not change.any():
+        reported, change = self._reported.moved(before, after, duration_s, self.wheels.latency_s)
+        if reported == STANDSTILL.motion and not change.any():
             return STANDSTILL
         motion, terms = corrected_with_terms(reported, self.wheels, change)
-        cov = np.zeros((3, 3)) if before == after else _covariance(corrected(reported, self.wheels), self._assumed)
-        return Odometry(motion, cov, terms)
+        cov = np.zeros((3, 3)) if reported == STANDSTILL.motion else _covariance(motion, self._assumed)
+        late = self._assumed.wheels.jitter_sigma_s * change
+        return Odometry(motion, cov + np.outer(late, late), terms)
+
+
+_LONGEST_DELAY_S = 2.0  # between what is reported and what the robot does
+
+
+class _Reported:
+    """The poses of the wheels in the last seconds: where the robot is by them, for any latency."""
+
+    def __init__(self) -> None:
+        self._poses: deque[tuple[float, Pose, Array]] = deque()
+        """time, s, the pose then, and the velocity (3,) towards it, axes of the odometry's frame"""
+
+    def moved(self, before: Pose, after: Pose, duration_s: float, latency_s: float) -> tuple[Pose, Array]:
+        """The motion during the increment from `before` to `after`, and its derivative (3,) by the latency.
+
+        Both are those of the poses that have that age at their stamps.
+        """
+        if not self._poses:
+            self._poses.append((0.0, before, np.zeros(3)))
+        start, first = self._at(latency_s)
+        time_s = self._poses[-1][0] + duration_s
+        way = np.array([after.x - before.x, after.y - before.y, wrap_angle(after.theta - before.theta)])
+        self._poses.append((time_s, after, way / duration_s))
+        while self._poses[1][0] < time_s - _LONGEST_DELAY_S:
+            self._poses.popleft()
+        end, last = self._at(latency_s)
+        motion = Pose() if start == end else start.inverse() @ end
+        change = last - first
+        change[:2] = change[:2] @ rotation(start.theta) + first[2] * np.array([motion.y, -motion.x])
+        return motion, change
+
+    def _at(self, latency_s: float) -> tuple[Pose, Array]:
+        """The pose now, and the velocity (3,) there; poses that are not yet reported follow the last velocity."""
+        time_s = self._poses[-1][0] + latency_s
+        ends = reversed(self._poses)
+        end_s, pose, velocity = next(ends)
+        for start_s, start, earlier in ends:
+            if time_s >= start_s and time_s != end_s:
+                return Pose.from_array(start.array() + (time_s - start_s) * velocity), velocity
+            if time_s >= start_s:
+                break
+            end_s, pose, velocity = start_s, start, earlier
+        return pose, velocity
 
 
 def _covariance(motion: Pose, assumed: AssumedConfig) -> Array:

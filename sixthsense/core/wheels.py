@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass
 
@@ -9,9 +10,9 @@ import numpy as np
 
 from sixthsense.config import AssumedConfig
 from sixthsense.core.arc import arc
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose
 
-PARAMETERS = 4
+PARAMETERS = 5
 """number of the wheels' parameters"""
 
 
@@ -26,7 +27,9 @@ class Wheels:
     drift_rad_per_m: float = 0.0
     """turn that an unequal pair of wheels adds per true metre"""
     latency_s: float = 0.0
-    """age of the reported pose at its stamp"""
+    """age of the reported pose at its stamp; negative: the robot does later what is reported, which is a command"""
+    curve_loss_m_per_rad: float = 0.0
+    """true distance is this much shorter per radian turned, on curves, than the wheels report"""
 
     @classmethod
     def assumed(cls, config: AssumedConfig) -> Wheels:
@@ -35,12 +38,12 @@ class Wheels:
 
     @classmethod
     def from_array(cls, values: Array) -> Wheels:
-        """The parameters of four numbers, in the order of the fields."""
+        """The parameters of five numbers, in the order of the fields."""
         return cls(*(float(value) for value in values))
 
     def array(self) -> Array:
-        """(4,) in the order of the fields."""
-        return np.array([self.forward_scale_error, self.turn_scale_error, self.drift_rad_per_m, self.latency_s])
+        """(5,) in the order of the fields."""
+        return np.array(dataclasses.astuple(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +53,7 @@ class WheelTerms:
     values: Wheels
     """the parameters that the motion was computed with"""
     jacobian: Array
-    """(3, 4) of (x, y, theta) of the motion by the parameters, axes of the frame before; m, rad"""
+    """(3, 5) of (x, y, theta) of the motion by the parameters, axes of the frame before; m, rad"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,50 +62,53 @@ class WheelEstimate:
 
     values: Wheels
     cov: Array
-    """(4, 4) of the parameters, in the order of the fields"""
+    """(5, 5) of the parameters, in the order of the fields"""
 
     def with_sigmas(self) -> Array:
-        """(2, 4) the parameters, and their sigmas."""
+        """(2, 5) the parameters, and their sigmas."""
         return np.stack([self.values.array(), np.sqrt(np.maximum(np.diag(self.cov), 0.0))])
 
 
 def wheel_prior(config: AssumedConfig) -> WheelEstimate:
     """The prior of the parameters: the assumed values, and the sigmas of `config.wheels`."""
     sigmas = config.wheels
-    cov = np.diag(np.square([0.0, sigmas.track_sigma, sigmas.drift_sigma_rad_per_m, sigmas.latency_sigma_s]))
+    cov = np.diag(
+        np.square([
+            *(0.0, sigmas.track_sigma, sigmas.drift_sigma_rad_per_m, sigmas.latency_sigma_s),
+            sigmas.curve_loss_sigma_m_per_rad,
+        ])
+    )  # fmt: skip
     cov[:2, :2] += sigmas.scale_sigma**2
     return WheelEstimate(Wheels.assumed(config), cov)
 
 
 def corrected(motion: Pose, wheels: Wheels) -> Pose:
     """The true motion for the reported one."""
-    if wheels.forward_scale_error == wheels.turn_scale_error == wheels.drift_rad_per_m == 0.0:
+    if wheels == Wheels(latency_s=wheels.latency_s):
         return motion
-    scale = 1.0 + wheels.forward_scale_error
-    bend = wheels.turn_scale_error * motion.theta + wheels.drift_rad_per_m * scale * arc(motion)[0]
-    # Bending an arc turns its chord by half as much as its end.
-    chord = rotation(0.5 * bend) @ np.array([scale * motion.x, scale * motion.y])
-    return Pose(chord[0], chord[1], motion.theta + bend)
+    return corrected_with_terms(motion, wheels, np.zeros(3))[0]
 
 
 def corrected_with_terms(motion: Pose, wheels: Wheels, velocity_change: Array) -> tuple[Pose, WheelTerms]:
-    """The true motion for the reported one and its dependence on the parameters, the latency included.
+    """The true motion for the reported one and its dependence on the parameters, on the latency by its change.
 
     `velocity_change` (3,) is that of (x, y, theta) per second, from the increment before to this one. A pose that is
-    old at its stamp lacks what the robot has moved since: over one increment, its velocity's change times the latency.
+    old at its stamp lacks what the robot has moved since: over one increment, its velocity's change times the change of
+    the latency. The motion itself is that for the present latency.
     """
-    scale, length = 1.0 + wheels.forward_scale_error, arc(motion)[0]
-    bend = wheels.turn_scale_error * motion.theta + wheels.drift_rad_per_m * scale * length
-    c, s = math.cos(0.5 * bend), math.sin(0.5 * bend)
+    reported, scale = arc(motion)[0], 1.0 + wheels.forward_scale_error
+    lost = wheels.curve_loss_m_per_rad * abs(motion.theta)
+    is_driving = scale * abs(reported) >= max(lost, 0.0)  # it does not turn on the spot
+    stretch = scale - (lost / abs(reported) if reported else 0.0) if is_driving else 0.0
+    bend = wheels.turn_scale_error * motion.theta + wheels.drift_rad_per_m * stretch * reported
+    c, s = math.cos(0.5 * bend), math.sin(0.5 * bend)  # bending an arc turns its chord by half as much as its end
     x, y = c * motion.x - s * motion.y, s * motion.x + c * motion.y
-    by_bend = np.array([wheels.drift_rad_per_m * length, motion.theta, scale * length])
+    by_loss = -abs(motion.theta) / abs(reported) if is_driving and reported else 0.0
     jacobian = np.zeros((3, PARAMETERS))
-    jacobian[0, :3] = -0.5 * scale * y * by_bend
-    jacobian[1, :3] = 0.5 * scale * x * by_bend
-    jacobian[2, :3] = by_bend
-    jacobian[0, 0] += x
-    jacobian[1, 0] += y
+    for k, by_parameter in ((0, float(is_driving)), (4, by_loss)):  # of the stretch
+        jacobian[:2, k] = by_parameter * x, by_parameter * y
+        jacobian[2, k] = wheels.drift_rad_per_m * reported * by_parameter
+    jacobian[2, 1:3] = motion.theta, stretch * reported
+    jacobian[:2] += 0.5 * stretch * np.outer((-y, x), jacobian[2])
     jacobian[:, 3] = velocity_change
-    late_x, late_y, late_theta = (wheels.latency_s * velocity_change).tolist()
-    pose = Pose(scale * x + late_x, scale * y + late_y, motion.theta + bend + late_theta)
-    return pose, WheelTerms(wheels, jacobian)
+    return Pose(stretch * x, stretch * y, motion.theta + bend), WheelTerms(wheels, jacobian)

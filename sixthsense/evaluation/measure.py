@@ -21,8 +21,14 @@ if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
 _WHEELS = (
-    *("forward_scale_error", "turn_scale_error", "drift_rad_per_m", "latency_s"),
+    *("forward_scale_error", "turn_scale_error", "drift_rad_per_m", "latency_s", "curve_loss_m_per_rad"),
     *("forward_scale_sigma", "turn_scale_sigma", "drift_sigma_rad_per_m", "latency_sigma_s"),
+    "curve_loss_sigma_m_per_rad",
+)
+
+_SENSOR = (
+    *("yaw_rad", "forward_m", "bearing_scale_error"),
+    *("yaw_sigma_rad", "forward_sigma_m", "bearing_scale_sigma"),
 )
 
 
@@ -49,6 +55,8 @@ def measure(trace: Trace) -> Metrics:
         out |= {f"loop_closures_{name}": count for name, count in trace.loop_closures._asdict().items()}
     if trace.wheels is not None:
         out |= {f"wheel_{key}": value for key, value in zip(_WHEELS, trace.wheels.ravel().tolist(), strict=True)}
+    if trace.sensor is not None:
+        out |= {f"sensor_{key}": value for key, value in zip(_SENSOR, trace.sensor.ravel().tolist(), strict=True)}
     if trace.outcome.startswith("explored"):
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)

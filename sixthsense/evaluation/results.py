@@ -45,6 +45,16 @@ _WHEELS = (
     ("wheel_turn_scale_sigma", "1", "standard deviation of the estimated wheel_turn_scale_error"),
     ("wheel_drift_sigma_rad_per_m", "rad/m", "standard deviation of the estimated wheel_drift_rad_per_m"),
     ("wheel_latency_sigma_s", "s", "standard deviation of the estimated wheel_latency_s"),
+    ("wheel_curve_loss_m_per_rad", "m/rad", "distance that curves are shorter than reported, as estimated"),
+    ("wheel_curve_loss_sigma_m_per_rad", "m/rad", "standard deviation of the estimated wheel_curve_loss_m_per_rad"),
+)
+_SENSOR = (
+    ("sensor_yaw_rad", "rad", "direction of the sensor beyond the assumed one, as estimated"),
+    ("sensor_forward_m", "m", "place of the sensor along the robot's x axis beyond the assumed one, as estimated"),
+    ("sensor_bearing_scale_error", "1", "true bearings are 1 + this times those the sensor reports, as estimated"),
+    ("sensor_yaw_sigma_rad", "rad", "standard deviation of the estimated sensor_yaw_rad"),
+    ("sensor_forward_sigma_m", "m", "standard deviation of the estimated sensor_forward_m"),
+    ("sensor_bearing_scale_sigma", "1", "standard deviation of the estimated sensor_bearing_scale_error"),
 )
 
 
@@ -96,6 +106,7 @@ def _quantities() -> dict[str, Quantity]:
             ("discarded_share", "1", "share of the observations that the gates discarded"),
         ],
         "Wheels": list(_WHEELS),
+        "Sensor": list(_SENSOR),
         "Scans": list(_SCANS),
         "Map and path": [
             ("area_seen_m2", "m²", "area of the cells that were seen"),

@@ -6,8 +6,9 @@ import time
 
 import numpy as np
 
+from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import compose_jacobians, odometry
+from sixthsense.core.motion import compose_jacobians
 from sixthsense.core.source import Tick
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Node
 from sixthsense.live.robot import LiveRobot
@@ -61,10 +62,9 @@ class Publisher:
 
 
 def pose_covariance(trace: Trace) -> Array:
-    """(3, 3) of the pose at the last scan, world frame: that at the last keyframe, and of the odometry since."""
-    if not trace.key_estimates:
+    """(3, 3) of the pose at the last scan, world frame: that at the last keyframe, and of the motion since."""
+    if not trace.key_estimates or trace.live is None:
         return np.zeros((3, 3))
     key, since = trace.key_estimates[-1], Pose.from_array(trace.since_key[-1])
-    by_pose, by_motion = compose_jacobians(key.pose.theta, since)
-    cov = odometry(Pose(), since, trace.config.assumed).cov
-    return np.asarray(by_pose @ key.pose_cov @ by_pose.T + by_motion @ cov @ by_motion.T)
+    by_pose, _ = compose_jacobians(key.pose.theta, since)
+    return by_pose @ key.pose_cov @ by_pose.T + turned_covariance(trace.live.since_cov, key.pose.theta)

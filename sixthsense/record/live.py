@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Live:
     """the last scan, deskewed; robot's frame"""
     features: Features | None = None
     """features of the last keyframe; robot's frame"""
+    since_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) of the motion since the last keyframe, axes of the keyframe"""
 
     def point_covariances(self, estimate: Estimate) -> Array:
         """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""

@@ -45,6 +45,6 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
             trace.add_keyframe(tick, Keyframe(folded.take(), unknown, Estimate.of_pose(pose, cov)))
         trace.add_tick(tick, tick.odometry)
         if tick.scan is not None or tick.observations is not None:
-            since = folded.since.motion
-            trace.add_scan(tick, Step(tick.stamp_ns, pose, tick.odometry, None, since, None, None, no_grid))
+            since = folded.since.motion, folded.since.cov
+            trace.add_scan(tick, Step(tick.stamp_ns, pose, tick.odometry, None, *since, None, None, no_grid))
     return trace

@@ -16,6 +16,7 @@ from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
+from sixthsense.core.sensor import SENSOR_PARAMETERS
 from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.stopwatch import STAGES
@@ -199,7 +200,10 @@ def _take_end(table: Line, trace: Trace) -> None:
     if (counts := table.get("loop_closures")) is not None:  # older records have none
         trace.loop_closures = LoopClosureCounts(*(_whole(counts, name) for name in LoopClosureCounts._fields))
     if "wheels" in table:
-        trace.wheels = _array(table, "wheels", (2, PARAMETERS))
+        older = [[*row, 0.0] if len(row) == PARAMETERS - 1 else row for row in table["wheels"]]  # without the last
+        trace.wheels = _array({"wheels": older}, "wheels", (2, PARAMETERS))
+    if "sensor" in table:
+        trace.sensor = _array(table, "sensor", (2, SENSOR_PARAMETERS))
 
 
 _KINDS: dict[str, Callable[[Line, Trace], None]] = {

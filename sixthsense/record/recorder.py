@@ -26,7 +26,7 @@ class Recorder:
         trace, keyframe = self._trace, step.keyframe
         trace.stopwatch.end_tick(keyframe is not None)
         assert trace.live is not None
-        trace.live.scan = step.scan or trace.live.scan
+        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since_cov
         if keyframe is not None:
             trace.live.features = keyframe.features
             trace.add_keyframe(tick, keyframe)
@@ -51,5 +51,7 @@ class Recorder:
         trace.loop_closures, trace.links = result.loop_closures, result.links
         if result.wheels is not None:
             trace.wheels = result.wheels.with_sigmas()
+        if result.sensor is not None:
+            trace.sensor = result.sensor.with_sigmas()
         if result.since_key is not None:
             trace.since_key = list(result.since_key)

@@ -207,4 +207,5 @@ def _end_line(trace: Trace) -> Line:
         "rebuilds": trace.rebuilds,
         "loop_closures": None if trace.loop_closures is None else trace.loop_closures._asdict(),
         **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),
+        **({} if trace.sensor is None else {"sensor": trace.sensor.tolist()}),
     }

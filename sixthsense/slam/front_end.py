@@ -72,6 +72,11 @@ class FrontEnd(Protocol):
         """Motion since the last keyframe."""
         ...
 
+    @property
+    def since_cov(self) -> Array:
+        """(3, 3) of that motion's error, axes of the keyframe."""
+        ...
+
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
         """Process a tick with its de-skewed scan and the motion since the tick before; its keyframe, if it is one."""
         ...

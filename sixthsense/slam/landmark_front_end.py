@@ -48,6 +48,11 @@ class LandmarkFrontEnd:
         """Odometry since the last keyframe."""
         return self._keyframes.since.motion
 
+    @property
+    def since_cov(self) -> Array:
+        """(3, 3) of that motion's error, axes of the keyframe."""
+        return self._keyframes.since.cov
+
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
         if increment is not None:

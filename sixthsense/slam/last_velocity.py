@@ -41,8 +41,11 @@ class ScanClock:
 class LastVelocity:
     """Predicts the motion between scans by a Kalman filter, which is told what scan matching has found.
 
-    Its state is the motion since the last keyframe and the robot's velocity, in its own axes.
+    Its state is the motion since the last keyframe and the robot's velocity, in its own axes. It is one of the sources
+    of motion of the front end of scans (`scans.increments.Increments`).
     """
+
+    is_guess = True
 
     def __init__(self) -> None:
         self._clock = ScanClock()
@@ -95,6 +98,26 @@ class LastVelocity:
         self._cov = 0.5 * (self._cov + self._cov.T)
         self._cross = found.cov @ gain
         self._stated_s = self._predicted_s = 0.0
+
+    def is_carried(self, increment: Odometry) -> bool:
+        """Never: a guess that is far off is not one that was not made."""
+        return False
+
+    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
+        """The motion since the last keyframe as found by scan matching; without that the guess, and no velocity."""
+        if found is None:
+            self.lost()
+            return since
+        self.measured(since, found)
+        return found
+
+    def with_errors(self, since: Odometry, wheels_are_estimated: bool) -> Odometry:
+        """The motion as `lasting`; there are no wheels."""
+        return self.lasting(since)
+
+    def at_end(self, since: Odometry) -> Odometry:
+        """The motion as `lasting`."""
+        return self.lasting(since)
 
     def lasting(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.

@@ -10,6 +10,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
+from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators import Estimate
@@ -32,6 +33,8 @@ class Step:
     """motion since the last tick; None at the first"""
     since_keyframe: Pose
     """motion since the last keyframe"""
+    since_cov: Array
+    """(3, 3) of its error, axes of the keyframe; without odometry that of the guess from the last velocity"""
     scan: Scan | None
     """de-skewed"""
     keyframe: Keyframe | None
@@ -69,4 +72,6 @@ class SlamResult:
     """the wheels' parameters, if they are estimated"""
     links: PoseLinks | None = None
     """between keyframes, as the estimator has them, of a front end that makes them"""
+    sensor: SensorEstimate | None = None
+    """the parameters of the sensor of points, if they are estimated"""
     revisits = OldName("revisits", "loop_closures")

@@ -21,6 +21,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
 from sixthsense.core.random_streams import random_streams
+from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
@@ -33,6 +34,7 @@ from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
+from sixthsense.slam.named_observations import NamedObservations
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
 
@@ -84,6 +86,7 @@ class Slam:
         self._deskew = Deskewer(self.config.features.deskew)
         self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()
+        self._named = NamedObservations(self.config, self.estimator, self._start)
         self._velocity = LastVelocity() if self.config.no_odometry else None
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
@@ -111,9 +114,11 @@ class Slam:
     def take(self, tick: Tick) -> Step:
         """Process a tick: its odometry always, its observations, and its scan if it is a keyframe."""
         increment, scan = self._fold(tick)
+        tick = self._named.corrected(tick)
         still, moving = self._without_moving(scan, increment)
         is_matched = self.config.front_end == "scan-matching"
-        keyframe = self._front_end.take(tick, still if is_matched else scan, self._placed(scan, increment))
+        taken = self._front_end.take(tick, still if is_matched else scan, self._placed(scan, increment))
+        keyframe = self._named.keyframe(taken)
         if scan is not None and self._moving is not None:
             self._moving.keep(scan, self.pose, tick.stamp_ns)
         if keyframe is not None and self._wheels is not None:
@@ -157,7 +162,7 @@ class Slam:
 
     def estimate(self) -> Estimate:
         """Pose at the last keyframe (after `finish` at the last tick), its covariance, and the landmarks."""
-        return self.estimator.estimate()
+        return self._named.reported(self.estimator.estimate())
 
     def trajectory(self) -> Array:
         """(K, 3) pose at each keyframe, as believed now."""
@@ -167,6 +172,10 @@ class Slam:
         """The wheels' parameters at the last keyframe, if they are estimated."""
         return self.estimator.wheels() if estimates_wheels(self.estimator) else None
 
+    def sensor(self) -> SensorEstimate | None:
+        """The parameters of the sensor of points at the last keyframe, if they are estimated."""
+        return self._named.sensor()
+
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
@@ -175,7 +184,7 @@ class Slam:
             self._mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
-                self.estimator.joint_covariance(estimate.ids.tolist()),
+                self._named.reported_joint(estimate, self.estimator.joint_covariance(estimate.ids.tolist())),
                 trajectory,
                 self.associator.records,
                 self.associator.culled,
@@ -185,6 +194,7 @@ class Slam:
                 self.loop_closures,
                 self.wheels(),
                 self._front_end.links(),
+                self.sensor(),
             )
         return self._result
 
@@ -263,8 +273,8 @@ class Slam:
         self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None, moving: Moving
     ) -> Step:
         dead_reckoned = self._T_world_odom @ tick.odometry
-        since = self._front_end.since_keyframe
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
+        since = self._front_end.since_keyframe, self._front_end.since_cov
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, *since, scan, keyframe, self.grid, moving)
 
     def _increment(self, before: Pose, tick: Tick) -> Odometry:
         """The motion since the last tick, with the covariance that the log states or that of the assumed noise.

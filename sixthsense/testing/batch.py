@@ -33,7 +33,7 @@ class Posterior:
     ids: list[LandmarkId]
     """in the order of the first observation"""
     mean: Array
-    """(3 + 2n,) x, y, theta, then the two numbers of each landmark; m, rad; the four parameters of wheels if they are
+    """(3 + 2n,) x, y, theta, then the two numbers of each landmark; m, rad; the parameters of wheels if they are
     estimated"""
     cov: Array
     """of the entries of `mean`"""

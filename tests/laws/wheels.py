@@ -19,8 +19,8 @@ from sixthsense.testing.laws import Laws, raises
 
 LAWS = Laws()
 
-PRIOR = WheelEstimate(Wheels(), np.diag([0.05, 0.05, 0.03, 0.05]) ** 2)
-TRUE = Wheels(0.03, -0.04, 0.02, 0.05)
+PRIOR = WheelEstimate(Wheels(), np.diag([0.05, 0.05, 0.03, 0.05, 0.03]) ** 2)
+TRUE = Wheels(0.03, -0.04, 0.02, 0.05, 0.02)
 _PERIOD_S = 0.5
 _TURNS = (0.3, 0.0, -0.35, 0.1)
 
@@ -30,8 +30,9 @@ def increment(k: int, wheels: Wheels, cov: Array) -> Odometry:
     reported, before = (
         np.array([0.2 + 0.1 * math.sin(0.7 * i), 0.01, _TURNS[(i // 6) % 4]]) for i in (k, max(k - 1, 0))
     )
-    motion, terms = corrected_with_terms(Pose.from_array(reported), wheels, (reported - before) / _PERIOD_S)
-    return Odometry(motion, cov, terms)
+    change = (reported - before) / _PERIOD_S
+    at_stamp, terms = corrected_with_terms(Pose.from_array(reported), wheels, change)
+    return Odometry(Pose.from_array(at_stamp.array() + wheels.latency_s * change), cov, terms)
 
 
 def calibrating(

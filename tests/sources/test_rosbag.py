@@ -124,6 +124,20 @@ def foreign(path: Path, kind: str, late_ns: int = 0, duration_s: float = 4.0) ->
     return bag.path
 
 
+def test_two_lasers_in_turn_on_one_topic_under_one_frame_are_told(tmp_path, capsys):
+    back = MOUNT @ Pose(-0.5, 0.0, math.pi)
+    with Bag(tmp_path / "two", "mcap") as bag:
+        for k in range(80):
+            seconds = 0.05 * k
+            bag.odometry("/wheels", int(1e9 * seconds) + 10**9, way(seconds))
+            place = way(seconds) @ (back if k % 2 else MOUNT)
+            ranges = cast_rays(place, beam_bearings(LASER), ROOM, LASER.max_range)
+            bag.scan("/scan", int(1e9 * seconds) + 10**9, ranges)
+    assert cli.main(["replay", str(bag.path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0 and "found scans of two lasers in turn, all of frame laser_link" in said
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_foreign_bag_gives_scans_odometry_and_the_mount(kind, tmp_path):
     log = open_log(foreign(tmp_path / "theirs", kind), LaserConfig())

@@ -14,6 +14,7 @@ from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
+from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 
 
@@ -169,6 +170,28 @@ class WheelEstimator(Estimator, Protocol):
 def estimates_wheels(estimator: Estimator) -> TypeGuard[WheelEstimator]:
     """Whether an estimator can estimate the wheels' parameters."""
     return callable(getattr(estimator, "estimate_wheels", None)) and callable(getattr(estimator, "wheels", None))
+
+
+class SensorEstimator(Estimator, Protocol):
+    """An estimator that can estimate the parameters of the sensor of points with the pose.
+
+    17. All observations of points depend on the parameters, walls do not. The prior is used, and the parameters'
+        correlation with pose and landmarks.
+    18. What observations do not determine keeps its prior.
+    """
+
+    def estimate_sensor(self, prior: SensorEstimate) -> None:
+        """Estimate the parameters from now on; RuntimeError after the first motion or update."""
+        ...
+
+    def sensor(self) -> SensorEstimate | None:
+        """The present parameters with their covariance; None if they are not estimated."""
+        ...
+
+
+def estimates_sensor(estimator: Estimator) -> TypeGuard[SensorEstimator]:
+    """Whether an estimator can estimate the parameters of its sensor."""
+    return callable(getattr(estimator, "estimate_sensor", None)) and callable(getattr(estimator, "sensor", None))
 
 
 @dataclass(frozen=True, slots=True)

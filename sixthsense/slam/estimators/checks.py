@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from sixthsense.core.covariance import COVARIANCE_SLACK, are_covariances, check_covariance, covariance_fault
+from sixthsense.core.geometry import Array
+from sixthsense.core.sensor import SENSOR_PARAMETERS, SensorEstimate
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate
 from sixthsense.slam.estimators.base import LandmarkPrior, Link
 
@@ -27,11 +29,20 @@ def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:
 
 def check_wheels(prior: WheelEstimate, has_begun: bool) -> None:
     """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
+    _check_parameters("wheels", prior.cov, PARAMETERS, has_begun)
+
+
+def check_sensor(prior: SensorEstimate, has_begun: bool) -> None:
+    """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
+    _check_parameters("sensor", prior.cov, SENSOR_PARAMETERS, has_begun)
+
+
+def _check_parameters(name: str, cov: Array, count: int, has_begun: bool) -> None:
     if has_begun:
-        raise RuntimeError("estimate_wheels: found a call after the first motion or update, allowed: before both")
-    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK)
-    if prior.cov.shape != (PARAMETERS, PARAMETERS) or fault:
-        raise ValueError(f"prior of wheels: found {fault or prior.cov.shape}, allowed: a covariance, (4, 4)")
+        raise RuntimeError(f"estimate_{name}: found a call after the first motion or update, allowed: before both")
+    fault = covariance_fault(cov, lowest=-COVARIANCE_SLACK)
+    if cov.shape != (count, count) or fault:
+        raise ValueError(f"prior of {name}: found {fault or cov.shape}, allowed: a covariance, ({count}, {count})")
 
 
 def check_links(links: Sequence[Link], poses: int) -> None:

@@ -23,9 +23,9 @@ from sixthsense.core.landmarks import (
     translated,
 )
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
-from sixthsense.core.wheels import Wheels
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_observations
 from sixthsense.slam.estimators.checks import check_prior
+from sixthsense.slam.estimators.ekf_parameters import Parameters
 from sixthsense.slam.estimators.triangle import selected
 
 
@@ -56,8 +56,8 @@ class EKF:
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
         self._head = 3
-        """size of the state before the landmarks: the pose, and the wheels' parameters if it estimates them"""
-        self._wheels = Wheels()
+        """size of the state before the landmarks: the pose, and the parameters of wheels and sensor it estimates"""
+        self._parameters = Parameters()
         self._pending = STANDSTILL
         self._trajectory = Trajectory()
 
@@ -87,13 +87,14 @@ class EKF:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
         check_observations(observations)
         self._propagate()
+        observations = self._parameters.sensed(observations)
         known = [i for i in observations if i in self._slots]
         if known:
             slots = np.array([self._slots[i] for i in known], dtype=np.int64)
             shift = self._correct(slots, [observations[i] for i in known])
-            if self._head > 3:
-                self._wheels = Wheels.from_array(self._wheels.array() + shift[3 : self._head])
+            self._parameters.correct(shift)
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
+            observations = self._parameters.sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
         self._trajectory.append(self._in_world(self._pose))
 
@@ -193,14 +194,15 @@ class EKF:
         """
         if self._pending is STANDSTILL:
             return
-        pending = self._pending if self._head == 3 else self._pending.with_wheels(self._wheels)
+        wheels = self._parameters.wheels
+        pending = self._pending if wheels is None else self._pending.with_wheels(wheels)
         pose = self._pose @ pending.motion
         phi, g = compose_jacobians(self._pose.theta, pending.motion)
         phi[:2, 2] = rotation_generator(self._heading_lever(pose.position - self._pose.position))
         by_head = np.eye(self._head)
         by_head[:3, :3] = phi
-        if self._head > 3 and pending.wheels is not None:
-            by_head[:3, 3:] = g @ pending.wheels.jacobian
+        if wheels is not None and pending.wheels is not None:
+            by_head[:3, self._parameters.of_wheels] = g @ pending.wheels.jacobian
         head_cov = by_head @ self._symmetric(np.arange(self._head)) @ by_head.T
         head_cov[:3, :3] += g @ pending.cov @ g.T
         self._cov[: self._head, : self._head] = 0.5 * (head_cov + head_cov.T)
@@ -227,11 +229,13 @@ class EKF:
                 cov[k] -= observation.shape_cov
                 self._renew(int(slots[k]), 2.0 * (1.0 - observation.shape_kept) * observation.shape_cov, by_landmark[k])
         innovation, noise = observation_innovations(z, cov, predicted, walls)
-        index = self._pose_and_landmarks(slots)  # (3 + 2m,)
-        H = np.zeros((2 * m, 3 + 2 * m))  # the non-zero columns of H
-        for k in range(m):
-            H[2 * k : 2 * k + 2, :3] = by_pose[k]
-            H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
+        index = np.concatenate([np.arange(self._head), self._places(slots)])
+        H = np.zeros((2 * m, len(index)))  # the non-zero columns of H
+        for k, observation in enumerate(observations):
+            at, column = slice(2 * k, 2 * k + 2), self._head + 2 * k
+            H[at, :3], H[at, column : column + 2] = by_pose[k], by_landmark[k]
+            if observation.sensor is not None:
+                H[at, self._parameters.of_sensor] = self._parameters.by_sensor(predicted[k])
         columns = np.empty((n, len(index)), order="F")  # Sigma[:, index], from the lower triangle
         for k, i in enumerate(index):
             columns[i:, k] = self._cov[i:, i]
@@ -271,12 +275,15 @@ class EKF:
             _, by_pose, _ = first_estimate(at, observation, centre)
             means.append(mean)
             centres.append(centre)
-            rows.append(by_pose)
+            rows.append(np.zeros((2, self._head)))
+            rows[-1][:, :3] = by_pose
+            if observation.sensor is not None:
+                rows[-1][:, self._parameters.of_sensor] = by_z @ observation.sensor.jacobian()
             noise.append(by_z @ observation.cov @ by_z.T)
-        G = np.vstack(rows)  # (2k, 3)
-        pose_cov = self._symmetric(np.arange(3))
-        larger[n:, :n] = G @ np.vstack([pose_cov, self._cov[3:, :3]]).T
-        own = G @ pose_cov @ G.T + block_diag(*noise)
+        G = np.vstack(rows)  # (2k, head)
+        head_cov = self._symmetric(np.arange(self._head))
+        larger[n:, :n] = G @ np.vstack([head_cov, self._cov[self._head :, : self._head]]).T
+        own = G @ head_cov @ G.T + block_diag(*noise)
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
         self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])

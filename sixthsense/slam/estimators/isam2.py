@@ -14,9 +14,10 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_observations
-from sixthsense.slam.estimators.checks import check_links, check_prior, check_wheels
+from sixthsense.slam.estimators.checks import check_links, check_prior
 from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
@@ -28,8 +29,7 @@ from sixthsense.slam.estimators.isam2_prior import PriorFactor
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_wheels import KEY as WHEELS
-from sixthsense.slam.estimators.isam2_wheels import motion_factor, prior_factor, start_factor
+from sixthsense.slam.estimators.isam2_wheels import motion_factor, start_factor
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
@@ -69,14 +69,19 @@ class ISAM2:
 
     def estimate_wheels(self, prior: WheelEstimate) -> None:
         """Add the wheels' parameters as a variable of the graph."""
-        check_wheels(prior, self._head.wheels is not None or self._poses > 0 or self._pending is not STANDSTILL)
-        self._head.add_wheels(prior)
-        self._unsolved.values.insert(WHEELS, prior.values.array())
-        self._unsolved.graph.add(prior_factor(prior))
+        self._head.add_wheels(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
 
     def wheels(self) -> WheelEstimate | None:
         """The wheels' parameters at the last solution, if they are estimated."""
         return self._head.wheel_estimate()
+
+    def estimate_sensor(self, prior: SensorEstimate) -> None:
+        """Add the parameters of the sensor of points as a variable of the graph."""
+        self._head.add_sensor(prior, self._unsolved, self._poses > 0 or self._pending is not STANDSTILL)
+
+    def sensor(self) -> SensorEstimate | None:
+        """The sensor's parameters at the last solution, if they are estimated."""
+        return self._head.sensor_estimate()
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: one factor of all of them."""

@@ -8,10 +8,14 @@ from scipy.linalg import block_diag
 from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
+from sixthsense.slam.estimators.checks import check_sensor, check_wheels
 from sixthsense.slam.estimators.isam2_factors import to_pose
+from sixthsense.slam.estimators.isam2_sensor import SENSOR, sensor_factor
 from sixthsense.slam.estimators.isam2_solver import Solver
-from sixthsense.slam.estimators.isam2_wheels import KEY
+from sixthsense.slam.estimators.isam2_state import Unsolved
+from sixthsense.slam.estimators.isam2_wheels import KEY, prior_factor
 
 
 class Head:
@@ -23,19 +27,37 @@ class Head:
         """of the last solved pose, or the start"""
         self.wheels: Wheels | None = None
         """at the last solution, if they are estimated"""
+        self.sensor: Sensor | None = None
+        """at the last solution, if its parameters are estimated"""
         self._solver, self._cov = solver, cov
         self._last = 0
         """key of the last solved pose"""
         self._has_cov = True
         """whether the covariance is that of the last solution"""
 
-    def add_wheels(self, prior: WheelEstimate) -> None:
-        """Add the wheels' parameters."""
+    def add_wheels(self, prior: WheelEstimate, unsolved: Unsolved, has_begun: bool) -> None:
+        """Add the wheels' parameters; RuntimeError if the estimator has begun."""
+        check_wheels(prior, self.wheels is not None or has_begun)
+        unsolved.values.insert(KEY, prior.values.array())
+        unsolved.graph.add(prior_factor(prior))
         self.wheels, self._cov = prior.values, block_diag(self._cov, prior.cov)
 
     def wheel_estimate(self) -> WheelEstimate | None:
         """The wheels' parameters, if they are estimated."""
         return None if self.wheels is None else WheelEstimate(self.wheels, self.cov()[3:, 3:].copy())
+
+    def add_sensor(self, prior: SensorEstimate, unsolved: Unsolved, has_begun: bool) -> None:
+        """Add the sensor's parameters; RuntimeError if the estimator has begun."""
+        check_sensor(prior, self.sensor is not None or has_begun)
+        unsolved.values.insert(SENSOR, prior.values.array())
+        unsolved.graph.add(sensor_factor(prior))
+        self.sensor, self._sensor_prior = prior.values, prior
+
+    def sensor_estimate(self) -> SensorEstimate | None:
+        """The sensor's parameters, if they are estimated."""
+        if self.sensor is None or not self.is_solved:
+            return None if self.sensor is None else self._sensor_prior
+        return SensorEstimate(self.sensor, self._solver.covariance(SENSOR))
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
@@ -43,9 +65,11 @@ class Head:
         self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
         if self.wheels is not None:
             self.wheels = Wheels.from_array(self._solver.isam.calculateEstimateVector(KEY))
+        if self.sensor is not None:
+            self.sensor = Sensor.from_array(self._solver.isam.calculateEstimateVector(SENSOR))
 
     def cov(self) -> Array:
-        """(3, 3) of the pose, or (7, 7) with the wheels' parameters, world frame."""
+        """(3, 3) of the pose, or (8, 8) with the wheels' parameters, world frame."""
         if not self._has_cov:
             self._cov, self._has_cov = self._read_cov(), True
         return self._cov

@@ -16,7 +16,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.estimators.isam2_factors import Loss, to_pose, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
-from sixthsense.slam.estimators.isam2_observations import NO_POSE, FactorOf, point_factor
+from sixthsense.slam.estimators.isam2_observations import NO_POSE, FactorOf
+from sixthsense.slam.estimators.isam2_sensor import seen_point
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
 from sixthsense.slam.estimators.isam2_walls import exact_factor, stretch_factor, wall_factor
@@ -55,7 +56,7 @@ class Observing:
     ) -> gtsam.NonlinearFactor:
         key = self._landmarks.keys[i]
         if not observation.is_wall:
-            return point_factor(key, pose[0], observation, self._loss)
+            return seen_point(key, pose[0], observation, self._head.sensor, self._loss)
         if observation.shape_cov is not None:
             key = self._landmarks.stretches[i, observation.stretch]
             observation = replace(observation, cov=observation.cov - observation.shape_cov)

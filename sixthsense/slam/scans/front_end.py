@@ -19,17 +19,16 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
-from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.increments import Increments, WheelIncrements
 from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.odometry_prior import (
     prior_of,
     weakened,
-    with_unsteady_errors,
     with_wheel_errors,
 )
 from sixthsense.slam.scans.poses import between, compose
@@ -61,10 +60,10 @@ class ScanFrontEnd:
         estimator: PoseGraphEstimator,
         start: Pose,
         timed: Timed,
-        velocity: LastVelocity | None = None,
+        increments: Increments | None = None,
     ) -> None:
-        """Begin at `start`, `T_world_robot`; `velocity` is the source of increments if these are no odometry."""
-        self._velocity = velocity
+        """Begin at `start`, `T_world_robot`; `increments` is the source of motion, by default the wheels."""
+        self._increments = increments or WheelIncrements()
         self._config, self._estimator, self._pose = config, estimator, start
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
@@ -103,18 +102,23 @@ class ScanFrontEnd:
             return self._since.motion
         return self._T_key_world @ self._pose
 
+    @property
+    def since_cov(self) -> Array:
+        """(3, 3) of that motion's error, axes of the keyframe."""
+        return self._increments.at_end(self._since).cov
+
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
         """Process a tick: every scan is tracked; keyframes are linked with earlier ones."""
         if increment is not None:
             self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
             self._pose = self._pose @ increment.motion
-            self._is_carried |= self._velocity is None and increment.is_carried()
+            self._is_carried |= self._increments.is_carried(increment)
         if scan is None:
             return None
         if scan.T_robot_laser is not self._mount.T_robot_laser:
             self._mount = Mount(scan.T_robot_laser)
         tracked = self._track(scan)
-        found = self._found(tracked)
+        found = self._increments.aligned(self._since, self._found(tracked))
         if not self._is_due(tracked):
             self._since = found
             self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
@@ -135,7 +139,7 @@ class ScanFrontEnd:
 
     def finish(self) -> Array | None:
         """Predict up to the last tick, and align the scans between keyframes once more."""
-        self._estimator.predict(self._since if self._velocity is None else self._velocity.lasting(self._since))
+        self._estimator.predict(self._increments.at_end(self._since))
         if not self._config.scans.final_pass:
             return None
         return refined(self._store, self._graph.poses, self._scans, self._mount)
@@ -172,33 +176,28 @@ class ScanFrontEnd:
         motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
         tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
-        is_guessed = self._velocity is not None
-        if tracked.is_lost(self._contradicted) or (is_guessed and tracked.is_doubted(self._contradicted)):
+        is_guess = self._increments.is_guess
+        if tracked.is_lost(self._contradicted) or (is_guess and tracked.is_doubted(self._contradicted)):
             found = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
             tracked = found if tracked.is_lost(self._contradicted) or not found.has_slipped else tracked
             if tracked.is_lost(self._contradicted):
                 self._break_track()
                 return None
-        tracked = tracked.remapped(prior) if is_guessed else tracked
+        tracked = tracked.remapped(prior) if is_guess else tracked
         self._contradicted += _NEWEST_SHARE * (tracked.agreement.share - self._contradicted)
         self._graph.usual_agreement = 1.0 - self._contradicted
         self._last = _Last(tracked.pose, self._since.motion, before.inverse() @ Pose.from_array(tracked.pose))
         self._pose = self._mount.robot_pose(tracked.pose)
         return tracked
 
-    def _found(self, tracked: Tracked | None) -> Odometry:
-        """The motion since the last keyframe to go on from: by odometry, or as tracked where there is none."""
-        if self._velocity is None:
-            return self._since
+    def _found(self, tracked: Tracked | None) -> Odometry | None:
+        """The motion since the last keyframe as tracked."""
         if tracked is None or self._prior is None:
-            self._velocity.lost()
-            return self._since
+            return None
         cov = np.asarray(np.linalg.inv(self._prior.information + tracked.information))
         key = self._graph.poses[-1]
         of_laser = Odometry(Pose.from_array(between(key, tracked.pose)), turned_covariance(cov, -key[2]))
-        found = self._mount.robot_odometry(of_laser)
-        self._velocity.measured(self._since, found)
-        return found
+        return self._mount.robot_odometry(of_laser)
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets])
@@ -230,13 +229,7 @@ class ScanFrontEnd:
         """
         if tracked.has_slipped:
             return self._slipped(self.since_keyframe)
-        return weakened(self._since_with_errors(), tracked.slip)
-
-    def _since_with_errors(self) -> Odometry:
-        """The odometry since the last keyframe, as the estimator is given it."""
-        if self._velocity is not None:
-            return self._velocity.lasting(self._since)
-        return with_wheel_errors(self._since) if self._wheels is None else with_unsteady_errors(self._since)
+        return weakened(self._increments.with_errors(self._since, self._wheels is not None), tracked.slip)
 
     def _since_of_laser(self) -> Odometry:
         return self._mount.laser_odometry(with_wheel_errors(self._since, self._wheels))
@@ -284,8 +277,7 @@ class ScanFrontEnd:
 
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
-        if self._velocity is not None:
-            self._velocity.at_keyframe()
+        self._increments.at_keyframe()
         estimate, self._wheels = self._reported(self._estimator.estimate()), self._wheel_estimate()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)

@@ -6,7 +6,7 @@ from laws.links import linked
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
-from sixthsense.core.wheels import WheelEstimate, Wheels
+from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
 from sixthsense.slam.estimators import Link, takes_out_poses
 from sixthsense.testing.estimation import assert_same, joint_state, make, step
 
@@ -68,7 +68,7 @@ def test_another_order_and_the_ends_are_refused(wrong):
 
 def test_with_the_wheels_as_a_variable_the_motions_still_depend_on_them():
     whole, less = (make("isam2") for _ in range(2))
-    prior, jacobian = WheelEstimate(Wheels(), 1e-4 * np.eye(4)), np.eye(3, 4)
+    prior, jacobian = WheelEstimate(Wheels(), 1e-4 * np.eye(PARAMETERS)), np.eye(3, PARAMETERS)
     for smoother in (whole, less):
         smoother.estimate_wheels(prior)
         for _ in range(6):

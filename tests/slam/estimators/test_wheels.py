@@ -7,7 +7,7 @@ from laws.wheels import LAWS, PRIOR, calibrated, estimate_of
 import sixthsense as ss
 from sixthsense.config import ConfigError, preset
 from sixthsense.core.geometry import wrap_angle
-from sixthsense.core.wheels import Wheels
+from sixthsense.core.wheels import PARAMETERS, Wheels
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS, estimates_wheels
 from sixthsense.testing.estimation import make
@@ -31,7 +31,7 @@ def test_with_wheels_from_the_prior_pose_and_parameters_are_consistent(name):
     runs, of_pose, of_wheels = 8 if name == "isam2" else 40, [], []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
-        wheels = Wheels.from_array(np.linalg.cholesky(PRIOR.cov) @ rng.standard_normal(4))
+        wheels = Wheels.from_array(np.linalg.cholesky(PRIOR.cov) @ rng.standard_normal(PARAMETERS))
         estimator, true = calibrated(name, 40, 0.01, rng, wheels)
         estimate, found = estimator.estimate(), estimate_of(estimator)
         error = estimate.pose.array() - true.array()
@@ -39,7 +39,7 @@ def test_with_wheels_from_the_prior_pose_and_parameters_are_consistent(name):
         off = found.values.array() - wheels.array()
         of_pose.append(error @ np.linalg.solve(estimate.pose_cov, error))
         of_wheels.append(off @ np.linalg.solve(found.cov, off))
-    for values, freedom in ((of_pose, 3), (of_wheels, 4)):
+    for values, freedom in ((of_pose, 3), (of_wheels, PARAMETERS)):
         low, high = nees_band(runs, freedom, confidence=0.99)
         assert low < np.mean(values) < high
 

@@ -79,6 +79,19 @@ def test_of_a_bare_corridor_the_covariance_says_that_the_motion_is_hidden():
     assert across < 0.05 < along
 
 
+def test_between_keyframes_the_covariance_is_that_of_the_guess_along_a_corridor():
+    walls = np.array([[[-100, -1], [100, -1]], [[-100, 1], [100, 1]]], dtype=np.float64)
+    poses = [Pose(0.02 * k, 0.0, 0.0) for k in range(100)]
+    sigmas, keys = [], []
+    with Slam(CONFIG, poses[0]) as slam:
+        for tick in ticks(poses, walls):
+            step = slam.take(tick)
+            (sigmas if step.keyframe is None else keys).append(np.sqrt(np.diag(step.since_cov)))
+    assert np.all(np.array(keys) == 0.0)
+    along, across, _ = np.array(sigmas).T
+    assert np.all(along > 0.05) and np.all(across < 0.05)
+
+
 def test_the_guess_grows_with_time_and_is_least_known_at_first():
     velocity = LastVelocity()
     first = velocity.increment(Pose(), 0.2, True)

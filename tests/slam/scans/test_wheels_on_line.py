@@ -43,9 +43,9 @@ def test_in_a_bare_corridor_the_forward_scale_is_hardly_learnt_and_the_drift_is(
 
 
 def test_errors_that_are_known_leave_what_no_parameter_describes():
-    jacobian = np.array([[0.25, 0, 0, 0], [0, 0, 0, 0], [0, 0, 0.25, 0]])
+    jacobian = np.array([[0.25, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0.25, 0, 0]])
     odometry = Odometry(Pose(0.25, 0.0, 0.0), 1e-6 * np.eye(3), WheelTerms(Wheels(), jacobian))
-    known, unknown = (WheelEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 4, [0.05, 0.0, 0.03, 0.0]))
+    known, unknown = (WheelEstimate(Wheels(), np.diag(sigmas) ** 2) for sigmas in ([0] * 5, [0.05, 0, 0.03, 0, 0]))
     of_any, of_known, of_unknown = (with_wheel_errors(odometry, wheels).cov for wheels in (None, known, unknown))
     assert np.array_equal(of_known, with_unsteady_errors(odometry).cov)
     assert np.allclose(of_unknown - of_known, np.diag([0.0125, 0.0, 0.0075]) ** 2)

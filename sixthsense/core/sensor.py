@@ -1,0 +1,96 @@
+"""Systematic errors of a sensor that names landmarks, as a camera does, and points corrected for them."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sixthsense.config import AssumedConfig
+from sixthsense.core.geometry import Array, rotation
+
+SENSOR_PARAMETERS = 3
+"""number of a sensor's parameters"""
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """Systematic errors of the points that a sensor reports in the robot's frame: those of its mount and lens.
+
+    A scale of distances is not among them: only that of the wheels relative to the sensor's is observable.
+    """
+
+    yaw_rad: float = 0.0
+    """direction of the sensor in the robot's frame, beyond the assumed one"""
+    forward_m: float = 0.0
+    """place of the sensor along the robot's x axis, beyond the assumed one"""
+    bearing_scale_error: float = 0.0
+    """true bearings are (1 + this) times those it reports, as by an error of a camera's focal length"""
+
+    @classmethod
+    def from_array(cls, values: Array) -> Sensor:
+        """The parameters of three numbers, in the order of the fields."""
+        return cls(*(float(value) for value in values))
+
+    def array(self) -> Array:
+        """(3,) in the order of the fields."""
+        return np.array(dataclasses.astuple(self))
+
+    def corrected(self, point: Array) -> tuple[Array, Array]:
+        """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one."""
+        x, y = point.tolist()
+        turn = rotation(self.yaw_rad + self.bearing_scale_error * math.atan2(y, x))
+        seen = turn @ point  # from the sensor, in the robot's axes
+        by_bearing = np.array([-seen[1], seen[0]])
+        by_point = turn + self.bearing_scale_error / (x * x + y * y) * np.outer(by_bearing, (-y, x))
+        return seen + np.array([self.forward_m, 0.0]), by_point
+
+    def reported(self, point: Array) -> Array:
+        """The reported point (2,) of one that is corrected."""
+        x, y = float(point[0]) - self.forward_m, float(point[1])
+        distance, bearing = math.hypot(x, y), (math.atan2(y, x) - self.yaw_rad) / (1.0 + self.bearing_scale_error)
+        return distance * np.array([math.cos(bearing), math.sin(bearing)])
+
+    def jacobian(self, point: Array) -> Array:
+        """(2, 3) of a corrected point by the parameters, for the reported point (2,)."""
+        bearing = math.atan2(point[1], point[0])
+        x, y = (rotation(self.yaw_rad + self.bearing_scale_error * bearing) @ point).tolist()
+        return np.array([[-y, 1.0, -y * bearing], [x, 0.0, x * bearing]])
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTerms:
+    """How the observation of a point depends on the sensor's parameters."""
+
+    values: Sensor
+    """the parameters that it was corrected with"""
+    z: Array
+    """(2,) as reported, robot's frame, m"""
+    cov: Array
+    """(2, 2) as reported"""
+
+    def jacobian(self) -> Array:
+        """(2, 3) of the corrected point by the parameters."""
+        return self.values.jacobian(self.z)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorEstimate:
+    """The sensor's parameters with their uncertainty: a prior, or an estimate."""
+
+    values: Sensor
+    cov: Array
+    """(3, 3) of the parameters, in the order of the fields"""
+
+    def with_sigmas(self) -> Array:
+        """(2, 3) the parameters, and their sigmas."""
+        return np.stack([self.values.array(), np.sqrt(np.maximum(np.diag(self.cov), 0.0))])
+
+
+def sensor_prior(config: AssumedConfig) -> SensorEstimate:
+    """The prior of the parameters: none is wrong, and the sigmas of `config.sensor`."""
+    sigmas = config.sensor
+    of_each = sigmas.yaw_sigma_rad, sigmas.forward_sigma_m, sigmas.bearing_scale_sigma
+    return SensorEstimate(Sensor(), np.diag(np.square(of_each)))

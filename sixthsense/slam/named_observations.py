@@ -1,0 +1,77 @@
+"""Observations that name their landmark, as a camera's of barcodes do: corrected for the errors of their sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from sixthsense.config import Config, ConfigError
+from sixthsense.config.names import CALIBRATE_WHEELS
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.sensor import Sensor, SensorEstimate, sensor_prior
+from sixthsense.core.source import Tick
+from sixthsense.slam.estimators import Estimate, Estimator, estimates_sensor
+from sixthsense.slam.front_end import Keyframe
+
+
+class NamedObservations:
+    """Corrects observations for their sensor's errors, and reports the uncertainty of its scale, if configured."""
+
+    def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
+        """Raises ConfigError for an estimator that cannot estimate the sensor, if it is to."""
+        self._estimator, self._start = estimator, start
+        self._sensor: Sensor | None = None
+        self._scale_variance = 0.0
+        if config.calibrate_sensor:
+            if not estimates_sensor(estimator):
+                raise ConfigError(f"calibrate_sensor: found true with {config.estimator}, {CALIBRATE_WHEELS}")
+            prior = sensor_prior(config.assumed)
+            estimator.estimate_sensor(prior)
+            self._sensor = prior.values
+            self._scale_variance = config.assumed.sensor.scale_sigma**2
+
+    def sensor(self) -> SensorEstimate | None:
+        """The sensor's parameters, if they are estimated."""
+        return self._estimator.sensor() if estimates_sensor(self._estimator) else None
+
+    def corrected(self, tick: Tick) -> Tick:
+        """The tick with its observations as the present parameters have them."""
+        if self._sensor is None or not tick.observations:
+            return tick
+        seen = {i: observation.with_sensor(self._sensor) for i, observation in tick.observations.items()}
+        return dataclasses.replace(tick, observations=seen)
+
+    def keyframe(self, keyframe: Keyframe | None) -> Keyframe | None:
+        """The keyframe with its estimate as `reported`; the sensor's newest parameters are used from now on."""
+        if keyframe is None or self._sensor is None:
+            return keyframe
+        found = self.sensor()
+        self._sensor = self._sensor if found is None else found.values
+        return dataclasses.replace(keyframe, estimate=self.reported(keyframe.estimate))
+
+    def reported(self, estimate: Estimate) -> Estimate:
+        """The estimate with the uncertainty of the scale, which no observation can reduce.
+
+        The map is as large as the sensor sees it. A wrong scale moves all away from the start, or towards it.
+        """
+        if not self._scale_variance:
+            return estimate
+        cov = estimate.pose_cov.copy()
+        cov[:2, :2] += self._of_scale(estimate.pose.position)
+        return dataclasses.replace(estimate, pose_cov=cov)
+
+    def reported_joint(self, estimate: Estimate, cov: Array) -> Array:
+        """`cov` (3 + 2n, 3 + 2n) of the pose and all landmarks, which are points, with the same uncertainty."""
+        if not self._scale_variance:
+            return cov
+        places = np.concatenate([estimate.pose.position, estimate.landmarks.ravel()])
+        index = np.delete(np.arange(len(cov)), 2)
+        out = cov.copy()
+        out[np.ix_(index, index)] += self._of_scale(places)
+        return out
+
+    def _of_scale(self, places: Array) -> Array:
+        """(2k, 2k) covariance of k places (2k,), world frame, by the scale."""
+        offset = places - np.tile(self._start.position, len(places) // 2)
+        return self._scale_variance * np.outer(offset, offset)
