@@ -1,6 +1,6 @@
 """Makes the pictures and films of README.md, the site and the gallery, and the outputs of the notebooks.
 
-    python docs/pictures.py                        # all, by the commands of docs/pictures.toml; about 20 minutes
+    python docs/pictures.py                        # all, by the commands of docs/pictures.toml; about 10 minutes
     python docs/pictures.py docs/apartment.png     # some, by their files
     python docs/pictures.py --check                # make them elsewhere, and say which differ from those kept
 
