@@ -1,6 +1,6 @@
 """Makes the pictures and films of README.md, the site and the gallery, and the outputs of the notebooks.
 
-    python docs/pictures.py                        # all, by the commands of docs/pictures.toml; about 20 minutes
+    python docs/pictures.py                        # all, by the commands of docs/pictures.toml; about 10 minutes
     python docs/pictures.py docs/apartment.png     # some, by their files
     python docs/pictures.py --check                # make them elsewhere, and say which differ from those kept
 
@@ -32,6 +32,7 @@ from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
 REGISTRY = ROOT / "docs" / "pictures.toml"
+CODE_FOLDERS = ("sixthsense", "scenes", "benchmarks")
 WIDGET = "application/vnd.jupyter.widget-view+json"
 
 COLORS = 256
@@ -124,8 +125,8 @@ def stamped(content: bytes, command: str) -> bytes:
 
 
 def commit() -> str:
-    """The commit of the code."""
-    git = ["git", "-C", str(ROOT), "rev-parse", "--short=10", "HEAD"]
+    """The last commit that changed the code."""
+    git = ["git", "-C", str(ROOT), "log", "-1", "--format=%h", "--abbrev=10", "--", *CODE_FOLDERS]
     return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
 
 

@@ -27,9 +27,11 @@ def test_a_page_of_a_notebook_has_its_text_code_and_pictures_and_no_link_to_a_no
     import notebooks
 
     text, pictures = notebooks.page(ROOT / "notebooks" / "10_your_own.ipynb")
-    assert text.startswith("# An estimator of your own") and "```python" in text
+    assert text.lstrip().startswith("# An estimator of your own") and "```python" in text
     assert pictures and all(name in text for name in pictures)
-    assert ".ipynb)" not in text
+    assert not re.search(r"\]\((?!https:)[^)]*\.ipynb\)", text)
+    assert "[Open in Colab](https:" in text and "badge" not in text and "google.colab" not in text
+    assert text.count('<details markdown="1">') == 2  # the code of the first picture, and the answer of the exercise
 
 
 @pytest.mark.parametrize("page", ["gallery.md", "report_figures.md", "index.md"])
