@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import path_to_nearest
+from sixthsense.navigation.gridsearch import cheapest_way, costs_from
+from sixthsense.navigation.gridsearch.prices import STRAIGHT
 from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
@@ -39,8 +40,12 @@ def _path_between(inner: FreeSpace, outer: FreeSpace, start: Array, limit_m: flo
     down, across = (round((inner.origin[k] - outer.origin[k]) / inner.cell_m) for k in (1, 0))
     free = ~inner.window(row + offsets, col + offsets)
     wanted = ~outer.window(row + down + offsets, col + across + offsets)
-    cells = path_to_nearest(free, wanted, inner.cell_m, limit_m)
-    if cells is None:
+    prices = free.astype(np.uint8)
+    costs = costs_from(prices, reach, reach)
+    reached = wanted & (costs >= 0) & (costs * inner.cell_m <= limit_m * STRAIGHT)
+    if not reached.any():
         return None
+    nearest = np.argmin(np.where(reached, costs, np.iinfo(costs.dtype).max))
+    cells = cheapest_way(prices, costs, *divmod(int(nearest), costs.shape[1]))
     points = [inner.centre(row + int(r) - reach, col + int(c) - reach) for r, c in cells]
     return np.array([start, *points[1:]])

@@ -1,62 +1,68 @@
-"""One exploration that has a map: what each action of its states does (report section 4.5).
+"""One exploration that has a map: where it drives next, and when it ends (report section 4.5).
 
-`exploration_states.py` has the states and transitions, `view_planner.py` chooses views, `path_driver.py` drives.
+It is viewing, closing a loop because its pose is uncertain, or going home. `view_planner.py` chooses views, `ways.py`
+has the costs of going, `path_driver.py` drives.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.closed_walls import ClosedWalls
-from sixthsense.navigation.exploration_states import TRANSITIONS, Action, Event, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.gridsearch import Distances, ReachableCells
+from sixthsense.navigation.frontier import centre_cell
+from sixthsense.navigation.gridsearch import Costs, Prices, cheapest_way, costs_from, reached_cells
 from sixthsense.navigation.known_views import KnownViews
 from sixthsense.navigation.limited_map import LimitedMap
 from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
 from sixthsense.navigation.navigator import Outcome
-from sixthsense.navigation.path_driver import DriveEvent, PathDriver
+from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
 from sixthsense.navigation.pose_history import PoseHistory
-from sixthsense.navigation.stagnation import Stagnation
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.view_planner import ViewPlanner
-from sixthsense.navigation.views_elsewhere import cells_approached_at, nearest_shown_elsewhere
 from sixthsense.navigation.visibility import visible_cells
-from sixthsense.navigation.without_clearance import GapsOnTheWay
 from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
+
+State = Literal["viewing", "closing a loop", "going home"]
 
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
 _SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
+_BLOCKED_PATHS = 6  # without anything new to see; explorations that go on have up to three in a row
+_NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
 
 
 class Exploration:
-    """Drives to the view with the largest gain per time until nothing is left to see, then home.
+    """Drives from view to view until nothing is left to see, then home.
 
-    It looks at unseen cells of the region beside seen free ones from the nearest cell with a line of sight and, if a
-    turn around there does not show them, from as near as possible. Then it gives them up, with a reason.
+    It looks at unseen cells of the region beside seen free ones from the nearest cell with a line of sight. Where a
+    turn around does not show them, it gives them up after a few tries, with a reason.
     """
 
     def __init__(self, task: ExplorationTask, grid: Grid, estimate: Estimate) -> None:
         """Begin with the first map."""
         self.outcome: Outcome | None = None
         self.left: list[UnseenPlace] = []
-        self.state: State = "selecting"
-        self._task, self._limited = task, LimitedMap(task)
-        self._widening, self._passages = self._limited.widening, self._limited.passages
-        self._target, self._failed_views = NO_TARGET, FailedViewCounts()
-        self._known_views, self._reachable_cells = KnownViews(), ReachableCells()
+        self.state: State = "viewing"
+        self._task, self._limited = task, LimitedMap(task.region, task.radius_m, task.config)
+        self._widening, self._ways = self._limited.widening, self._limited.ways
+        self._target, self._turning = NO_TARGET, False  # whether it turns around, at a viewpoint or while it waits
+        self._failed_views, self._failed_dear_views = FailedViewCounts(), FailedViewCounts()
+        self._known_views = KnownViews()
         self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
         self._history = PoseHistory(task.config.explore)
-        self._gaps_home = GapsOnTheWay(task.home, task.radius_m, task.config.explore.tries)
-        self._retries, self._retracing = 0, False  # of unreachable cells; home as the robot came
-        self._stagnation = Stagnation(task.config.people)
+        self._ways_home = 0  # over dear cells, that were tried
+        self._stuck = False  # since the last arrival
+        self._blocked_paths = self._waits = 0  # since the robot has seen anything new
+        self._seen_m2 = 0.0
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._limited.driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
@@ -66,158 +72,146 @@ class Exploration:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
         self._map = self._limited.driving_map(grid, estimate)
+        self._ways.moved(pose.position)
         self._update_window(pose)
         self._history.add(pose, estimate.pose_cov)
-        if self._passages.moved(pose.position):
-            self._retries = 0  # what was unreachable may no longer be
-        if self._history.is_certain:
-            self._react("pose certain", pose)
-        elif self._history.needs_loop_closure and (self._has_seen_more or self._history.is_much_less_certain):
-            self._react("pose uncertain", pose)
-        if self._target.is_seen(grid):
+        if self.state == "viewing":
+            self._view(grid, pose)
+        elif self.state == "closing a loop" and self._history.is_certain:
+            self._choose_view(pose)
+        elif not self.driver.path_is_free(pose):
+            self.driver.plan(pose)
+
+    def _view(self, grid: Grid, pose: Pose) -> None:
+        """Go on with a view: until its cells are seen, its path is blocked, or the pose becomes uncertain."""
+        waits = self._turning and self._target is NO_TARGET
+        seen_more = self._has_seen_more or self._history.is_much_less_certain
+        if self._history.needs_loop_closure and seen_more and not waits and self._close_loop(pose):
+            return
+        if self._target.is_seen(grid) and not waits:
             self._has_seen_more |= self._target is not NO_TARGET
-            if self._react("target seen", pose):
-                return
-        if not self.driver.path_is_free(pose):
-            self._react("path blocked", pose)
+            self._blocked_paths = 0
+            self._choose_view(pose)
+        elif not self._turning and not self.driver.path_is_free(pose):
+            self._replan_or_choose_view(pose)
 
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """React to an event of the drive; whether the exploration is over."""
-        self._react(event, pose)
+        if event == "stuck" and self._stuck:
+            self.outcome = "stuck"
+        elif self.state == "closing a loop":
+            self._choose_view(pose)
+        elif self.state == "going home":
+            self._finish() if event == "arrived" else self._go_home_as_it_came(pose)
+        elif event == "arrived":
+            if not self._turning:
+                self._turning = True
+                self.driver.turn_around(pose, self._task.sensor.turn_rad)
+        elif not self._turning:
+            self._give_up_target(pose)
+        elif self._target is NO_TARGET:
+            self._look_again(pose)
+        else:
+            self._count_failed_view(pose)
+        self._stuck = event == "stuck" or (self._stuck and event != "arrived")
+        if event == "arrived":
+            self._blocked_paths = 0
         return self.outcome is not None
 
-    def _react(self, event: Event, pose: Pose) -> bool:
-        """Carry out the transition of the present state; whether there is one."""
-        transition = TRANSITIONS[self.state].get(self._stagnation.event(event))
-        if transition is None:
-            return False
-        self.state = _ACTIONS[transition.action](self, pose)
-        return True
-
-    def _choose_view(self, pose: Pose) -> State:
-        """Head for the view with the largest utility, or home when none is left."""
+    def _choose_view(self, pose: Pose) -> None:
+        """Head for the first view of a tour, through dear cells if no other is left, or home when none is left."""
         self.driver.stop()
-        target = self._next_target(pose) or self._unreachable_target(pose) or self._target_outside(pose)
-        target = target or self._target_through_passage(pose)
-        self._target = NO_TARGET if target is None else target
-        if target is not None:
-            self.driver.head_for(self._window.point(*target.viewpoint_in(self._window)), pose)
-            return "to viewpoint"
-        self.left = unseen_places(self._make_view_planner(pose))
-        if self.left and self._stagnation.may_wait(self._map.grid.seen_area_m2):
+        self.state, self._turning = "viewing", False
+        self._target = self._next_target(pose) or self._target_outside(pose) or self._dear_target(pose) or NO_TARGET
+        if self._target is not NO_TARGET:
+            self.driver.head_for(self._window.point(*self._target.viewpoint_in(self._window)), pose)
+            return
+        planner = self._make_view_planner(pose)
+        self.left = unseen_places(planner, planner.candidates(self._widening))
+        if self.left and self._may_wait():
+            self._turning = True
             self.driver.wait(pose)
-            return "waiting"
+            return
+        self.state = "going home"
         if self._task.config.explore.return_home:
             self.driver.head_for(self._task.home, pose)
         else:
-            self._finish(pose)
-        return "returning"
+            self._finish()
 
-    def _replan(self, pose: Pose) -> State:
-        self.driver.plan(pose)
-        return self.state
-
-    def _replan_or_choose_view(self, pose: Pose) -> State:
+    def _replan_or_choose_view(self, pose: Pose) -> None:
         """Without a path, or with a much longer one, choose anew: what was seen on the way may favour another view.
 
-        A target whose path is blocked again and again, while nothing new is seen, is given up.
+        Noise may open one of two gaps as often as the other, and the robot would turn from one to the other for ever.
+        So a target whose path is blocked again and again, while nothing new is seen, is given up.
         """
         promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
         if self.driver.remaining_m(pose) <= _LONGER * promised_m < math.inf:
-            return self.state
-        seen_m2 = np.count_nonzero(self._window.seen) * self._window.cell_m**2
-        return self._mark_unreachable(pose) if self._stagnation.blocks_for_good(seen_m2) else self._choose_view(pose)
+            return
+        self._forget_if_new()
+        self._blocked_paths += 1
+        if self._blocked_paths <= _BLOCKED_PATHS:
+            self._choose_view(pose)
+        else:
+            self._blocked_paths = 0
+            self._give_up_target(pose)
 
-    def _turn_around(self, pose: Pose) -> State:
-        self.driver.turn_around(pose, self._task.sensor.turn_rad)
-        return "at viewpoint"
-
-    def _count_failed_view(self, pose: Pose) -> State:
+    def _count_failed_view(self, pose: Pose) -> None:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
         window, self._has_seen_more = self._window, True
         cell = window.cell(pose.position)
         visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
-        failed = (self._target.mask(window) | visible) & window.unknown
-        self._failed_views.count_failure(window, failed)
-        often = failed & (self._failed_views.within(window) >= self._task.config.explore.tries)
-        if self._target.occluded and often.any():
-            # The views from before the gap have not opened it.
-            planner = self._make_view_planner(pose)
-            approached = cells_approached_at(planner, planner.candidates(self._widening), cell)
-            self._failed_views.mark_unreachable(window, often | approached)
-        return self._choose_view(pose)
+        self._failed.count_failure(window, (self._target.mask(window) | visible) & window.unknown)
+        self._choose_view(pose)
 
-    def _look_again(self, pose: Pose) -> State:
+    def _give_up_target(self, pose: Pose) -> None:
+        """Count a target that the robot has not come to as not seen, then choose another view."""
+        self._ways.close_untried()
+        window = self._window
+        self._failed.count_failure(window, self._target.mask(window) & window.unknown)
+        self._choose_view(pose)
+
+    def _look_again(self, pose: Pose) -> None:
         """Choose a view as if nothing had been given up: who was in the way may have gone."""
-        self._failed_views, self._retries = FailedViewCounts(), 0
-        return self._choose_view(pose)
+        self._failed_views, self._failed_dear_views = FailedViewCounts(), FailedViewCounts()
+        self._choose_view(pose)
 
-    def _mark_unreachable(self, pose: Pose) -> State:
-        """Give the target up until a path leads to it, then choose another view."""
-        self._passages.close_untried()
-        self._failed_views.mark_unreachable(self._window, self._target.mask(self._window) & self._window.unknown)
-        return self._choose_view(pose)
-
-    def _close_loop(self, pose: Pose) -> State:
-        """Head for the nearest place where the pose was certain, if one can be reached."""
+    def _close_loop(self, pose: Pose) -> bool:
+        """Head for the nearest place where the pose was certain; whether one can be reached."""
         self._history.postpone_loop_closure()
-        places = self._history.well_known_places()
-        distances = self._distances(pose)
-        costs = np.array([distances.to(*self._window.cell(place)) for place in places])
-        if not np.isfinite(costs).any():
-            return self.state
-        self._target, self._has_seen_more = NO_TARGET, False
-        self.driver.head_for(places[int(np.argmin(costs))], pose)
-        return "closing a loop"
+        costs = self._costs(self._ways.free_prices(self._window), pose)
+        places = [place for place in self._history.well_known_places() if costs[self._window.cell(place)] >= 0]
+        if not places:
+            return False
+        self.state, self._target, self._turning, self._has_seen_more = "closing a loop", NO_TARGET, False, False
+        self.driver.head_for(min(places, key=lambda place: int(costs[self._window.cell(place)])), pose)
+        return True
 
-    def _drop_target(self, pose: Pose) -> State:
-        self._target = NO_TARGET
-        return "selecting"
-
-    def _approach_gap_or_retrace(self, pose: Pose) -> State:
-        """Without a path home: look at the gap that closes it, else drive back as the robot came."""
-        been, reachable = self._history.positions, self._distances(pose).reachable
-        gap = self._gaps_home.next(self._window, pose, reachable, been)
-        if gap is not None:
-            self.driver.head_for(gap, pose)
-            return "approaching gap"
-        if not self._retracing:
-            self._retracing = True
-            self._passages.open_back(been)
+    def _go_home_as_it_came(self, pose: Pose) -> None:
+        """Without a path home, open the cheapest way over dear cells, those where the robot has been included."""
+        if self._ways_home < self._task.config.explore.tries:
+            self._ways_home += 1
+            window = self._window
+            prices = self._ways.dear_prices(window, self._map.grid, self._history.positions)
+            costs = self._costs(prices, pose)
+            self._ways.open(window, cheapest_way(prices, costs, *window.cell(self._task.home)), prices)
             self._update_window(pose)
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:
-                return "returning"
-        if self._stagnation.may_wait(self._map.grid.seen_area_m2):
+                return
+        if self._may_wait():
             self.driver.plan(pose)
         else:
             self.outcome = "goal unreachable"
-        return "returning"
 
-    def _finish(self, pose: Pose) -> State:
+    def _finish(self) -> None:
         explored: Outcome = "explored in part" if self.left else "explored"
         self.outcome = "lost" if self._history.sigma_m > _LOST_M else explored
-        return self.state
-
-    def _give_up(self, pose: Pose) -> State:
-        self.outcome = "stuck"
-        return self.state
 
     def _next_target(self, pose: Pose) -> Target | None:
-        """The best view, else the nearest one of what only cells out of reach show; None if nothing is left to see."""
+        """The best view from a cell in reach; None if nothing is left to see from there."""
         planner = self._make_view_planner(pose)
-        candidates = planner.candidates(self._widening)
-        return planner.next_target(candidates, self._task.rng) or nearest_shown_elsewhere(planner, candidates)
-
-    def _unreachable_target(self, pose: Pose) -> Target | None:
-        """A target among cells that were unreachable and have become visible."""
-        if self._retries == self._task.config.explore.tries:
-            return None
-        self._retries += 1
-        visible = self._make_view_planner(pose).visible_again()
-        self._failed_views.reset(self._window, visible, self._task.config.explore.tries - 1)
-        return self._next_target(pose) if visible.any() else None
+        return planner.next_target(planner.candidates(self._widening), self._task.rng)
 
     def _target_outside(self, pose: Pose) -> Target | None:
         """A target for a robot that may drive farther outside the region, from where it may see more of it."""
@@ -232,37 +226,65 @@ class Exploration:
         self._update_window(pose)
         return None
 
-    def _target_through_passage(self, pose: Pose) -> Target | None:
-        """A target behind a gap that only the clearance closes, which the robot may now pass without it."""
-        planner = self._make_view_planner(pose)
-        for place in unseen_places(planner):
-            shown = self._passages.open_to(planner, place, self._map.grid)
-            if shown is not None:
-                self._failed_views.reset(planner.window, shown, 0)
-                self._update_window(pose)
-                target = self._next_target(pose) or self._unreachable_target(pose)
-                if target is not None:
-                    return target
-                self._passages.close_untried()
-        self._update_window(pose)
-        return None
+    def _dear_target(self, pose: Pose) -> Target | None:
+        """A target behind a gap that only the clearance closes, and the cheapest way through it, opened."""
+        grid = self._map.grid
+        prices = self._ways.dear_prices(self._window, grid)
+        costs = self._costs(prices, pose)
+        planner = self._make_view_planner(pose, costs >= 0)
+        candidates = planner.candidates(self._widening)
+        # What free cells have in view was ignored, as long as all of it is dust.
+        hidden = [cells for cells in candidates.clusters if not self._known_views.ignores(centre_cell(cells))]
+        dust = candidates.dust - self._known_views.shown_by_ignored
+        target = planner.next_target(replace(candidates, clusters=hidden, dust=dust), self._task.rng)
+        if target is not None:
+            target = replace(target, dear=True)
+            self._ways.open(self._window, cheapest_way(prices, costs, *target.viewpoint_in(self._window)), prices)
+            self._update_window(pose)
+        return target
 
-    def _make_view_planner(self, pose: Pose) -> ViewPlanner:
-        """Close the walls of the map window, and make the view planner for it."""
+    def _make_view_planner(self, pose: Pose, beyond: Bools | None = None) -> ViewPlanner:
+        """The view planner for views from the cells that a path leads to, or from others in reach, `beyond` (H, W)."""
         closed = self._closed_walls.close(self._window, self._map.grid)
         window = self._drawn_window = closed.window
-        task, failed_views = self._task, self._failed_views.within(window)
-        distances, gain = self._distances(pose), ViewGain(closed, task.sensor, task.radius_m)
-        viewpoints = gain.viewpoints(distances.reachable)
-        return ViewPlanner(gain, failed_views, pose, distances, viewpoints, task.config, task.home, self._known_views)
-
-    def _distances(self, pose: Pose) -> Distances:
-        """Distances from the robot over cells that were seen and are not blocked."""
-        window = self._window
-        free = self.driver.space.nearest_free(pose.position, 0.5)
-        here = window.cell(pose.position if free is None else free)
+        task = self._task
         passable, blocked = window.seen & ~window.blocked, np.array(window.blocked)
-        return Distances(passable, blocked, *here, self._reachable_cells.of(passable, blocked, window.first, here))
+        reachable = reached_cells(passable, blocked, *self._here(pose))
+        gain = ViewGain(closed, task.sensor, task.radius_m)
+        if beyond is None:
+            failed, known, view_cells = self._failed_views, self._known_views, reachable
+        else:
+            failed, known, view_cells = self._failed_dear_views, KnownViews(), beyond & ~reachable
+            reachable = reachable | beyond
+        viewpoints = gain.viewpoints(view_cells)
+        return ViewPlanner(gain, failed.within(window), pose, reachable, viewpoints, task.config, task.home, known)
+
+    @property
+    def _failed(self) -> FailedViewCounts:
+        """The counts of failed views of the kind that the target's is."""
+        return self._failed_dear_views if self._target.dear else self._failed_views
+
+    def _costs(self, prices: Prices, pose: Pose) -> Costs:
+        """(H, W) the costs of the ways from the robot."""
+        return costs_from(prices, *self._here(pose))
+
+    def _here(self, pose: Pose) -> tuple[int, int]:
+        """The cell of the window that paths from the robot begin at."""
+        free = self.driver.space.nearest_free(pose.position, 0.5)
+        return self._window.cell(pose.position if free is None else free)
+
+    def _may_wait(self) -> bool:
+        """Count a wait for people to go; whether any are expected and patience is left."""
+        self._forget_if_new()
+        self._waits += 1
+        return bool(self._task.config.people) and self._waits <= PATIENT_TURNS
+
+    def _forget_if_new(self) -> None:
+        """Count blocked paths and waits from nothing if more has been seen since the last one."""
+        seen_m2 = self._map.grid.seen_area_m2
+        if seen_m2 > self._seen_m2 + _NEW_M2:
+            self._blocked_paths = self._waits = 0
+        self._seen_m2 = max(seen_m2, self._seen_m2)
 
     def _update_window(self, pose: Pose) -> None:
         self.driver.update_map(self._map, pose)
@@ -274,19 +296,3 @@ class Exploration:
         if self._drawn_window is None:
             self._drawn_window = self._limited.window(self._map.grid, self.driver.space)
         return self._drawn_window
-
-
-_ACTIONS: dict[Action, Callable[[Exploration, Pose], State]] = {
-    "choose view": Exploration._choose_view,
-    "replan": Exploration._replan,
-    "replan or choose view": Exploration._replan_or_choose_view,
-    "turn around": Exploration._turn_around,
-    "count failed view": Exploration._count_failed_view,
-    "look again": Exploration._look_again,
-    "mark unreachable": Exploration._mark_unreachable,
-    "close loop": Exploration._close_loop,
-    "drop target": Exploration._drop_target,
-    "approach gap or retrace": Exploration._approach_gap_or_retrace,
-    "finish": Exploration._finish,
-    "give up": Exploration._give_up,
-}

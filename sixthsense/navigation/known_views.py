@@ -26,8 +26,6 @@ class View(NamedTuple):
     """how many cells it shows"""
     span: int
     """rows and columns around the cell that determine this"""
-    nowhere: bool = False
-    """whether there is none from wherever the robot would fit, either"""
 
 
 class KnownViews:
@@ -78,6 +76,15 @@ class KnownViews:
     def get(self, cell: Cell) -> View | None:
         """What is remembered of a cell of the latest map."""
         return self._views.get(cell)
+
+    def ignores(self, cell: Cell) -> bool:
+        """Whether the view of a cell is ignored."""
+        return cell in self._ignored
+
+    @property
+    def shown_by_ignored(self) -> int:
+        """How many cells the views that are ignored show together."""
+        return sum(self._views[cell].shown for cell in self._ignored)
 
     def worthwhile(self, cells: list[Cell], dust: float) -> list[int]:
         """The indices of the cells whose views are not ignored, of those whose view is remembered.

@@ -21,9 +21,6 @@ Region = tuple[float, float, float, float]
 NOWHERE = 0, 0, 0, 0
 """No rows and columns."""
 
-UNREACHABLE = 255
-"""Failed-view count of a cell that no path led to; counting stops below it."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapWindow:
@@ -100,8 +97,8 @@ class Target:
     """(N, 2) unseen cells, row and col counted from the world's origin"""
     viewpoint: tuple[int, int]
     """the cell to see them from, counted likewise"""
-    occluded: bool
-    """the cells are visible from no reachable cell; the viewpoint is the nearest one to approach them"""
+    dear: bool = False
+    """whether only ways over dear cells lead to the viewpoint"""
 
     def viewpoint_in(self, window: MapWindow) -> tuple[int, int]:
         """Row and col of the viewpoint in a window."""
@@ -119,7 +116,7 @@ class Target:
         return bool(np.count_nonzero(grid.unknown(self.cells)) <= _SEEN_FRACTION * len(self.cells))
 
 
-NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0), False)
+NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0))
 
 
 class FailedViewCounts:
@@ -150,14 +147,6 @@ class FailedViewCounts:
         return self._all[row : row + shape[0], col : col + shape[1]]
 
     def count_failure(self, window: MapWindow, cells: Bools) -> None:
-        """Count one more failed view of (H, W) `cells`, but of those that are `UNREACHABLE`."""
+        """Count one more failed view of (H, W) `cells`."""
         counts = self.within(window)
-        counts[cells & (counts < UNREACHABLE - 1)] += 1
-
-    def mark_unreachable(self, window: MapWindow, cells: Bools) -> None:
-        """Give (H, W) `cells` up as `UNREACHABLE`."""
-        self.within(window)[cells] = UNREACHABLE
-
-    def reset(self, window: MapWindow, cells: Bools, count: int) -> None:
-        """Set the counts of (H, W) `cells`."""
-        self.within(window)[cells] = count
+        counts[cells & (counts < np.iinfo(counts.dtype).max)] += 1

@@ -8,11 +8,13 @@ from typing import Literal, get_args
 import numpy as np
 from scipy import ndimage
 
-from sixthsense.navigation.frontier import centre_cell, frontier_clusters
+from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters
+from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.regions import frontier_cells, in_large_regions
-from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.view_planner import Candidates, ViewPlanner
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.inflation import too_near
 
 Reason = Literal["cut off by inflation only", "unreachable", "gave up"]
 
@@ -44,13 +46,18 @@ def as_reason(text: str) -> Reason:
     raise ValueError(f"reason: found {text!r}, allowed: {', '.join(reasons)}")
 
 
-def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
-    """The connected unseen areas that were given up and would be visible from where the robot fits, the largest first.
+def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPlace]:
+    """The connected unseen areas that would be visible from where the robot fits, the largest first.
+
+    They were given up, or are of the `candidates` and in view of no cell in reach.
 
     A line of sight counts if it passes no opaque cell.
     """
     window, explore = planner.window, planner.config.explore
     given_up = window.unseen & (planner.failed_views >= explore.tries)
+    for cells in candidates.clusters:
+        if planner.viewpoints.nearest(centre_cell(cells)) is None:  # there was nowhere to look from
+            given_up[tuple(adjacent_cells(candidates.wanted, cells).T)] = True
     edge = np.argwhere(frontier_cells(window.free, given_up))
     edge = edge[in_large_regions(window.free, edge, planner.glimpsed_cells(), window.cell(planner.pose.position))]
     clusters = frontier_clusters(edge, planner.tile)
@@ -82,7 +89,10 @@ def unseen_places(planner: ViewPlanner) -> list[UnseenPlace]:
 
 def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:
     """(H, W) the cells from which something may be seen, by the reason why it has not been, the best first."""
-    reachable = planner.distances.reachable
-    without_clearance = planner.distances_without_clearance().reachable
-    elsewhere = planner.fitting_cells() & ~without_clearance & ~reachable
-    return {"gave up": reachable, "cut off by inflation only": without_clearance, "unreachable": elsewhere}
+    window, here = planner.window, planner.window.cell(planner.pose.position)
+    fitting = window.seen & ~too_near(window.obstacles, planner.gain.radius_m / window.cell_m)
+    without_clearance = costs_from(fitting.astype(np.uint8), *here) >= 0
+    labels, _ = ndimage.label(fitting)
+    large = np.bincount(labels.ravel()) >= planner.glimpsed_cells()
+    elsewhere = fitting & large[labels] & ~without_clearance & ~planner.reachable
+    return {"gave up": planner.reachable, "cut off by inflation only": without_clearance, "unreachable": elsewhere}

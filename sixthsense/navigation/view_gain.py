@@ -10,8 +10,8 @@ from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.closed_walls import ClosedMap
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.visibility import expected_gain, gapless_reach
-from sixthsense.navigation.without_clearance import too_near
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.inflation import too_near
 
 _GAIN_DEPTH_M = 3.0  # how far into unknown space a view is expected to reach
 _NEARBY_M = 1.0  # from unseen cells: how far off a view past the edge of an obstacle is completed

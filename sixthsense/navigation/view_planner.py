@@ -1,6 +1,6 @@
 """Choosing the next view: which unseen cells to look at, and from where.
 
-`ViewPlanner` holds one map and one pose and is never changed.
+`ViewPlanner` holds one map and one pose, and remembers the views that it has found.
 """
 
 from __future__ import annotations
@@ -18,18 +18,15 @@ from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.frontier import (
     adjacent_cells,
     centre_cell,
-    centre_cells,
     drop_small_regions,
     frontier_clusters,
 )
-from sixthsense.navigation.gridsearch import Distances
 from sixthsense.navigation.known_views import KnownViews, View
-from sixthsense.navigation.map_window import NOWHERE, UNREACHABLE, MapWindow, Target
+from sixthsense.navigation.map_window import NOWHERE, MapWindow, Target
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
 from sixthsense.navigation.tour import first_view
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.viewpoints import Viewpoints
-from sixthsense.navigation.without_clearance import distances_without_clearance, fitting_cells
 from sixthsense.slam.mapping.freespace import Bools
 
 _TILE_M = 1.0  # longer frontiers are split
@@ -58,8 +55,8 @@ class ViewPlanner:
     """(H, W) how often each cell was not seen from a viewpoint chosen for it"""
     pose: Pose
     """the robot's"""
-    distances: Distances
-    """from the robot over free space, in cells"""
+    reachable: Bools
+    """(H, W) the cells that paths lead to from the robot"""
     viewpoints: Viewpoints
     """the search among the cells that it can reach"""
     config: Config
@@ -91,7 +88,7 @@ class ViewPlanner:
         few, widened = self.failed_views < explore.tries, widening.step > 0
         unknown = window.unknown
         # Cells that were looked at and not seen are no reason to drive farther outside.
-        sought = window.unseen & (few | (self.failed_views == UNREACHABLE)) if widened else window.unseen
+        sought = window.unseen & few if widened else window.unseen
         steps = max(1, round(widening.outside_m / window.cell_m))
         wanted = spread(sought, unknown, steps, NOWHERE if widened else window.inside) & few
         edge = self.gain.closed.edge
@@ -99,7 +96,7 @@ class ViewPlanner:
         edge = edge[in_large_regions(window.free, edge, self.glimpsed_cells(), window.cell(self.pose.position))]
         dust = explore.dust * np.count_nonzero(window.seen)
         wanted, edge = drop_small_regions(wanted, edge, dust)
-        self.known.update(window.first, (self.distances.reachable, window.obstacles, wanted))
+        self.known.update(window.first, (self.reachable, window.obstacles, wanted))
         return Candidates(wanted, frontier_clusters(edge, self.tile), dust)
 
     def glimpsed_cells(self) -> int:
@@ -124,8 +121,8 @@ class ViewPlanner:
         views, here = np.array([view for _, view, _ in found]), window.cell(self.pose.position)
         # A wall is inflated to more than twice the robot's radius: no way over such tiles leads through one.
         tile = max(1, math.floor(2.0 * self.gain.radius_m / window.cell_m))
-        k = first_view(self.distances.reachable, tile, here, views, window.cell(self.home))
-        return self.target_of(candidates.wanted, found[k][0], found[k][1], occluded=False)
+        k = first_view(self.reachable, tile, here, views, window.cell(self.home))
+        return self.target_of(candidates.wanted, found[k][0], found[k][1])
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""
@@ -147,7 +144,7 @@ class ViewPlanner:
     def target_beside(self, wanted: Bools, cells: Cells) -> Target | None:
         """The cells of `wanted` beside a cluster, with the nearest viewpoint; None if no view is worth while."""
         found = self.view_beside(wanted, cells)
-        return None if found is None else self.target_of(wanted, cells, found[0], occluded=False)
+        return None if found is None else self.target_of(wanted, cells, found[0])
 
     def view_beside(self, wanted: Bools, cells: Cells) -> tuple[tuple[int, int], int] | None:
         """The nearest viewpoint of a cluster, and how many cells it shows; None if no view is worth while.
@@ -168,37 +165,10 @@ class ViewPlanner:
         self.known.add(centre, View(view, shown, self.gain.span(view, centre)))
         return view, shown
 
-    def by_distance(self, clusters: list[Cells]) -> list[int]:
-        """The indices of the clusters by the straight distance of their centres from the robot."""
-        here = self.window.cell(self.pose.position)
-        away = [math.dist(here, centre) for centre in centre_cells(clusters).tolist()]
-        order: list[int] = np.argsort(away, kind="stable").tolist()
-        return order
-
-    def target_of(self, wanted: Bools, cells: Cells, view: tuple[int, int], occluded: bool) -> Target:
+    def target_of(self, wanted: Bools, cells: Cells, view: tuple[int, int]) -> Target:
         """The cells of `wanted` beside a cluster, to be seen from a cell of the window."""
         first = self.window.first
-        return Target(adjacent_cells(wanted, cells) + first, (view[0] + first[0], view[1] + first[1]), occluded)
-
-    def visible_again(self) -> Bools:
-        """(H, W) the unreachable regions that are visible from a reachable cell now: noise may have closed the path."""
-        window = self.window
-        unreachable = window.unseen & (self.failed_views == UNREACHABLE)
-        labels, _ = ndimage.label(unreachable)
-        visible: set[int] = set()
-        edge = self.gain.closed.edge[are_beside(unreachable, self.gain.closed.edge)]
-        for cells in frontier_clusters(edge, self.tile):
-            if self.viewpoints.nearest(centre_cell(cells)) is not None:
-                visible.update(labels[tuple(adjacent_cells(unreachable, cells).T)].tolist())
-        return np.isin(labels, list(visible))
-
-    def fitting_cells(self) -> Bools:
-        """(H, W) the cells where the robot fits without the clearance, in places large enough to count."""
-        return fitting_cells(self.window, self.pose, self.gain.radius_m, self.glimpsed_cells())
-
-    def distances_without_clearance(self) -> Distances:
-        """Distances from the robot if it may come as near to an obstacle cell's centre as its radius."""
-        return distances_without_clearance(self.window, self.pose, self.gain.radius_m)
+        return Target(adjacent_cells(wanted, cells) + first, (view[0] + first[0], view[1] + first[1]))
 
     @property
     def tile(self) -> int:

@@ -20,7 +20,7 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.exploration_navigator import ExplorationNavigator
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.gridsearch import ReachableCells
+from sixthsense.navigation.gridsearch import cheapest_way, costs_from
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
@@ -104,13 +104,11 @@ def warm_up() -> None:
 
 
 def _warm_up_choice() -> None:
-    """What a choice of a view needs later than the first one: cells that change, and views that are hidden."""
-    passable, here, reachable = np.ones((60, 60), dtype=np.bool_), (30, 30), ReachableCells()
-    for _ in range(2):
-        found = reachable.of(passable, ~passable, (0, 0), here)
-        passable = passable.copy()
-        passable[10, 10] = False
-    mark_visible(found.copy(), ~found, found.copy(), *here, 3.0)
+    """What a choice of a view needs later than the first one: views that failed, and ways over dear cells."""
+    free, here = np.ones((60, 60), dtype=np.bool_), (30, 30)
+    mark_visible(free.copy(), ~free, free.copy(), *here, 3.0)
+    prices = free.astype(np.uint8)
+    cheapest_way(prices, costs_from(prices, *here), 0, 0)
 
 
 def _keep_imports() -> None:

@@ -13,7 +13,7 @@ from ompl import base, geometric, util
 
 from sixthsense.config import RRTStarConfig
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import reachable_cells
+from sixthsense.navigation.gridsearch import reached_cells
 from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import TOUCH, FreeSpace, as_point, line_touches
 
@@ -45,9 +45,9 @@ class RRTStar:
         elif space.line_is_free(first, last):
             between = np.array([first, last])
         else:
-            cells = reachable_cells(space.blocked, *space.cell_of(start_world))
-            row, col = space.cell_of(goal_world)
-            if row * space.blocked.shape[1] + col not in cells:
+            reached = reached_cells(~space.blocked, np.array(space.blocked), *space.cell_of(start_world))
+            cells = np.flatnonzero(reached)
+            if not reached[space.cell_of(goal_world)]:
                 return Plan.without_path("no path", 0, time.perf_counter() - began)
             between, iterations = self._solve(space, cells, first, last)
         if between is None:
@@ -55,7 +55,7 @@ class RRTStar:
         path_world = joined_path(start_world, between, goal_world)
         return Plan.along(path_world, iterations, time.perf_counter() - began)
 
-    def _solve(self, space: FreeSpace, cells: NDArray[np.int32], first: Array, last: Array) -> tuple[Array | None, int]:
+    def _solve(self, space: FreeSpace, cells: NDArray[np.int64], first: Array, last: Array) -> tuple[Array | None, int]:
         """The way points (N, 2) from `first` to `last`, None if no path was found, and the number of iterations."""
         util.setLogLevel(util.LogLevel.LOG_NONE)
         # The seed applies to the objects made from here on.

@@ -65,6 +65,13 @@ def stamped(obstacles: Bools, stencil: NDArray[np.int64]) -> Bools:
     return blocked[rim : rim + obstacles.shape[0], rim : rim + obstacles.shape[1]].copy()
 
 
+def too_near(obstacles: Bools, radius: float) -> Bools:
+    """(H, W) the cells whose centre is nearer to an obstacle cell's centre than a radius, in cells."""
+    reach = math.floor(radius) + 1
+    offsets = np.arange(-reach, reach + 1)
+    return stamped(obstacles, np.argwhere(np.hypot(offsets[:, None], offsets[None, :]) < radius) - reach)
+
+
 def give_way(blocked: Bools, origin: tuple[float, float], narrow: FreeSpace, point: ArrayLike, radius_m: float) -> None:
     """Near a point, block only those cells of `blocked` that `narrow` blocks too.
 
