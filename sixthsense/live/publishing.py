@@ -63,8 +63,9 @@ class Publisher:
 
 def pose_covariance(trace: Trace) -> Array:
     """(3, 3) of the pose at the last scan, world frame: that at the last keyframe, and of the motion since."""
-    if not trace.key_estimates or trace.live is None:
+    if not trace.key_estimates:
         return np.zeros((3, 3))
     key, since = trace.key_estimates[-1], Pose.from_array(trace.since_key[-1])
     by_pose, _ = compose_jacobians(key.pose.theta, since)
-    return by_pose @ key.pose_cov @ by_pose.T + turned_covariance(trace.live.since_cov, key.pose.theta)
+    since_cov = np.zeros((3, 3)) if trace.live is None else trace.live.since_cov
+    return by_pose @ key.pose_cov @ by_pose.T + turned_covariance(since_cov, key.pose.theta)
