@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch.bucket_queue import push
+from sixthsense.navigation.gridsearch.bucket_queue import pop, push
+from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_STEP, _DIAGONAL = 5, 7  # lengths of steps between tiles; 7 / 5 is nearly the root of 2
 _ROWS, _COLS = (0, 0, -1, 1, -1, -1, 1, 1), (-1, 1, 0, 0, -1, 1, -1, 1)  # to the neighbours, across edges first
 _RING = 8  # buckets of the search: more than the longest step
 _STOPS = 30  # so many views are visited by a tour, those with the shortest ways
@@ -49,7 +49,7 @@ class TileWays:
         return np.asarray(upper + upper.T)
 
     def _between(self, sources: Cells, targets: Cells) -> Array:
-        lengths = _lengths(self._links, sources // self._tile, targets // self._tile) * (self._tile / _STEP)
+        lengths = _lengths(self._links, sources // self._tile, targets // self._tile) * (self._tile / STRAIGHT)
         straight = np.hypot(*(sources[:, None] - targets).transpose(2, 0, 1))
         return np.asarray(np.maximum(lengths, straight))
 
@@ -142,20 +142,16 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
     stacks[0, 0], sizes[0] = row * width + col, 1
     at, queued = 0, 1
     while queued > 0 and missing > 0:
-        slot = at % _RING
-        if sizes[slot] == 0:
-            at += 1
-            continue
-        sizes[slot] -= 1
+        at, cell = pop(stacks, sizes, at)
         queued -= 1
-        r, c = stacks[slot, sizes[slot]] // width, stacks[slot, sizes[slot]] % width
+        r, c = cell // width, cell % width
         if steps[r, c] != at:
             continue  # a shorter way to it has been found since
         missing -= wanted[r, c]
         for k in range(8):
             if links[r, c] >> k & 1:
                 to_r, to_c = r + _ROWS[k], c + _COLS[k]
-                there = at + (_STEP if k < 4 else _DIAGONAL)
+                there = at + (STRAIGHT if k < 4 else DIAGONAL)
                 if 0 <= steps[to_r, to_c] <= there:
                     continue
                 steps[to_r, to_c] = there

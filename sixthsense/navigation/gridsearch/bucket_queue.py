@@ -22,3 +22,16 @@ def push(stacks: Stacks, sizes: Sizes, slot: int, node: int) -> Stacks:
     stacks[slot, sizes[slot]] = node
     sizes[slot] += 1
     return stacks
+
+
+@numba.njit(cache=True, error_model="numpy")
+def pop(stacks: Stacks, sizes: Sizes, at: int) -> tuple[int, int]:
+    """Take the cheapest node of a queue that is not empty; its cost, from `at` on, and the node.
+
+    The stacks are a ring: a node of some cost is in the stack of that number modulo the number of stacks.
+    """
+    while sizes[at % len(sizes)] == 0:
+        at += 1
+    slot = at % len(sizes)
+    sizes[slot] -= 1
+    return at, int(stacks[slot, sizes[slot]])

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.bucket_queue import Sizes, Stacks, push
+from sixthsense.navigation.gridsearch.bucket_queue import Sizes, Stacks, pop, push
 from sixthsense.slam.mapping.freespace import Bools
 
 Costs = NDArray[np.float32]
@@ -40,12 +40,8 @@ def _distances(passable: Bools, blocked: Bools, row: int, col: int) -> Costs:
     stacks[0, 0], sizes[0] = row * width + col, 1
     bucket, queued = 0, 1
     while queued > 0:
-        while sizes[bucket % _BUCKETS] == 0:
-            bucket += 1
-        slot = bucket % _BUCKETS
-        sizes[slot] -= 1
+        bucket, cell = pop(stacks, sizes, bucket)
         queued -= 1
-        cell = stacks[slot, sizes[slot]]
         r, c = cell // width, cell % width
         here = cost[r, c]
         if int(4.0 * here) < bucket:

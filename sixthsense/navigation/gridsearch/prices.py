@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.bucket_queue import push
+from sixthsense.navigation.gridsearch.bucket_queue import pop, push
 
 STRAIGHT, DIAGONAL = 5, 7
 """cost of a step into a cell of price 1; 7 / 5 is nearly the root of 2"""
@@ -32,13 +32,9 @@ def costs_from(prices: Prices, row: int, col: int) -> Costs:
     stacks[0, 0], sizes[0] = row * width + col, 1
     at, queued = 0, 1
     while queued > 0:
-        slot = at % _RING
-        if sizes[slot] == 0:
-            at += 1
-            continue
-        sizes[slot] -= 1
+        at, cell = pop(stacks, sizes, at)
         queued -= 1
-        r, c = stacks[slot, sizes[slot]] // width, stacks[slot, sizes[slot]] % width
+        r, c = cell // width, cell % width
         if costs[r, c] != at:
             continue  # a cheaper way to it has been found since
         for to_r in range(max(r - 1, 0), min(r + 2, height)):
