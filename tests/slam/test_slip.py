@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
 from sixthsense.slam.slam import Slam
@@ -29,20 +29,26 @@ def pushed_ticks(config: ss.Config, at: int, push: Pose, seconds: float) -> list
 PUSHES = [Pose(0.15, 0.1, 0.08), Pose(0.6), Pose(theta=0.35), Pose(0.0, 0.0, -0.15), Pose(0.6, 0.3, 0.35)]
 
 
+def extents_after(config: ss.Config, push: Pose) -> dict[int, Array]:
+    """Ends of the walls in the map of a robot that is pushed."""
+    ticks = pushed_ticks(config, 600, push, 14.0)
+    with Slam(config, ticks[0].truth) as slam:
+        for tick in ticks:
+            step = slam.take(tick)
+    assert ticks[-1].truth is not None
+    error = ticks[-1].truth.inverse() @ step.pose
+    assert math.hypot(error.x, error.y) < 0.02 and abs(error.theta) < 0.02
+    return {i: record.extent for i, record in slam.associator.records.items()}
+
+
 @pytest.mark.parametrize("push", PUSHES)
 @pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
 def test_a_robot_that_was_pushed_finds_back(estimator: str, push: Pose) -> None:
     """At the next keyframe; without matches after a slip it would begin a second map beside the first."""
     config = ss.preset(scene="apartment", estimator=estimator)
-    ticks = pushed_ticks(config, 600, push, 14.0)
-    with Slam(config, ticks[0].truth) as slam:
-        for tick in ticks:
-            step = slam.take(tick)
-        landmarks = slam.estimate().ids
-    assert ticks[-1].truth is not None
-    error = ticks[-1].truth.inverse() @ step.pose
-    assert math.hypot(error.x, error.y) < 0.02 and abs(error.theta) < 0.02
-    assert len(landmarks) <= 12  # ten are seen from the circle
+    found, unpushed = extents_after(config, push), extents_after(config, Pose())
+    assert len(found) <= 12  # ten are seen from the circle
+    assert all(np.allclose(found[i], unpushed[i], atol=0.1) for i in found.keys() & unpushed.keys())
 
 
 def test_a_robot_that_is_put_elsewhere_in_a_new_part_of_the_building_takes_what_it_sees_as_new() -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,14 +16,13 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
 from sixthsense.slam.association.matches import Matches, match
 from sixthsense.slam.association.matching import compare_known, matches_nis
 from sixthsense.slam.association.observed import Distances, Observed
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Record
-from sixthsense.slam.association.slip import LEAST, found_after_slip, says_slip
+from sixthsense.slam.association.slip import matches_after_slip
 from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
@@ -72,32 +72,24 @@ class Associator:
         for observation in observations:
             self._crookedness.add(observation.shape)
         observed = Observed.of(observations)
-        belief = estimator if proposed is None else proposed
-        extents = self._extents(estimate) if proposed is None else proposed.extents
-        matches, slip = self._matched(observations, observed, belief, extents)
+        extents, excess = self._extents(estimate) if proposed is None else proposed.extents, self._crookedness.excess
+
+        def at(belief: Belief) -> Matches:
+            return match(observations, observed, belief, extents, self.records, excess, self._config)
+
+        slip = None
+        if proposed is None:
+            matches, slip = matches_after_slip(at, estimator)
+        else:
+            matches = at(proposed)
+        if slip is not None:  # extents are where the robot is
+            estimate = replace(estimate, pose=matches.pose)
         known, pieces = self._seen_again(observations, matches, estimate)
         nis = matches.nis(known) if proposed is None else self.nis(known, estimator)[0]
         new, more = self._start_landmarks(observations, observed, np.flatnonzero(matches.is_new).tolist(), estimate)
         accepted, pieces, dof = known | new, pieces + more, 2 * len(known)
         discarded = len(observations) - len(accepted) - pieces
         return Association(accepted, discarded, nis, dof, pieces, slip)
-
-    def _matched(
-        self,
-        observations: Sequence[Observation],
-        observed: Observed,
-        belief: Belief,
-        extents: Array,
-    ) -> tuple[Matches, Odometry | None]:
-        """The matches at the pose of a belief, or where the robot is after a slip, and the slip."""
-
-        def at(pose: Belief) -> Matches:
-            return match(observations, observed, pose, extents, self.records, self._crookedness.excess, self._config)
-
-        found = at(belief)
-        if len(extents) < LEAST or not says_slip(found):
-            return found, None
-        return found_after_slip(at, belief) or (found, None)
 
     def _seen_again(
         self, observations: Sequence[Observation], matches: Matches, estimate: Estimate

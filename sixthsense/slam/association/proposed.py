@@ -72,11 +72,11 @@ class ProposedLandmarks:
 
     def place(self, proposal: Proposal, estimate: Estimate) -> None:
         """Place the landmarks of an estimate by a proposal, with their extents."""
-        seen = np.array([i in self._last for i in estimate.ids.tolist()], dtype=np.bool_)  # others are named by a log
-        keys = np.array([self._last[i].key if i in self._last else 0 for i in estimate.ids.tolist()], dtype=np.int64)
-        certain = seen & (proposal.sigma_m[keys] < _MOST_SIGMA_M) & (proposal.sigma_rad[keys] < _MOST_SIGMA_RAD)
-        order = np.flatnonzero(certain)[np.argsort(estimate.ids[certain])]
-        ids, walls, keys = estimate.ids[order], estimate.walls[order], keys[order]
+        rows = np.flatnonzero(np.isin(estimate.ids, list(self._last)))  # others are named by a log
+        keys = np.array([self._last[i].key for i in estimate.ids[rows].tolist()], dtype=np.int64)
+        certain = (proposal.sigma_m[keys] < _MOST_SIGMA_M) & (proposal.sigma_rad[keys] < _MOST_SIGMA_RAD)
+        order = np.flatnonzero(certain)[np.argsort(estimate.ids[rows[certain]])]
+        ids, walls, keys = estimate.ids[rows[order]], estimate.walls[rows[order]], keys[order]
         last = [self._last[i] for i in ids.tolist()]
         poses = proposal.relative[keys]
         landmarks = moved(poses, np.array([known.landmark for known in last]).reshape(-1, 2), walls)

@@ -18,7 +18,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.matches import Matches
 from sixthsense.slam.estimators.base import Belief, Estimate
 
-LEAST = 3
+_LEAST = 3
 """landmarks that tell where the robot is, and whether a few others are wrong"""
 _SIGMA_M, _STEP_RAD = 0.5, 0.25
 """sigma of the position, and the step of the headings that are tried, whose sigma is half of it"""
@@ -43,36 +43,39 @@ class Slipped:
         return joint
 
 
-def found_after_slip(at: Callable[[Belief], Matches], belief: Belief) -> tuple[Matches, Odometry] | None:
-    """The matches of a robot that has slipped, and the slip; None if most of the scan matches nowhere near.
+def matches_after_slip(at: Callable[[Belief], Matches], belief: Belief) -> tuple[Matches, Odometry | None]:
+    """The matches at a belief's pose, or where the robot is after a slip, and the slip; None: it has not slipped.
 
     `at` gives the matches at a belief. Of all headings that are tried that is taken at which most matches.
     """
-    before, cov = belief.estimate().pose, np.diag([_SIGMA_M, _SIGMA_M, 0.5 * _STEP_RAD]) ** 2
-    best: tuple[Matches, Odometry] | None = None
+    here, estimate = at(belief), belief.estimate()
+    if len(estimate.ids) < _LEAST or not _says_slip(here):
+        return here, None
+    cov = np.diag([_SIGMA_M, _SIGMA_M, 0.5 * _STEP_RAD]) ** 2
+    best, by = here, None
     for step in _STEPS:
         slip = Odometry(Pose(theta=step * _STEP_RAD), cov)
         found = at(Slipped(belief, slip))
-        if _matched(found) < LEAST:
+        if _matched(found) < _LEAST:
             continue
-        slip = Odometry(before.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
+        slip = Odometry(estimate.pose.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
         found = at(Slipped(belief, slip))
-        if best is None or _matched(found) > _matched(best[0]):
-            best = found, slip
-    return best if best is not None and _tells_place(best[0]) else None
+        if by is None or _matched(found) > _matched(best):
+            best, by = found, slip
+    return (best, by) if _tells_place(best) else (here, None)
 
 
-def says_slip(matches: Matches) -> bool:
+def _says_slip(matches: Matches) -> bool:
     """Whether a scan shows landmarks, and hardly one of them where it is believed to be."""
-    matched = int(np.count_nonzero(matches.landmark >= 0))
-    neither = len(matches.landmark) - matched - int(np.count_nonzero(matches.is_new))
-    return len(matches.landmark) >= LEAST and (matched < LEAST - 1 or 2 * neither > len(matches.landmark))
+    shown, matched = len(matches.landmark), _matched(matches)
+    neither = shown - matched - int(np.count_nonzero(matches.is_new))
+    return shown >= _LEAST and (matched < _LEAST - 1 or 2 * neither > shown)
 
 
 def _tells_place(matches: Matches) -> bool:
     """Whether most of a scan matches, and enough landmarks to tell where the robot is."""
-    matched = matches.landmark[matches.landmark >= 0]
-    return len(np.unique(matched)) >= LEAST and 2 * len(matched) > len(matches.landmark)
+    landmarks = np.unique(matches.landmark[matches.landmark >= 0])
+    return len(landmarks) >= _LEAST and 2 * _matched(matches) > len(matches.landmark)
 
 
 def _matched(matches: Matches) -> int:

@@ -21,7 +21,7 @@ from sixthsense.slam.scans.submap import VOXEL_M, Pyramid, pyramid, submap_point
 
 RECENT_M = 6.0
 """travel of the submap that is searched for"""
-_VOXEL_M = 0.2  # of these points; those of old submaps are denser
+_RECENT_VOXEL_M = 0.2  # of these points; those of old submaps are denser
 LEAST_POINTS = 60
 """without as many points of the last metres there is no search"""
 MOST_POINTS = 200
@@ -118,7 +118,7 @@ def is_same_place(one: Array, other: Array) -> bool:
 def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
     """(N, 2) points of the scans of the last metres, in the frame of the newest, `key`; `travelled_m` (K,) at each."""
     keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
-    points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _VOXEL_M)
+    points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
     if len(points) > MOST_POINTS:
         points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
     return points
