@@ -17,7 +17,8 @@ VARIABLES = ("NUMBA_CACHE_DIR", "MPLCONFIGDIR", "XDG_CACHE_HOME")
 def settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """A home and a temporary folder of this test's own, and none of the variables."""
     for name in VARIABLES:
-        monkeypatch.delenv(name, raising=False)
+        monkeypatch.setenv(name, "")  # so that what a test sets is taken back, whether it was set before or not
+        monkeypatch.delenv(name)
     monkeypatch.delitem(sys.modules, "numba", raising=False)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     monkeypatch.setattr(kernel_cache, "note", "")
