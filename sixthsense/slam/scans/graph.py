@@ -25,7 +25,7 @@ RECENT_GROUP = -2
 """the group of links between keyframes of one pass"""
 RECENT = 4  # keyframes before a keyframe that it is linked to
 _OLD = 4  # most links of a keyframe to old ones
-OLD_AGE = 20  # keyframes; nearer ones are of the same pass
+OLD_AGE = 25  # keyframes; nearer ones are of the same pass
 _LINKED_LATELY = 6  # keyframes back from the newest whose old partners' neighbours are linked
 _ALONG = 8  # keyframes to either side of an old partner
 REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
