@@ -98,9 +98,7 @@ def draw_exploration(ax: Any, trace: Trace) -> None:
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
-def draw_region(ax: Any, space: FreeSpace, cells: NDArray[np.int32]) -> None:
-    """Colour cells given by flat indices (K,), such as the reachable ones, and the blocked cells."""
-    mask = np.zeros(space.blocked.size, dtype=np.bool_)
-    mask[cells] = True
-    _shade(ax, mask.reshape(space.blocked.shape), space.origin, space.cell_m, SEEN, 0.1)
+def draw_region(ax: Any, space: FreeSpace, cells: NDArray[np.bool_]) -> None:
+    """Colour a mask (H, W) of cells, such as the reachable ones, and the blocked cells."""
+    _shade(ax, cells, space.origin, space.cell_m, SEEN, 0.1)
     _shade(ax, space.blocked, space.origin, space.cell_m, _INFLATED, 0.2)
