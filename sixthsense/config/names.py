@@ -42,8 +42,8 @@ FILTERS = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant")
 """shipped estimators that do not keep the poses of all keyframes"""
 KEEP_POSES = "allowed: with isam2, which keeps the poses of all keyframes"
 """of messages about the front end of scans"""
-CALIBRATE_WHEELS = "allowed: with ekf-invariant and isam2"
-"""of messages about the wheels' parameters"""
+NEEDS_FILTER = "a shipped estimator, or one with the methods of Filter"
+"""of messages about parameters that are estimated with the pose"""
 
 OF_THE_ROBOT = ("scene", "task", "goal", "tour", "start", "region", "planner", "rrtstar", "follow", "explore", "world")
 """fields and sections of the configuration that a replay refuses: they are of a robot that is driven or simulated"""

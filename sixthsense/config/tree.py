@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from sixthsense.config.explore import ExploreConfig
-from sixthsense.config.names import CALIBRATE_WHEELS, ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
+from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
@@ -23,8 +23,6 @@ from sixthsense.config.safety import SafetyConfig
 from sixthsense.config.scans import ScansConfig
 from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.config.values import Count
-
-_ESTIMATED = ("calibrate_wheels", "calibrate_sensor")  # beside the pose, by the last of the filters and the smoother
 
 
 @dataclass(frozen=True)
@@ -93,8 +91,7 @@ class Config(Section):
         """What follows from named fields.
 
         A goal replaces a tour, and a tour a goal. A named estimator gets a front end that it can use, and a named front
-        end an estimator that can use it. A named filter that cannot estimate what a preset has it estimate does not.
-        Without odometry the front end is scan matching.
+        end an estimator that can use it. Without odometry the front end is scan matching.
         """
         table = with_current_names(table)
         for name, other in (("goal", "tour"), ("tour", "goal")):
@@ -105,9 +102,6 @@ class Config(Section):
         estimator, front_end = (
             table.get(name, table.get(name.replace("_", "-"))) for name in ("estimator", "front_end")
         )
-        if estimator in FILTERS[:-1]:
-            unset = [name for name in _ESTIMATED if name not in table and name.replace("_", "-") not in table]
-            table = {**dict.fromkeys(unset, False), **table}
         if estimator is not None and front_end is None and self.front_end == "scan-matching" and estimator != "isam2":
             return {**table, "front_end": "landmarks"}
         if front_end == "scan-matching" and estimator is None and self.estimator in FILTERS:
@@ -120,9 +114,6 @@ class Config(Section):
             raise ConfigError("goal: found beside a tour, allowed: one of the two")
         if self.front_end == "scan-matching" and self.estimator in FILTERS:
             raise ConfigError(f"front_end: found scan-matching with estimator {self.estimator}, {KEEP_POSES}")
-        for name in _ESTIMATED:
-            if getattr(self, name) and self.estimator in FILTERS[:-1]:
-                raise ConfigError(f"{name}: found true with {self.estimator}, {CALIBRATE_WHEELS}")
         if self.no_odometry and (self.front_end != "scan-matching" or self.calibrate_wheels):
             found = "calibrate_wheels" if self.calibrate_wheels else f"front_end {self.front_end}"
             raise ConfigError(f"no_odometry: found true with {found}, allowed: with front_end scan-matching alone")

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 
 from sixthsense.config import Config, ConfigError
-from sixthsense.config.names import CALIBRATE_WHEELS
+from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.sensor import Sensor, SensorEstimate, sensor_prior
 from sixthsense.core.source import Tick
-from sixthsense.slam.estimators import Estimate, Estimator, estimates_sensor
+from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.front_end import Keyframe
 
 
@@ -20,20 +20,23 @@ class NamedObservations:
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
         """Raises ConfigError for an estimator that cannot estimate the sensor, if it is to."""
-        self._estimator, self._start = estimator, start
+        self._start = start
+        self._estimator: Filter | None = None
+        """where the sensor is estimated"""
         self._sensor: Sensor | None = None
         self._scale_variance = 0.0
         if config.calibrate_sensor:
-            if not estimates_sensor(estimator):
-                raise ConfigError(f"calibrate_sensor: found true with {config.estimator}, {CALIBRATE_WHEELS}")
+            if not isinstance(estimator, Filter):
+                raise ConfigError(f"calibrate_sensor: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
             prior = sensor_prior(config.assumed)
             estimator.estimate_sensor(prior)
+            self._estimator = estimator
             self._sensor = prior.values
             self._scale_variance = config.assumed.sensor.scale_sigma**2
 
     def sensor(self) -> SensorEstimate | None:
         """The sensor's parameters, if they are estimated."""
-        return self._estimator.sensor() if estimates_sensor(self._estimator) else None
+        return None if self._estimator is None else self._estimator.sensor()
 
     def corrected(self, tick: Tick) -> Tick:
         """The tick with its observations as the present parameters have them."""

@@ -15,7 +15,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.association.records import Record
-from sixthsense.slam.estimators import Estimator, LandmarkPrior, takes_prior_map
+from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.slam.mapping.submap import Submap
 
 _SIGMAS = 3.0  # the start may be this far from where it is said to be
@@ -76,7 +76,7 @@ class PriorStart(NamedTuple):
 def begin_with(prior: PriorMap, config: Config, estimator: Estimator, start: Pose, start_cov: Array) -> None:
     """Give the estimator the landmarks; ConfigError where this configuration or start cannot be used with the map."""
     check_usable(prior, config)
-    if not takes_prior_map(estimator):
+    if not isinstance(estimator, Filter):
         raise ConfigError(f"estimator: found {config.estimator} with a prior map, allowed: one that has start_from")
     if len(prior.evidence.cells):
         _check_start(prior, start, start_cov)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config, ConfigError
-from sixthsense.config.names import CALIBRATE_WHEELS, KEEP_POSES
+from sixthsense.config.names import KEEP_POSES, NEEDS_FILTER
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.removed import OldName
 from sixthsense.core.arguments import as_array, as_pose
@@ -25,7 +25,7 @@ from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, estimates_wheels, keeps_poses, make_estimator
+from sixthsense.slam.estimators import Estimate, Filter, Smoother, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
 from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
@@ -170,7 +170,7 @@ class Slam:
 
     def wheels(self) -> WheelEstimate | None:
         """The wheels' parameters at the last keyframe, if they are estimated."""
-        return self.estimator.wheels() if estimates_wheels(self.estimator) else None
+        return self.estimator.wheels() if isinstance(self.estimator, Filter) else None
 
     def sensor(self) -> SensorEstimate | None:
         """The parameters of the sensor of points at the last keyframe, if they are estimated."""
@@ -247,7 +247,7 @@ class Slam:
             from sixthsense.slam.guided_front_end import GuidedFrontEnd
 
             return GuidedFrontEnd(*args)
-        if not keeps_poses(self.estimator):
+        if not isinstance(self.estimator, Smoother):
             raise ConfigError(f"front_end: found scan-matching with {self.config.estimator}, {KEEP_POSES}")
         from sixthsense.slam.scans.front_end import ScanFrontEnd
 
@@ -257,8 +257,8 @@ class Slam:
         """Odometry whose parameters the estimator estimates, if configured; ConfigError if it cannot."""
         if not self.config.calibrate_wheels:
             return None
-        if not estimates_wheels(self.estimator):
-            raise ConfigError(f"calibrate_wheels: found true with {self.config.estimator}, {CALIBRATE_WHEELS}")
+        if not isinstance(self.estimator, Filter):
+            raise ConfigError(f"calibrate_wheels: found true with {self.config.estimator}, allowed: {NEEDS_FILTER}")
         self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
         return WheelOdometry(self.config.assumed)
 

@@ -7,7 +7,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.estimators import Estimator, LandmarkPrior, PriorMapEstimator, takes_prior_map
+from sixthsense.slam.estimators import Estimator, Filter, LandmarkPrior
 from sixthsense.testing import posterior
 from sixthsense.testing.batch import Posterior, batch_posterior
 from sixthsense.testing.estimation import START, START_COV, assert_same, fed, joint_state, make, sight, step
@@ -18,10 +18,10 @@ LAWS = Laws()
 Log = list[tuple[Odometry, dict[LandmarkId, Observation]]]
 
 
-def begun(name: str, prior: LandmarkPrior, start: Pose = START, start_cov: Array = START_COV) -> PriorMapEstimator:
+def begun(name: str, prior: LandmarkPrior, start: Pose = START, start_cov: Array = START_COV) -> Filter:
     """A new estimator that begins with the landmarks of an earlier run."""
     estimator = make(name, start, start_cov)
-    assert takes_prior_map(estimator)
+    assert isinstance(estimator, Filter)
     estimator.start_from(prior)
     return estimator
 
@@ -154,7 +154,7 @@ def a_late_or_invalid_prior_map_is_refused(name: str) -> None:
     moved.predict(step())
     seen.update(sight(START, [0], np.random.default_rng(0)))
     for estimator in (moved, seen, begun(name, prior)):
-        assert takes_prior_map(estimator)
+        assert isinstance(estimator, Filter)
         with raises(RuntimeError, "start_from"):
             estimator.start_from(prior)
     one = np.array([10, 10, 12])
@@ -166,7 +166,7 @@ def a_late_or_invalid_prior_map_is_refused(name: str) -> None:
     ):
         fresh = make(name)
         before = joint_state(fresh)
-        assert takes_prior_map(fresh)
+        assert isinstance(fresh, Filter)
         with raises(ValueError, "prior"):
             fresh.start_from(LandmarkPrior(ids, means, prior.walls, cov, prior.extents))
         assert_same(before, joint_state(fresh))

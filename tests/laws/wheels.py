@@ -1,4 +1,4 @@
-"""Laws of `estimate_wheels` and `wheels`, for estimators that can estimate the wheels' parameters."""
+"""Laws of `estimate_wheels` and `wheels` of filters and smoothers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels, corrected, corrected_with_terms
-from sixthsense.slam.estimators import WheelEstimator, estimates_wheels
+from sixthsense.slam.estimators import Filter
 from sixthsense.testing import posterior
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
 from sixthsense.testing.estimation import POINTS, START, START_COV, assert_same, joint_state, make, noisy, sight
@@ -35,17 +35,15 @@ def increment(k: int, wheels: Wheels, cov: Array) -> Odometry:
     return Odometry(Pose.from_array(at_stamp.array() + wheels.latency_s * change), cov, terms)
 
 
-def calibrating(
-    name: str, prior: WheelEstimate = PRIOR, start: Pose = START, start_cov: Array = START_COV
-) -> WheelEstimator:
+def calibrating(name: str, prior: WheelEstimate = PRIOR, start: Pose = START, start_cov: Array = START_COV) -> Filter:
     """A new estimator that estimates the wheels' parameters."""
     estimator = make(name, start, start_cov)
-    assert estimates_wheels(estimator)
+    assert isinstance(estimator, Filter)
     estimator.estimate_wheels(prior)
     return estimator
 
 
-def estimate_of(estimator: WheelEstimator) -> WheelEstimate:
+def estimate_of(estimator: Filter) -> WheelEstimate:
     """The estimated parameters."""
     found = estimator.wheels()
     assert found is not None, "wheels returned None after estimate_wheels"
@@ -54,7 +52,7 @@ def estimate_of(estimator: WheelEstimator) -> WheelEstimate:
 
 def calibrated(
     name: str, steps: int, sigma: float, rng: np.random.Generator, true: Wheels = TRUE
-) -> tuple[WheelEstimator, Pose]:
+) -> tuple[Filter, Pose]:
     """An estimator after a drive among points with the wheels `true`, and the true pose.
 
     `sigma` is that of motions in m, half of it in rad, and a fifth of that of observations. Odometry follows the
@@ -73,7 +71,7 @@ def calibrated(
 @LAWS.law
 def without_the_option_there_are_no_parameters(name: str) -> None:
     estimator = make(name)
-    assert estimates_wheels(estimator) and estimator.wheels() is None
+    assert isinstance(estimator, Filter) and estimator.wheels() is None
 
 
 @LAWS.law
@@ -149,12 +147,16 @@ def parameters_and_pose_converge_to_the_truth_as_noise_goes_to_zero(name: str) -
 
 @LAWS.wall_law
 def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str) -> None:
-    """The drift is observed there. A drive across would observe the scale, too."""
+    """The drift is observed there. A drive across would observe the scale, too.
+
+    Filters with first-estimates Jacobians take a wall's first angle for its angle: two walls that seem to meet ahead
+    tell them the scale. So the angles' noise times the way is small beside the noise of the offsets.
+    """
     rng, at, true = np.random.default_rng(2), Pose(0.0, 0.2, 0.0), Wheels(0.03, 0.0, 0.0)
     walls = np.array([[-0.5 * math.pi, -1.0], [0.5 * math.pi, -1.0]])  # normals towards the robot
-    cov, seen = np.diag([5e-3, 5e-3, 1e-3]) ** 2, np.diag([1e-3, 3e-3]) ** 2
+    cov, seen = np.diag([5e-3, 5e-3, 1e-3]) ** 2, np.diag([1e-4, 3e-3]) ** 2
     estimator = calibrating(name, PRIOR, at, np.zeros((3, 3)))
-    for _ in range(100):
+    for _ in range(40):
         reported = Pose(0.25, 0.0, -0.5 * at.theta)
         at = at @ noisy(Odometry(corrected(reported, true), cov), rng)
         motion, terms = corrected_with_terms(reported, estimate_of(estimator).values, np.zeros(3))
@@ -183,7 +185,7 @@ def a_late_or_invalid_prior_is_refused(name: str) -> None:
     with raises(RuntimeError, "estimate_wheels"):
         calibrating(name).estimate_wheels(PRIOR)
     started = make(name)
-    assert estimates_wheels(started)
+    assert isinstance(started, Filter)
     started.update(sight(START, [0], np.random.default_rng(0)))
     with raises(RuntimeError, "estimate_wheels"):
         started.estimate_wheels(PRIOR)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.config import ConfigError, MotionNoise, preset
+from sixthsense.config import MotionNoise, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import polar_observation
 from sixthsense.core.motion import rk4, slip_variances
@@ -127,8 +127,3 @@ def test_the_scale_of_a_camera_stays_uncertain_away_from_the_start():
     assert more.estimate.pose == less.estimate.pose
     assert np.allclose(more.joint_cov - less.joint_cov, expected, atol=1e-12)
     assert np.allclose(more.estimate.pose_cov, more.joint_cov[:3, :3])
-
-
-def test_the_option_is_refused_where_the_sensor_cannot_be_estimated():
-    with pytest.raises(ConfigError, match="calibrate_sensor: found true with ekf, allowed: with ekf-invariant"):
-        preset(estimator="ekf", calibrate_sensor=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeGuard
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,8 +64,7 @@ class Estimator(Belief, Protocol):
     7. An invalid covariance (not finite, not symmetric, indefinite; of an observation, not positive definite) raises a
        ValueError that names it and leaves the state unchanged. An odometry's and the start's may be zero.
     8. Walls may be refused: `update` then raises a NotImplementedError at a wall's first observation and leaves the
-    state
-       unchanged. All built-in estimators use walls.
+       state unchanged. All shipped estimators use walls.
     """
 
     def predict(self, odometry: Odometry) -> None:
@@ -83,115 +82,6 @@ class Estimator(Belief, Protocol):
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update so far, smoothed if the estimator smooths."""
         ...
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """A measured motion between the poses of two updates."""
-
-    before: int
-    """index of the update whose pose the motion begins at, 0 for the first update"""
-    after: int
-    """index of the update whose pose it ends at"""
-    relative: Odometry
-    """the motion with its covariance, axes of the frame before"""
-    loss_scale: float = math.inf
-    """scale of the Cauchy loss, in whitened error; inf: squares"""
-
-
-class PoseGraphEstimator(Estimator, Protocol):
-    """An estimator that keeps the poses of all updates and takes measurements between them.
-
-    9. `link` takes each link as independent. Its pose need not be the newest.
-    10. `unlink` leaves the estimate as if those links had not been given.
-    11. `poses_at` returns rows of `trajectory`.
-    """
-
-    def link(self, links: Sequence[Link]) -> list[int]:
-        """Update with links, and return their ids.
-
-        Raises ValueError, naming the link, for an invalid covariance, and KeyError for an unknown pose; the state is
-        unchanged then.
-        """
-        ...
-
-    def unlink(self, ids: Collection[int]) -> None:
-        """Remove links; KeyError, with the state unchanged, for an unknown id."""
-        ...
-
-    def poses_at(self, updates: Sequence[int]) -> Array:
-        """(m, 3) the poses at some updates, by index; KeyError for an unknown one. A few cost less than all."""
-        ...
-
-
-def keeps_poses(estimator: Estimator) -> TypeGuard[PoseGraphEstimator]:
-    """Whether an estimator keeps the poses of all updates, so that links can be added."""
-    return all(callable(getattr(estimator, name, None)) for name in ("link", "unlink", "poses_at"))
-
-
-class ReducibleEstimator(PoseGraphEstimator, Protocol):
-    """An estimator out of whose graph poses can be taken.
-
-    12. The motion to a pose that is taken out, and on from it, become one. Its links are lost, and its row of
-        `trajectory` stays, in a fixed place relative to a pose before it.
-    """
-
-    def take_out(self, updates: Sequence[int]) -> list[int]:
-        """Take out the poses of some updates, ascending and after those of earlier calls, and solve.
-
-        Returns the ids of the links that are lost, which are unknown from then on. Raises KeyError, with the state
-        unchanged, for another order, for the first pose and for the last one.
-        """
-        ...
-
-
-def takes_out_poses(estimator: Estimator) -> TypeGuard[ReducibleEstimator]:
-    """Whether poses can be taken out of an estimator's graph."""
-    return keeps_poses(estimator) and callable(getattr(estimator, "take_out", None))
-
-
-class WheelEstimator(Estimator, Protocol):
-    """An estimator that can estimate the wheels' parameters with the pose.
-
-    13. Odometry's dependence on the parameters is used, with the prior and the parameters' correlation with pose and
-        landmarks. Odometry that does not depend on them is used as without this option.
-    14. What observations do not determine keeps its prior.
-    """
-
-    def estimate_wheels(self, prior: WheelEstimate) -> None:
-        """Estimate the parameters from now on; RuntimeError after the first motion or update."""
-        ...
-
-    def wheels(self) -> WheelEstimate | None:
-        """The present parameters with their covariance; None if they are not estimated."""
-        ...
-
-
-def estimates_wheels(estimator: Estimator) -> TypeGuard[WheelEstimator]:
-    """Whether an estimator can estimate the wheels' parameters."""
-    return callable(getattr(estimator, "estimate_wheels", None)) and callable(getattr(estimator, "wheels", None))
-
-
-class SensorEstimator(Estimator, Protocol):
-    """An estimator that can estimate the parameters of the sensor of points with the pose.
-
-    17. All observations of points depend on the parameters, walls do not. The prior is used, and the parameters'
-        correlation with pose and landmarks.
-    18. What observations do not determine keeps its prior.
-    """
-
-    def estimate_sensor(self, prior: SensorEstimate) -> None:
-        """Estimate the parameters from now on; RuntimeError after the first motion or update."""
-        ...
-
-    def sensor(self) -> SensorEstimate | None:
-        """The present parameters with their covariance; None if they are not estimated."""
-        ...
-
-
-def estimates_sensor(estimator: Estimator) -> TypeGuard[SensorEstimator]:
-    """Whether an estimator can estimate the parameters of its sensor."""
-    return callable(getattr(estimator, "estimate_sensor", None)) and callable(getattr(estimator, "sensor", None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,11 +107,20 @@ class LandmarkPrior:
         return LandmarkPrior(self.ids[kept], self.landmarks[kept], self.walls[kept], cov, self.extents[kept])
 
 
-class PriorMapEstimator(Estimator, Protocol):
-    """An estimator that can begin with the landmarks of an earlier run.
+@runtime_checkable
+class Filter(Estimator, Protocol):
+    """An estimator that begins with an earlier run's landmarks, and estimates the parameters of wheels and sensor.
 
-    15. The landmarks keep their ids and count as known. Their joint covariance is used as evidence once.
-    16. A landmark that is forgotten leaves the marginal covariance of the others.
+    All shipped estimators are filters or smoothers. One of a user's needs no more than `Estimator` has; a configuration
+    that asks for more says so.
+
+    9. The landmarks of an earlier run keep their ids and count as known. Their joint covariance is used as evidence
+       once. One that is forgotten leaves the marginal covariance of the others.
+    10. Odometry's dependence on the wheels' parameters is used, with the prior and the parameters' correlation with
+        pose and landmarks. Odometry that does not depend on them is used as without.
+    11. All observations of points depend on the sensor's parameters, walls do not. The prior is used, and the
+        parameters' correlation with pose and landmarks.
+    12. What observations do not determine keeps its prior.
     """
 
     def start_from(self, prior: LandmarkPrior) -> None:
@@ -232,10 +131,71 @@ class PriorMapEstimator(Estimator, Protocol):
         """
         ...
 
+    def estimate_wheels(self, prior: WheelEstimate) -> None:
+        """Estimate the wheels' parameters from now on; RuntimeError after the first motion or update."""
+        ...
 
-def takes_prior_map(estimator: Estimator) -> TypeGuard[PriorMapEstimator]:
-    """Whether an estimator can begin with the landmarks of an earlier run."""
-    return callable(getattr(estimator, "start_from", None))
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' present parameters with their covariance; None if they are not estimated."""
+        ...
+
+    def estimate_sensor(self, prior: SensorEstimate) -> None:
+        """Estimate the sensor's parameters from now on; RuntimeError after the first motion or update."""
+        ...
+
+    def sensor(self) -> SensorEstimate | None:
+        """The sensor's present parameters with their covariance; None if they are not estimated."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """A measured motion between the poses of two updates."""
+
+    before: int
+    """index of the update whose pose the motion begins at, 0 for the first update"""
+    after: int
+    """index of the update whose pose it ends at"""
+    relative: Odometry
+    """the motion with its covariance, axes of the frame before"""
+    loss_scale: float = math.inf
+    """scale of the Cauchy loss, in whitened error; inf: squares"""
+
+
+@runtime_checkable
+class Smoother(Filter, Protocol):
+    """A filter that keeps the poses of all updates and takes measurements between them.
+
+    13. `link` takes each link as independent. Its pose need not be the newest.
+    14. `unlink` leaves the estimate as if those links had not been given.
+    15. `poses_at` returns rows of `trajectory`.
+    16. The motion to a pose that is taken out, and on from it, become one. Its links are lost, and its row of
+        `trajectory` stays, in a fixed place relative to a pose before it.
+    """
+
+    def link(self, links: Sequence[Link]) -> list[int]:
+        """Update with links, and return their ids.
+
+        Raises ValueError, naming the link, for an invalid covariance, and KeyError for an unknown pose; the state is
+        unchanged then.
+        """
+        ...
+
+    def unlink(self, ids: Collection[int]) -> None:
+        """Remove links; KeyError, with the state unchanged, for an unknown id."""
+        ...
+
+    def poses_at(self, updates: Sequence[int]) -> Array:
+        """(m, 3) the poses at some updates, by index; KeyError for an unknown one. A few cost less than all."""
+        ...
+
+    def take_out(self, updates: Sequence[int]) -> list[int]:
+        """Take out the poses of some updates, ascending and after those of earlier calls, and solve.
+
+        Returns the ids of the links that are lost, which are unknown from then on. Raises KeyError, with the state
+        unchanged, for another order, for the first pose and for the last one.
+        """
+        ...
 
 
 class Trajectory:

@@ -11,20 +11,14 @@ from scipy.linalg import block_diag, cholesky, solve_triangular
 from scipy.linalg.blas import dsyrk
 
 from sixthsense.core.covariance import check_covariance
-from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import (
-    LandmarkId,
-    Observation,
-    initialize_landmark,
-    observation_innovations,
-    observed_centre,
-    predict,
-    rotation_generator,
-    translated,
-)
+from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, rotation_generator, translated
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.sensor import SensorEstimate
+from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_observations
 from sixthsense.slam.estimators.checks import check_prior
+from sixthsense.slam.estimators.ekf_observations import NewLandmark, expected, new_landmark
 from sixthsense.slam.estimators.ekf_parameters import Parameters
 from sixthsense.slam.estimators.triangle import selected
 
@@ -55,15 +49,13 @@ class EKF:
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
-        self._head = 3
-        """size of the state before the landmarks: the pose, and the parameters of wheels and sensor it estimates"""
         self._parameters = Parameters()
         self._pending = STANDSTILL
         self._trajectory = Trajectory()
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: the joint covariance has a block more."""
-        check_prior(prior, bool(self._slots) or self._pending is not STANDSTILL)
+        check_prior(prior, self._has_begun)
         middles = prior.extents.mean(axis=1) - self._origin
         self._centres = np.where(prior.walls[:, None] & self._has_centres, middles, 0.0)
         means, jacobian = translated(prior.landmarks, prior.walls, -(self._origin + self._centres))
@@ -72,6 +64,26 @@ class EKF:
         self._means, self._walls = means, prior.walls.copy()
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
         self._on_started()
+
+    def estimate_wheels(self, prior: WheelEstimate) -> None:
+        """Add the wheels' parameters to the state."""
+        self._parameters.add_wheels(prior, self._has_begun)
+        self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
+
+    def wheels(self) -> WheelEstimate | None:
+        """The wheels' parameters, if they are estimated."""
+        values, at = self._parameters.wheels, self._parameters.of_wheels
+        return None if values is None else WheelEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
+
+    def estimate_sensor(self, prior: SensorEstimate) -> None:
+        """Add the parameters of the sensor of points to the state."""
+        self._parameters.add_sensor(prior, self._has_begun)
+        self._cov = np.asfortranarray(block_diag(self._cov, prior.cov))
+
+    def sensor(self) -> SensorEstimate | None:
+        """The sensor's parameters, if they are estimated."""
+        values, at = self._parameters.sensor, self._parameters.of_sensor
+        return None if values is None else SensorEstimate(values, self._symmetric(np.arange(at.start, at.stop)))
 
     def predict(self, odometry: Odometry) -> None:
         """Move by an increment; the covariance is propagated at the next call that needs it.
@@ -156,8 +168,8 @@ class EKF:
     def _on_started(self) -> None:
         """Called after the filter has begun with landmarks of an earlier run."""
 
-    def _on_added(self, observations: Collection[Observation]) -> None:
-        """Called after landmarks were added, one per observation."""
+    def _on_added(self, landmarks: Sequence[NewLandmark]) -> None:
+        """Called after landmarks were added."""
 
     def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
@@ -165,11 +177,14 @@ class EKF:
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         """Called after landmarks were removed: those in `slots` are left, in that order."""
 
-    def _centre(self, observation: Observation) -> Array:
-        """(2,) the centre of a new landmark: of a wall, that of its returns."""
-        if not (observation.is_wall and self._has_centres):
-            return np.zeros(2)
-        return np.asarray(self._pose.position + rotation(self._pose.theta) @ observed_centre(observation))
+    @property
+    def _head(self) -> int:
+        """Size of the state before the landmarks."""
+        return self._parameters.end
+
+    @property
+    def _has_begun(self) -> bool:
+        return bool(self._slots) or self._pending is not STANDSTILL
 
     @property
     def _size(self) -> int:
@@ -216,13 +231,8 @@ class EKF:
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
         n, m = self._size, len(slots)
-        walls, centres = self._walls[slots], self._centres[slots]
-        about_start, _ = translated(self._means[slots], walls, centres)
-        predicted, _, _ = predict(self._pose, about_start, walls)
-        position, landmarks = self._linearization_points(slots)
-        about_start, by_mean = translated(landmarks, walls, centres)
-        _, by_pose, by_landmark = predict(Pose(position[0], position[1], self._pose.theta), about_start, walls)
-        by_landmark = by_landmark @ by_mean
+        walls, points = self._walls[slots], self._linearization_points(slots)
+        predicted, by_pose, by_landmark = expected(self._pose, self._means[slots], *points, walls, self._centres[slots])
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
         for k, observation in enumerate(observations):
             if observation.shape_cov is not None:
@@ -266,34 +276,22 @@ class EKF:
         n, k = self._size, len(observations)
         larger = np.empty((n + 2 * k, n + 2 * k), order="F")
         larger[:n, :n] = self._cov
-        means, rows, noise, centres = [], [], [], []
-        position, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
-        at = Pose(position[0], position[1], self._pose.theta)
-        for observation in observations.values():
-            centre = self._centre(observation)
-            mean, _, by_z = first_estimate(self._pose, observation, centre)
-            _, by_pose, _ = first_estimate(at, observation, centre)
-            means.append(mean)
-            centres.append(centre)
-            rows.append(np.zeros((2, self._head)))
-            rows[-1][:, :3] = by_pose
-            if observation.sensor is not None:
-                rows[-1][:, self._parameters.of_sensor] = by_z @ observation.sensor.jacobian()
-            noise.append(by_z @ observation.cov @ by_z.T)
-        G = np.vstack(rows)  # (2k, head)
+        point, _ = self._linearization_points(np.zeros(0, dtype=np.int64))
+        new = [new_landmark(self._pose, point, seen, self._has_centres) for seen in observations.values()]
+        G, noise = np.zeros((2 * k, self._head)), []
+        for j, (landmark, seen) in enumerate(zip(new, observations.values(), strict=True)):
+            rows = slice(2 * j, 2 * j + 2)
+            G[rows, :3] = landmark.by_pose
+            if seen.sensor is not None:
+                G[rows, self._parameters.of_sensor] = landmark.by_z @ seen.sensor.jacobian()
+            noise.append(landmark.by_z @ seen.cov @ landmark.by_z.T)
         head_cov = self._symmetric(np.arange(self._head))
         larger[n:, :n] = G @ np.vstack([head_cov, self._cov[self._head :, : self._head]]).T
         own = G @ head_cov @ G.T + block_diag(*noise)
         larger[n:, n:] = 0.5 * (own + own.T)
         self._cov = larger
-        self._means, self._centres = np.vstack([self._means, *means]), np.vstack([self._centres, *centres])
-        self._walls = np.concatenate([self._walls, [observation.is_wall for observation in observations.values()]])
-        self._on_added(observations.values())
+        self._means = np.vstack([self._means, *(landmark.mean for landmark in new)])
+        self._centres = np.vstack([self._centres, *(landmark.centre for landmark in new)])
+        self._walls = np.concatenate([self._walls, [seen.is_wall for seen in observations.values()]])
+        self._on_added(new)
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(observations)}
-
-
-def first_estimate(pose: Pose, observation: Observation, centre: Array) -> tuple[Array, Array, Array]:
-    """A landmark (2,) in the pose's world, a wall about `centre` (2,); its Jacobians by pose (2, 3) and by z (2, 2)."""
-    mean, by_pose, by_z = initialize_landmark(pose, observation)
-    about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre)
-    return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Observation, rotation_generator
+from sixthsense.core.landmarks import rotation_generator
 from sixthsense.slam.estimators.base import Estimate
-from sixthsense.slam.estimators.ekf import EKF, first_estimate
+from sixthsense.slam.estimators.ekf import EKF
+from sixthsense.slam.estimators.ekf_observations import NewLandmark
 
 
 class AnchoredEKF(EKF):
@@ -61,10 +62,8 @@ class AnchoredEKF(EKF):
     def _on_started(self) -> None:
         self._anchors = self._means.copy()
 
-    def _on_added(self, observations: Collection[Observation]) -> None:
-        at, centres = Pose(self._point[0], self._point[1], self._pose.theta), self._centres[-len(observations) :]
-        anchors = [first_estimate(at, s, centre)[0] for s, centre in zip(observations, centres, strict=True)]
-        self._anchors = np.vstack([self._anchors, *anchors])
+    def _on_added(self, landmarks: Sequence[NewLandmark]) -> None:
+        self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in landmarks)])
 
     def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
         self._anchors = self._anchors[slots]

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.linalg.blas import dsyr2k
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.landmarks import rotation_generator
-from sixthsense.core.motion import STANDSTILL
-from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.checks import check_sensor, check_wheels
 from sixthsense.slam.estimators.ekf import EKF
 
 
@@ -29,40 +24,6 @@ class InvariantEKF(EKF):
     """
 
     _has_centres = True
-
-    def estimate_wheels(self, prior: WheelEstimate) -> None:
-        """Add the wheels' parameters to the state."""
-        own = self._parameters
-        check_wheels(prior, own.wheels is not None or self._has_begun())
-        own.wheels, own.of_wheels = prior.values, self._add_parameters(prior.cov)
-
-    def wheels(self) -> WheelEstimate | None:
-        """The wheels' parameters, if they are estimated."""
-        own = self._parameters
-        return None if own.wheels is None else WheelEstimate(own.wheels, self._of(own.of_wheels))
-
-    def estimate_sensor(self, prior: SensorEstimate) -> None:
-        """Add the parameters of the sensor of points to the state."""
-        own = self._parameters
-        check_sensor(prior, own.sensor is not None or self._has_begun())
-        own.sensor, own.of_sensor = prior.values, self._add_parameters(prior.cov)
-
-    def sensor(self) -> SensorEstimate | None:
-        """The sensor's parameters, if they are estimated."""
-        own = self._parameters
-        return None if own.sensor is None else SensorEstimate(own.sensor, self._of(own.of_sensor))
-
-    def _has_begun(self) -> bool:
-        return bool(self._slots) or self._pending is not STANDSTILL
-
-    def _add_parameters(self, cov: Array) -> slice:
-        """Add parameters with a prior covariance to the state, after those that are there; where they are."""
-        added = slice(self._head, self._head + len(cov))
-        self._head, self._cov = added.stop, np.asfortranarray(block_diag(self._cov, cov))
-        return added
-
-    def _of(self, parameters: slice) -> Array:
-        return self._symmetric(np.arange(parameters.start, parameters.stop))
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
         theta = float(shift[2])

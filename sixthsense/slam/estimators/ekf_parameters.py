@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.sensor import Sensor
-from sixthsense.core.wheels import Wheels
+from sixthsense.core.sensor import Sensor, SensorEstimate
+from sixthsense.core.wheels import WheelEstimate, Wheels
+from sixthsense.slam.estimators.checks import check_sensor, check_wheels
 
 _NONE = slice(3, 3)
 
@@ -17,10 +18,26 @@ _NONE = slice(3, 3)
 class Parameters:
     """The values that are estimated, and where they are in the state."""
 
+    end: int = 3
+    """where the landmarks begin in the state: after the pose, and the parameters"""
     wheels: Wheels | None = None
     of_wheels: slice = field(default_factory=lambda: _NONE)
     sensor: Sensor | None = None
     of_sensor: slice = field(default_factory=lambda: _NONE)
+
+    def add_wheels(self, prior: WheelEstimate, has_begun: bool) -> None:
+        """Add the wheels' parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
+        check_wheels(prior, self.wheels is not None or has_begun)
+        self.wheels, self.of_wheels = prior.values, self._added(prior.cov)
+
+    def add_sensor(self, prior: SensorEstimate, has_begun: bool) -> None:
+        """Add the sensor's parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
+        check_sensor(prior, self.sensor is not None or has_begun)
+        self.sensor, self.of_sensor = prior.values, self._added(prior.cov)
+
+    def _added(self, cov: Array) -> slice:
+        begin, self.end = self.end, self.end + len(cov)
+        return slice(begin, self.end)
 
     def correct(self, shift: Array) -> None:
         """Add a correction of the state, (3 + p + 2n,)."""

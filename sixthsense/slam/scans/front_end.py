@@ -15,9 +15,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import Tick
-from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.proposed import Proposal
-from sixthsense.slam.estimators import Estimate, PoseGraphEstimator, estimates_wheels
+from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.apparent import private_covariance, reported
@@ -57,7 +56,7 @@ class ScanFrontEnd:
     def __init__(
         self,
         config: Config,
-        estimator: PoseGraphEstimator,
+        estimator: Smoother,
         start: Pose,
         timed: Timed,
         increments: Increments | None = None,
@@ -74,7 +73,7 @@ class ScanFrontEnd:
         """of the robot at the last keyframe"""
         self._since = STANDSTILL
         """odometry of the robot since the last keyframe"""
-        self._wheels = self._wheel_estimate()
+        self._wheels = estimator.wheels()
         """at the last keyframe, if the estimator has them"""
         self._prior: Prior | None = None
         """of the last scan; None before the second"""
@@ -215,9 +214,6 @@ class ScanFrontEnd:
         self._prior = prior_of(self._graph.poses[-1], self._since_of_laser())
         self._is_carried = True
 
-    def _wheel_estimate(self) -> WheelEstimate | None:
-        return self._estimator.wheels() if estimates_wheels(self._estimator) else None
-
     def _slipped(self, motion: Pose) -> Odometry:
         """A motion since the last keyframe with the covariance of a slip."""
         return Odometry(motion, self._since.cov + np.diag([SLIP_M, SLIP_M, SLIP_RAD]) ** 2)
@@ -278,7 +274,7 @@ class ScanFrontEnd:
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
         self._increments.at_keyframe()
-        estimate, self._wheels = self._reported(self._estimator.estimate()), self._wheel_estimate()
+        estimate, self._wheels = self._reported(self._estimator.estimate()), self._estimator.wheels()
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
         self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from sixthsense.config.scans import ScansConfig
 from sixthsense.core.geometry import Array
-from sixthsense.slam.estimators import takes_out_poses
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, ScanGraph
@@ -93,8 +92,7 @@ class LoopClosures:
         if self._travelled[key] - self._looked_m >= _PERIOD_M:
             self._looked_m = float(self._travelled[key])
             self._look_around(key)
-        if takes_out_poses(self._graph.estimator):
-            self._thinning.look(key)
+        self._thinning.look(key)
 
     def _look_around(self, key: int) -> None:
         old = np.flatnonzero(self._graph.is_kept[: max(self._graph.first, key - OLD_AGE)])

@@ -1,23 +1,24 @@
-"""Links between poses: the laws, for all shipped estimators that keep their poses."""
+"""Links between poses: the laws, for all shipped smoothers."""
 
 import dataclasses
 
 import pytest
 from laws.links import LAWS
 
-from sixthsense.slam.estimators import ESTIMATORS, keeps_poses, register_estimator
+from sixthsense.slam.estimators import ESTIMATORS, Filter, Smoother, register_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing.estimation import CONVERGED, make
 
-KEEPING = [name for name in ESTIMATORS if keeps_poses(make(name))]
+SMOOTHERS = [name for name in ESTIMATORS if isinstance(make(name), Smoother)]
 
 
-def test_the_smoother_alone_keeps_poses():
-    assert KEEPING == ["isam2"]
+def test_of_the_shipped_estimators_all_are_filters_and_one_is_a_smoother():
+    assert all(isinstance(make(name), Filter) for name in ESTIMATORS)
+    assert SMOOTHERS == ["isam2"]
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-@pytest.mark.parametrize("name", KEEPING)
+@pytest.mark.parametrize("name", SMOOTHERS)
 def test_links_keep_the_laws(name, law):
     law.check(name)
 

@@ -8,7 +8,7 @@ from laws.wheels import PRIOR, TRUE, calibrated, increment
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.evaluation.metrics import nees_band
-from sixthsense.slam.estimators import ESTIMATORS, takes_prior_map
+from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.batch import to_robot
 from sixthsense.testing.estimation import POINTS, make, noisy, sight, step
 
@@ -21,10 +21,6 @@ START_COV = np.diag([0.05, 0.05, 0.02]) ** 2
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_estimators_that_begin_with_a_prior_map_keep_the_laws(name, law):
     law.check(name)
-
-
-def test_all_shipped_estimators_begin_with_a_prior_map():
-    assert all(takes_prior_map(make(name)) for name in ESTIMATORS)
 
 
 def drive(estimator, true, rng, sigma):

@@ -7,7 +7,7 @@ from laws.links import linked
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry, WheelTerms
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
-from sixthsense.slam.estimators import Link, takes_out_poses
+from sixthsense.slam.estimators import Link
 from sixthsense.testing.estimation import assert_same, joint_state, make, step
 
 
@@ -15,10 +15,6 @@ def seen(smoother, before, after, off=0.01):
     """A link that differs a little from where a smoother has the poses."""
     poses = [Pose.from_array(row) for row in smoother.trajectory()[[before, after]]]
     return Link(before, after, Odometry(poses[0].inverse() @ poses[1] @ Pose(off, -off, off), 1e-3 * np.eye(3)))
-
-
-def test_of_the_shipped_estimators_the_smoother_alone_takes_poses_out():
-    assert takes_out_poses(make("isam2")) and not takes_out_poses(make("ekf-invariant"))
 
 
 @pytest.mark.parametrize("gone", [[3], [1, 2, 3], [2, 4, 6], [1, 2, 4, 5, 6]])
