@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.landmark_kernels import innovations_of, predictions, translations
 from sixthsense.core.sensor import Sensor, SensorTerms
 
 LandmarkId = int
@@ -162,21 +163,7 @@ def predict(pose: Pose, landmarks: Array, walls: NDArray[np.bool_]) -> tuple[Arr
 
     Returns z (m, 2) and its Jacobians by the pose (m, 2, 3) and by the landmark (m, 2, 2).
     """
-    points = ~walls
-    z, by_pose, by_landmark = np.empty((len(walls), 2)), np.empty((len(walls), 2, 3)), np.empty((len(walls), 2, 2))
-    z[points], by_pose[points], by_landmark[points] = predict_points(pose, landmarks[points])
-    z[walls], by_pose[walls], by_landmark[walls] = predict_walls(pose, landmarks[walls])
-    return z, by_pose, by_landmark
-
-
-def stacked_jacobian(by_pose: Array, by_landmark: Array) -> Array:
-    """(2m, 3 + 2m) Jacobian of m predicted observations by the pose and the landmarks, in order."""
-    m = len(by_pose)
-    H = np.zeros((2 * m, 3 + 2 * m))
-    H[:, :3] = by_pose.reshape(2 * m, 3)
-    for k in range(m):
-        H[2 * k : 2 * k + 2, 3 + 2 * k : 5 + 2 * k] = by_landmark[k]
-    return H
+    return predictions((pose.x, pose.y, pose.theta), landmarks, walls)
 
 
 def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
@@ -187,24 +174,14 @@ def innovations(z: Array, predicted: Array, walls: NDArray[np.bool_]) -> Array:
 
 
 def observation_innovations(z: Array, cov: Array, predicted: Array, walls: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """(..., 2) innovations of observations, and (..., 2, 2) their covariances about the predictions.
+    """(m, 2) innovations of m observations, and (m, 2, 2) their covariances about the predictions.
 
     The error of a fitted line is a turn about the centre of its returns and a shift there, independent of each other:
     `cov` tells where the centre is. About the foot of its perpendicular, a turn by delta also moves the offset d by
     d delta^2 / 2, which for a short wall is more than the sigma of the shift and always to the same side. So the
     distance of the predicted line is taken from the centre. To first order it is that of `innovations`, with `cov`.
     """
-    values = innovations(z, predicted, walls)
-    cov = np.broadcast_to(cov, (*values.shape, 2))
-    if not walls.any():
-        return values, cov
-    turn, (lever, of_turn, of_shift) = values[..., 0], line_errors(cov)
-    c, s = np.cos(turn), np.sin(turn)
-    turned = lever * c + z[..., 1] * s  # the centre's place along the predicted line
-    gap = z[..., 1] * c - lever * s - predicted[..., 1]
-    values[..., 1] = np.where(walls, gap + turned * turn, values[..., 1])
-    about = np.stack([of_turn, turned * of_turn, turned * of_turn, of_shift + turned * turned * of_turn], axis=-1)
-    return values, np.where(walls[..., None, None], about.reshape(*about.shape[:-1], 2, 2), cov)
+    return innovations_of(z, cov, predicted, walls)
 
 
 def line_errors(cov: Array) -> tuple[Array, Array, Array]:
@@ -250,17 +227,8 @@ def rotation_generator(landmarks: Array, walls: NDArray[np.bool_] | None = None)
 
 
 def translated(landmarks: Array, walls: NDArray[np.bool_], by: Array) -> tuple[Array, Array]:
-    """Landmarks (m, 2) after the world is translated by `by` (2,), or each by its own (m, 2), and the Jacobians.
-
-    The Jacobians (m, 2, 2) are by the landmarks.
-    """
-    by = np.broadcast_to(by, landmarks.shape)
-    moved, jacobian = landmarks + by, np.tile(np.eye(2), (len(landmarks), 1, 1))
-    normal, along = _axes(landmarks[walls, 0])
-    moved[walls, 0] = landmarks[walls, 0]
-    moved[walls, 1] = landmarks[walls, 1] + (normal * by[walls]).sum(axis=1)
-    jacobian[walls, 1, 0] = (along * by[walls]).sum(axis=1)
-    return moved, jacobian
+    """Landmarks (m, 2) after the world is translated by `by` (m, 2), for each its own, and the Jacobians (m, 2, 2)."""
+    return translations(landmarks, walls, by)
 
 
 def _axes(alpha: Array) -> tuple[Array, Array]:

@@ -74,7 +74,8 @@ class InnovationObserver:
         squared = np.full((len(observations), len(estimate.ids)), np.inf)
         if squared.size:
             joint, observed = estimator.joint_covariance(estimate.ids.tolist()), Observed.of(observations)
-            found = compare(observed, observed.cov[:, None], estimate, np.arange(len(estimate.ids)), joint).squared
+            everywhere = np.arange(len(estimate.ids))
+            found = compare(observed, np.zeros(len(everywhere)), estimate, everywhere, joint).squared
             squared = np.where(observed.walls[:, None] == estimate.walls[None, :], found, np.inf)
         self.scans.append(PriorInnovations(tuple(observations), estimate.ids, squared))
 

@@ -43,7 +43,7 @@ def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():
         levers.append(along @ place)
     to_foot = np.array([[1.0, 0.0], [levers[1], 1.0]])
     cov = to_foot @ np.diag([0.1**2, 0.01**2]) @ to_foot.T
-    values, about = observation_innovations(lines[1], cov, lines[0], np.array(True))
+    (values,), (about,) = observation_innovations(lines[1][None], cov[None], lines[0][None], np.ones(1, bool))
     assert values[0] == pytest.approx(turn)
     # All of it is explained by the direction's sigma.
     assert values @ np.linalg.solve(about, values) == pytest.approx((turn / 0.1) ** 2)

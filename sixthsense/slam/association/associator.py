@@ -18,7 +18,7 @@ from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
 from sixthsense.slam.association.matches import Matches, match
-from sixthsense.slam.association.matching import compare_known, matches_nis
+from sixthsense.slam.association.matching import compare_known
 from sixthsense.slam.association.observed import Distances, Observed
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Record
@@ -118,10 +118,10 @@ class Associator:
         misread: set[LandmarkId] = set()
         nis = 0.0
         if old:
-            innovation, joint = compare_known(observations, old, estimate, estimator)
+            innovation = compare_known(observations, old, estimate, estimator)
             kept = np.flatnonzero(np.diag(innovation.squared) <= self._known_gate)
             misread = set(old) - {old[k] for k in kept}
-            nis = matches_nis(innovation, [observations[old[k]] for k in kept], kept, joint)
+            nis = innovation.nis([observations[old[k]] for k in kept], kept)
         accepted = {i: observation for i, observation in observations.items() if i not in misread}
         for i, observation in accepted.items():
             self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan)).observations += 1
@@ -135,8 +135,8 @@ class Associator:
         old = [i for i in observations if i in known]
         if not old:
             return 0.0, 0
-        innovation, joint = compare_known(observations, old, estimate, estimator)
-        return matches_nis(innovation, [observations[i] for i in old], np.arange(len(old)), joint), 2 * len(old)
+        innovation = compare_known(observations, old, estimate, estimator)
+        return innovation.nis([observations[i] for i in old], np.arange(len(old))), 2 * len(old)
 
     def forgotten(
         self, scan: Scan | None, estimator: Estimator, estimate: Estimate, association: Association

@@ -11,10 +11,10 @@ estimates is therefore the wall as it was seen last, which changes as the stretc
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
@@ -43,8 +43,8 @@ class Footprint(NamedTuple):
     @classmethod
     def of(cls, pose: Pose, ends: Array) -> Footprint:
         """That of a wall with these ends (2, 2), seen from `pose`."""
-        x, y = pose.position - ends.mean(axis=0)
-        return cls(ends, math.atan2(y, x))
+        (x, y), (other_x, other_y) = ends.tolist()
+        return cls(ends, math.atan2(pose.y - 0.5 * (y + other_y), pose.x - 0.5 * (x + other_x)))
 
 
 class Crookedness:
@@ -119,35 +119,38 @@ class MeanShape:
 
 def correlation(before: Footprint, now: Footprint) -> float:
     """Of the errors that a wall's shape makes in two observations: the share that both see, times one of the side."""
-    along = now.ends[1] - now.ends[0]
-    (first, last), (first_before, last_before) = np.sort(now.ends @ along), np.sort(before.ends @ along)
-    both = max(0.0, min(last, last_before) - max(first, first_before))
-    either = max(last, last_before) - min(first, first_before)
     turn = math.remainder(now.side_rad - before.side_rad, 2.0 * math.pi)
-    return both / either * math.exp(-((turn / _SIDE_RAD) ** 2)) if either > 0.0 else 0.0
-
-
-def noise_of_pairs(observations: Sequence[Observation], squares_m2: Array) -> Array:
-    """(m, k, 2, 2) covariances of observations if they are of landmarks whose walls deviate by `squares_m2` (k,)."""
-    noise = np.array([s.cov for s in observations])[:, None]
-    if not squares_m2.any():
-        return np.repeat(noise, len(squares_m2), axis=1)
-    units = np.array([_unit(s) for s in observations])
-    return np.asarray(noise + squares_m2[None, :, None, None] * units[:, None])
+    return _overlap(before.ends, now.ends) * math.exp(-((turn / _SIDE_RAD) ** 2))
 
 
 def less_certain(observation: Observation, square_m2: float) -> Observation:
     """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
     if square_m2 == 0.0 or not observation.is_wall:
         return observation
-    shape_cov = square_m2 * _unit(observation)
+    shape_cov = square_m2 * unit_cov(*observation.extent, True)
     return replace(observation, cov=observation.cov + shape_cov, shape_cov=shape_cov)
 
 
-def _unit(observation: Observation) -> Array:
-    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle."""
-    if not observation.is_wall:
-        return np.zeros((2, 2))
-    first, last = observation.extent
-    about_middle = np.array([[1.0, 0.0], [0.5 * (first + last), 1.0]])
-    return np.asarray(about_middle @ np.diag([4.0 * _TILT / (last - first) ** 2, 1.0]) @ about_middle.T)
+@numba.njit(cache=True, error_model="numpy")
+def unit_cov(first: float, last: float, is_wall: bool) -> Array:
+    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle.
+
+    The wall reaches from `first` to `last` along it, m; zero for a point.
+    """
+    cov = np.zeros((2, 2))
+    if is_wall:
+        middle, of_tilt = 0.5 * (first + last), 4.0 * _TILT / (last - first) ** 2
+        cov[0, 0] = of_tilt
+        cov[0, 1] = cov[1, 0] = middle * of_tilt
+        cov[1, 1] = 1.0 + middle * middle * of_tilt
+    return cov
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overlap(before: Array, now: Array) -> float:
+    """Intersection over union of two stretches with the ends (2, 2) each, along the second."""
+    x, y = now[1, 0] - now[0, 0], now[1, 1] - now[0, 1]
+    a, b = before[0, 0] * x + before[0, 1] * y, before[1, 0] * x + before[1, 1] * y
+    c, d = now[0, 0] * x + now[0, 1] * y, now[1, 0] * x + now[1, 1] * y
+    either = max(a, b, c, d) - min(a, b, c, d)
+    return max(0.0, min(max(a, b), max(c, d)) - max(min(a, b), min(c, d))) / either if either > 0.0 else 0.0

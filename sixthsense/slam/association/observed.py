@@ -16,6 +16,8 @@ from sixthsense.core.landmarks import Observation
 from sixthsense.slam.estimators.base import Estimate
 
 Mask = NDArray[np.bool_]
+Limits = tuple[float, float, float]
+"""of a distance, m, a turn, rad, and a gap, m"""
 
 _TURN_LIMITS_RAD = (0.15, 0.6)
 """between two walls: always plausible below the first, never above the second"""
@@ -32,6 +34,8 @@ class Observed(NamedTuple):
     """(m, 2, 2) of z"""
     walls: Mask
     """(m,) which of them are walls"""
+    extents: Array
+    """(m, 2) first and last place of a wall, as of `Observation`"""
     ends: Array
     """(m, 2, 2) both ends of a wall; twice the position of a point"""
 
@@ -41,21 +45,12 @@ class Observed(NamedTuple):
         z = np.array([s.z for s in observations]).reshape(-1, 2)
         cov = np.array([s.cov for s in observations]).reshape(-1, 2, 2)
         walls = np.array([s.is_wall for s in observations], dtype=bool)
-        along = np.array([s.extent for s in observations]).reshape(-1, 2)
-        c, s = np.cos(z[:, 0]), np.sin(z[:, 0])
-        x = np.where(walls[:, None], (z[:, 1] * c)[:, None] - along * s[:, None], z[:, :1])
-        y = np.where(walls[:, None], (z[:, 1] * s)[:, None] + along * c[:, None], z[:, 1:])
-        return cls(z, cov, walls, np.stack([x, y], axis=-1))
+        extents = np.array([s.extent for s in observations]).reshape(-1, 2)
+        return cls(z, cov, walls, extents, _ends(z, walls, extents))
 
     def sigmas_m(self, pose_cov: Array) -> Array:
         """(m,) upper bound of the sigma of a point, or of a wall's middle, in the world; `pose_cov` (3, 3)."""
-        middle = 0.5 * (self.ends[:, 0] + self.ends[:, 1])
-        c, s = np.cos(self.z[:, 0]), np.sin(self.z[:, 0])
-        along = c * middle[:, 1] - s * middle[:, 0]
-        var = self.cov[:, 1, 1] - 2.0 * along * self.cov[:, 0, 1] + along**2 * self.cov[:, 0, 0]
-        own = np.where(self.walls, var, self.cov[:, 0, 0] + self.cov[:, 1, 1])
-        turned = np.hypot(middle[:, 0], middle[:, 1]) * math.sqrt(pose_cov[2, 2])
-        return np.asarray(np.sqrt(np.maximum(own, 0.0)) + turned + math.sqrt(pose_cov[0, 0] + pose_cov[1, 1]))
+        return _sigmas(self, math.sqrt(pose_cov[0, 0] + pose_cov[1, 1]), math.sqrt(pose_cov[2, 2]))
 
 
 class Distances(NamedTuple):
@@ -95,26 +90,65 @@ class Distances(NamedTuple):
         the smoother relinearizes.
         """
         widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
-        is_wall = (self.length_m > 0.0)[:, None]
-        of_point = np.minimum(cfg.pre_gate_m, widest * (sigmas[:, None] + 2.0 * known[None, :]))
-        of_wall = np.clip(widest * sigmas, _OFFSET_LIMIT_M, cfg.pre_gate_m)[:, None]
-        turn = float(np.clip(widest * heading_sigma, *_TURN_LIMITS_RAD))
-        near = self.metres < np.where(is_wall, of_wall, of_point)
-        return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < cfg.wall_gap_m))
+        turn = min(max(widest * heading_sigma, _TURN_LIMITS_RAD[0]), _TURN_LIMITS_RAD[1])
+        return _plausible(self, sigmas, known, widest, (cfg.pre_gate_m, turn, cfg.wall_gap_m))
 
     def apart(self, cfg: AssociationConfig) -> Mask:
         """(m, n) pairs that are far enough apart to be of two landmarks, whatever their covariances say."""
-        is_near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _TURN_LIMITS_RAD[0])
-        return np.asarray(~(is_near & (self.gap_m < cfg.wall_gap_m)))
+        return ~_within(self, (cfg.new_separation_m, _TURN_LIMITS_RAD[0], cfg.wall_gap_m))
 
-    def covered(self, slack_m: Array) -> Array:
-        """(m, n) share, 0 to 1, of an observed wall on what is known of the landmark, after a shift by `slack_m` (m,).
 
-        1 for points.
-        """
-        length = np.maximum(self.length_m, 1e-9)[:, None]
-        share = np.clip((slack_m[:, None] - self.gap_m) / length, 0.0, 1.0)
-        return np.where(self.length_m[:, None] > 0.0, share, 1.0)
+@numba.njit(cache=True, error_model="numpy")
+def _plausible(distances: Distances, sigmas: Array, known: Array, widest: float, limits: Limits) -> Mask:
+    m, n = distances.metres.shape
+    most, turn, gap = limits
+    out = np.empty((m, n), np.bool_)
+    for i in range(m):
+        of_wall = min(max(widest * sigmas[i], _OFFSET_LIMIT_M), most)
+        for j in range(n):
+            of_point = min(most, widest * (sigmas[i] + 2.0 * known[j]))
+            near = distances.metres[i, j] < (of_wall if distances.length_m[i] > 0.0 else of_point)
+            out[i, j] = near and distances.turn_rad[i, j] < turn and distances.gap_m[i, j] < gap
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _within(distances: Distances, limits: Limits) -> Mask:
+    m, n = distances.metres.shape
+    metres, turn, gap = limits
+    out = np.empty((m, n), np.bool_)
+    for i in range(m):
+        for j in range(n):
+            near = distances.metres[i, j] <= metres and distances.turn_rad[i, j] < turn
+            out[i, j] = near and distances.gap_m[i, j] < gap
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _ends(z: Array, walls: Mask, extents: Array) -> Array:
+    out = np.empty((len(z), 2, 2))
+    for i in range(len(z)):
+        if walls[i]:
+            c, s = math.cos(z[i, 0]), math.sin(z[i, 0])
+            for e in range(2):
+                out[i, e] = z[i, 1] * c - extents[i, e] * s, z[i, 1] * s + extents[i, e] * c
+        else:
+            out[i] = z[i]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sigmas(observed: Observed, pose_m: float, heading: float) -> Array:
+    out = np.empty(len(observed.z))
+    for i in range(len(out)):
+        cov, ends, alpha = observed.cov[i], observed.ends[i], observed.z[i, 0]
+        x, y = 0.5 * (ends[0, 0] + ends[1, 0]), 0.5 * (ends[0, 1] + ends[1, 1])
+        var = cov[0, 0] + cov[1, 1]
+        if observed.walls[i]:
+            along = math.cos(alpha) * y - math.sin(alpha) * x
+            var = cov[1, 1] - 2.0 * along * cov[0, 1] + along * along * cov[0, 0]
+        out[i] = math.sqrt(max(var, 0.0)) + math.hypot(x, y) * heading + pose_m
+    return out
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Observation, line_errors, observation_innovations, observed_centre
+from sixthsense.core.pose_kernels import Triple
 from sixthsense.slam.association.observed import Distances
 
 _PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
+_ONE_WALL = np.ones(1, dtype=bool)
 
 
 def ends(pose: Pose, observation: Observation) -> Array:
     """(2, 2) both ends, in the world, of a wall that is observed from `pose`."""
-    c, s = np.cos(observation.z[0]), np.sin(observation.z[0])
-    foot, along = observation.z[1] * np.array([c, s]), np.array([-s, c])
-    return np.asarray(pose @ (foot + np.outer(observation.extent, along)))
+    return _ends((pose.x, pose.y, pose.theta), observation.z, *observation.extent)
 
 
 def collinear_pairs(
@@ -40,21 +41,43 @@ def collinear_pairs(
 
 def disagreement(first: Array, second: Array, cov: Array) -> float:
     """Squared Mahalanobis distance between two walls (2,) in one frame, whose difference has `cov` (2, 2)."""
-    gap, cov = observation_innovations(first, cov, second, np.array(True))
-    return float(gap @ np.linalg.solve(cov, gap))
+    (gap,), (about,) = observation_innovations(first[None], cov[None], second[None], _ONE_WALL)
+    return float(gap @ np.linalg.solve(about, gap))
 
 
-def joined(landmark: Array, *extents: Array) -> Array:
-    """(2, 2) ends, on a landmark (2,), of the smallest extent that covers several extents (2, 2)."""
-    c, s = np.cos(landmark[0]), np.sin(landmark[0])
-    normal, along = np.array([c, s]), np.array([-s, c])
-    reach = np.concatenate([extent @ along for extent in extents])
-    return np.asarray(landmark[1] * normal + np.outer([reach.min(), reach.max()], along))
+@numba.njit(cache=True, error_model="numpy")
+def joined(landmark: Array, first: Array, second: Array) -> Array:
+    """(2, 2) ends, on a landmark (2,), of the smallest extent that covers two extents (2, 2)."""
+    c, s = math.cos(landmark[0]), math.sin(landmark[0])
+    low, high = math.inf, -math.inf
+    for x, y in (first[0], first[1], second[0], second[1]):
+        low, high = min(low, c * y - s * x), max(high, c * y - s * x)
+    return _on_line(landmark, low, high)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _ends(pose: Triple, line: Array, first: float, last: float) -> Array:
+    out = _on_line(line, first, last)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(2):
+        x, y = out[k]
+        out[k] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _on_line(line: Array, first: float, last: float) -> Array:
+    """(2, 2) the points of a line (2,), alpha and d, at two places along it, m from the foot of its perpendicular."""
+    c, s = math.cos(line[0]), math.sin(line[0])
+    out = np.empty((2, 2))
+    out[0] = line[1] * c - first * s, line[1] * s + first * c
+    out[1] = line[1] * c - last * s, line[1] * s + last * c
+    return out
 
 
 def fused(first: Observation, second: Observation) -> Observation:
     """One observation of a wall from two pieces of it in the same scan, whose errors are independent."""
-    gap, second_cov = observation_innovations(second.z, second.cov, first.z, np.array(True))
+    (gap,), (second_cov,) = observation_innovations(second.z[None], second.cov[None], first.z[None], _ONE_WALL)
     gain = first.cov @ np.linalg.inv(first.cov + second_cov)
     turn, shift = gain @ gap
     lever, _, _ = line_errors(first.cov)

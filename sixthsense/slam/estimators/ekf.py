@@ -7,11 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, cholesky, solve_triangular
-from scipy.linalg.blas import dsyrk
+from scipy.linalg import block_diag
+from scipy.linalg.blas import dsyrk, dtrsm
+from scipy.linalg.lapack import dpotrf
 
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, rotation_generator, translated
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.sensor import SensorEstimate
@@ -20,7 +22,7 @@ from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory,
 from sixthsense.slam.estimators.checks import check_prior
 from sixthsense.slam.estimators.ekf_observations import NewLandmark, expected, new_landmark
 from sixthsense.slam.estimators.ekf_parameters import Parameters
-from sixthsense.slam.estimators.triangle import selected
+from sixthsense.slam.estimators.triangle import columns, selected
 
 
 class EKF:
@@ -230,7 +232,7 @@ class EKF:
 
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
-        n, m = self._size, len(slots)
+        m = len(slots)
         walls, points = self._walls[slots], self._linearization_points(slots)
         predicted, by_pose, by_landmark = expected(self._pose, self._means[slots], *points, walls, self._centres[slots])
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
@@ -239,25 +241,21 @@ class EKF:
                 cov[k] -= observation.shape_cov
                 self._renew(int(slots[k]), 2.0 * (1.0 - observation.shape_kept) * observation.shape_cov, by_landmark[k])
         innovation, noise = observation_innovations(z, cov, predicted, walls)
-        index = np.concatenate([np.arange(self._head), self._places(slots)])
-        H = np.zeros((2 * m, len(index)))  # the non-zero columns of H
+        H = stacked(by_pose, by_landmark, self._head)  # the non-zero columns of H
         for k, observation in enumerate(observations):
-            at, column = slice(2 * k, 2 * k + 2), self._head + 2 * k
-            H[at, :3], H[at, column : column + 2] = by_pose[k], by_landmark[k]
             if observation.sensor is not None:
-                H[at, self._parameters.of_sensor] = self._parameters.by_sensor(predicted[k])
-        columns = np.empty((n, len(index)), order="F")  # Sigma[:, index], from the lower triangle
-        for k, i in enumerate(index):
-            columns[i:, k] = self._cov[i:, i]
-            columns[:i, k] = self._cov[i, :i]
-        cross = columns @ H.T  # Sigma H^T, (n, 2m)
+                H[2 * k : 2 * k + 2, self._parameters.of_sensor] = self._parameters.by_sensor(predicted[k])
+        index = np.concatenate([np.arange(self._head), self._places(slots)])
+        cross = columns(self._cov.T, index).T @ H.T  # Sigma H^T, (n, 2m)
         S = H @ cross[index]
         for k in range(m):
             S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
-        root = cholesky(0.5 * (S + S.T), lower=True, check_finite=False)
-        W = solve_triangular(root, cross.T, lower=True, check_finite=False).T  # (n, 2m)
+        root, fault = dpotrf(S, lower=1)
+        if fault:
+            raise np.linalg.LinAlgError("update: the innovations' covariance is not positive definite")
+        W = dtrsm(1.0, root, cross, side=1, lower=1, trans_a=1)  # (n, 2m)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
-        return np.asarray(W @ solve_triangular(root, innovation.ravel(), lower=True, check_finite=False))
+        return np.asarray(W @ dtrsm(1.0, root, innovation.reshape(-1, 1), lower=1)[:, 0])
 
     def _renew(self, slot: int, cov: Array, by_landmark: Array) -> None:
         """Make a wall that is seen otherwise than before less certain, by `cov` (2, 2) of its observation.

@@ -62,5 +62,5 @@ def new_landmark(pose: Pose, point: Array, observation: Observation, has_centre:
 
 def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[Array, Array, Array]:
     mean, by_pose, by_z = initialize_landmark(pose, observation)
-    about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre)
+    about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.landmarks import Observation, predict, stacked_jacobian
+from sixthsense.core.landmark_kernels import stacked
+from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_wheels import motion_factor
@@ -170,7 +171,7 @@ def map_gain(
     landmarks together is what they say of the landmarks, and of the pose once these are known.
     """
     _, by_pose, by_landmark = predict(pose, landmarks, walls)
-    H = stacked_jacobian(by_pose, by_landmark)
+    H = stacked(by_pose, by_landmark, 3)
     noise = block_diag(*(observation.cov for observation in observations))
     if_known = joint[:3, :3] - joint[:3, 3:] @ np.linalg.solve(joint[3:, 3:], joint[3:, :3])
     of_all = np.linalg.slogdet(H @ joint @ H.T + noise)

@@ -89,11 +89,11 @@ class ObservationFactors:
         pose = poses[rows["pose"]]
         order = np.argsort(ids)
         landmark = landmarks[order[np.searchsorted(ids, rows["id"], sorter=order)]]
+        z, cov, is_wall = (np.ascontiguousarray(rows[name]) for name in ("z", "cov", "wall"))
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         gap = landmark - pose[:, :2]
         points = np.column_stack([c * gap[:, 0] + s * gap[:, 1], -s * gap[:, 0] + c * gap[:, 1]])
         foot = np.cos(landmark[:, 0]) * pose[:, 0] + np.sin(landmark[:, 0]) * pose[:, 1]
         walls = np.column_stack([wrap_angle(landmark[:, 0] - pose[:, 2]), landmark[:, 1] - foot])
-        predicted = np.where(rows["wall"][:, None], walls, points)
-        off, cov = observation_innovations(rows["z"], rows["cov"], predicted, rows["wall"])
+        off, cov = observation_innovations(z, cov, np.where(is_wall[:, None], walls, points), is_wall)
         return np.einsum("ni,ni->n", off, np.linalg.solve(cov, off[:, :, None])[:, :, 0]), rows["place"]

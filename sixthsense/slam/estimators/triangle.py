@@ -22,3 +22,16 @@ def selected(upper: Array, index: NDArray[np.int64]) -> Array:
         for i in range(j, k):
             out[j, i] = row[index[i]]
     return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def columns(upper: Array, index: NDArray[np.int64]) -> Array:
+    """(k, n) the columns at `index` (k,), one a row, of a symmetric matrix (n, n) whose transpose is `upper`."""
+    k, n = len(index), len(upper)
+    out = np.empty((k, n))
+    for j in range(k):
+        i = index[j]
+        out[j, i:] = upper[i, i:]
+        for other in range(i):
+            out[j, other] = upper[other, i]
+    return out

@@ -7,14 +7,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark
+from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
+from sixthsense.core.pose_kernels import Triple, wrapped
 from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
 from sixthsense.slam.features.line_fit import LaserSigmas
 from sixthsense.slam.features.lines import FittedLines, LineRules, fit_lines
@@ -177,20 +179,39 @@ def _wall_observations(
     `bearings` holds those of the returns of each wall.
     """
     observations = []
-    for (alpha, d, aa, ad, dd, low, high, *deviation), own in zip(walls.tolist(), bearings, strict=True):
-        if not aa <= config.walls.max_sigma_rad**2:
-            continue
-        # With its normal towards the laser the wall lies at the distance -d.
-        in_laser = Observation(Kind.WALL, np.array([alpha + math.pi, -d]), np.array([[aa, -ad], [-ad, dd]]))
-        z, _, by_z = initialize_landmark(mount, in_laser)
-        middle = 0.5 * (low + high)
-        # The floor is that of the wall's shape about its middle, whatever the robot's distance: not about its foot.
-        to_foot = np.array([[1.0, 0.0], [-middle, 1.0]])
-        floor = to_foot @ np.diag([assumed.wall_floor_rad**2, assumed.landmark_floor_m**2]) @ to_foot.T
-        cov = by_z @ (in_laser.cov + floor) @ by_z.T
-        foot = -math.sin(z[0]) * mount.x + math.cos(z[0]) * mount.y
-        observations.append(Observation(Kind.WALL, z, cov, (foot - high, foot - low), own, _as_shape(deviation)))
+    floors = assumed.wall_floor_rad**2, assumed.landmark_floor_m**2
+    z, cov, extents = _walls_from(walls, (mount.x, mount.y, mount.theta), floors)
+    for k, own in enumerate(bearings):
+        if walls[k, 2] <= config.walls.max_sigma_rad**2:
+            extent = float(extents[k, 0]), float(extents[k, 1])
+            observations.append(Observation(Kind.WALL, z[k], cov[k], extent, own, _as_shape(walls[k, 7:].tolist())))
     return observations
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _walls_from(walls: Array, mount: Triple, floors: tuple[float, float]) -> tuple[Array, Array, Array]:
+    """Lines (W, 2), their covariances (W, 2, 2) and extents (W, 2) in the robot's frame of walls in the laser's frame.
+
+    The floors, rad^2 and m^2, are those of a wall's shape about its middle, whatever the robot's distance: not about
+    the foot of its perpendicular.
+    """
+    z, cov, extents = np.empty((len(walls), 2)), np.empty((len(walls), 2, 2)), np.empty((len(walls), 2))
+    for k in range(len(walls)):
+        alpha, d, aa, ad, dd, low, high = walls[k, :7]
+        middle = 0.5 * (low + high)
+        aa += floors[0]
+        ad += middle * floors[0]
+        dd += middle * middle * floors[0] + floors[1]
+        # With its normal towards the laser the wall lies at the distance -d.
+        turned = wrapped(alpha + math.pi + mount[2])
+        c, s = math.cos(turned), math.sin(turned)
+        lever = c * mount[1] - s * mount[0]
+        z[k] = turned, c * mount[0] + s * mount[1] - d
+        mixed = lever * aa - ad
+        cov[k, 0] = aa, mixed
+        cov[k, 1] = mixed, lever * lever * aa - 2.0 * lever * ad + dd
+        extents[k] = lever - high, lever - low
+    return z, cov, extents
 
 
 def _as_shape(deviation: list[float]) -> WallShape:

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import block_diag
 
 from sixthsense.slam.association.joint_assignment import Pairs, best_matches, squared_given
-from sixthsense.slam.association.matches import _beyond, _lacking
-from sixthsense.slam.association.matching import block_diagonal
+from sixthsense.slam.association.matches import _penalties
+from sixthsense.slam.association.matching import Innovations
 
 GATE = 13.8
 FACES = 0.05 * np.arange(5)
@@ -28,9 +28,18 @@ def problem(seed, observations=4, landmarks=5):
     return Pairs(z[:, None] - places[None], noise, predicted), rng.uniform(0.0, 2.0, (observations, landmarks))
 
 
+def penalties(log_det, share, inside=True):
+    """Of pairs that are `inside` the gate, of observed walls of 1 m, of which a share is on what is known."""
+    m, k = log_det.shape
+    squared = np.where(inside, 0.0, 2.0 * GATE) * np.ones((m, k))
+    pairs = Pairs(np.zeros((m, k, 2)), np.zeros((m, k, 2, 2)), np.zeros((2 * k, 2 * k)))
+    found = Innovations(pairs, squared, log_det, np.zeros((2 * k, 3)), np.zeros((k, 2)), np.ones(k, bool))
+    return _penalties(found, np.ones((m, k), bool), GATE, -share, np.ones(m), np.zeros(m))
+
+
 def joint_squared(pairs, rows, cols):
     index = (2 * np.asarray(cols, dtype=int)[:, None] + np.arange(2)).ravel()
-    S = pairs.predicted[np.ix_(index, index)] + block_diagonal(pairs.noise[rows, cols])
+    S = pairs.predicted[np.ix_(index, index)] + block_diag(*pairs.noise[rows, cols])
     y = pairs.values[rows, cols].ravel()
     return float(y @ np.linalg.solve(S, y))
 
@@ -128,17 +137,11 @@ def test_nothing_is_matched_where_nothing_is_plausible():
 def test_a_match_that_is_denser_than_none_inside_the_gate_gains_nothing():
     log_det = np.array([[-9.0, -8.0, -3.0], [-5.0, -4.0, -2.0]])
     inside = np.array([[False, True, True], [False, False, False]])
-    assert np.array_equal(_lacking(log_det, inside), [[0.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
+    found = penalties(log_det, np.ones((2, 3)), inside)
+    assert np.array_equal(found, [[0.0, 0.0, 5.0], [0.0, 0.0, 0.0]])
 
 
 def test_a_wall_that_covers_less_of_an_observation_than_another_is_less_likely():
-    share, everything = np.array([[1.0, 0.5, 0.0]]), np.ones((1, 3), bool)
-    penalty = _beyond(share, share, everything)
-    assert np.allclose(penalty, [[0.0, 2.0 * np.log(2.0), 2.0 * np.log(100.0)]])
-    assert not _beyond(share[:, 2:], share[:, 2:], everything[:, 2:]).any()  # a wall that is seen farther on
-
-
-def test_blocks_lie_along_the_diagonal():
-    blocks = np.random.default_rng(1).normal(size=(4, 2, 2))
-    assert np.array_equal(block_diagonal(blocks), block_diag(*blocks))
-    assert block_diagonal(blocks[:0]).shape == (0, 0)
+    share, alike = np.array([[1.0, 0.5, 0.0]]), np.zeros((1, 3))
+    assert np.allclose(penalties(alike, share), [[0.0, 2.0 * np.log(2.0), 2.0 * np.log(100.0)]])
+    assert not penalties(alike[:, 2:], share[:, 2:]).any()  # a wall that is seen farther on

@@ -80,8 +80,8 @@ def test_jacobians_of_a_walls_observation_are_those_of_finite_differences(wall):
     there = lambda x, z: initialize_landmark(Pose(*x), Observation(Kind.WALL, z, COV))[0]  # noqa: E731
     assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
     assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
-    moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))
-    shift = lambda w: translated(w[None], np.ones(1, dtype=bool), np.array([3.0, -8.0]))[0][0]  # noqa: E731
+    moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))
+    shift = lambda w: translated(w[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))[0][0]  # noqa: E731
     assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
 
 
@@ -118,7 +118,9 @@ def test_moving_the_world_moves_walls_with_it(name, transform):
     (plain, cov), (moved, cov_moved) = everything(driven(name)[0]), everything(driven(name, transform=transform)[0])
     assert np.allclose((transform @ plain.pose).position, moved.pose.position, atol=1e-6)
     turned = plain.landmarks + np.array([transform.theta, 0.0])
-    expected, jacobian = translated(turned, np.ones(len(turned), dtype=bool), transform.position)
+    expected, jacobian = translated(
+        turned, np.ones(len(turned), dtype=bool), np.tile(transform.position, (len(turned), 1))
+    )
     assert np.allclose(wrap_angle(expected[:, 0] - moved.landmarks[:, 0]), 0.0, atol=1e-6)
     assert np.allclose(expected[:, 1], moved.landmarks[:, 1], atol=1e-5)
     T = np.eye(len(cov))

@@ -1,0 +1,74 @@
+"""The kernels of landmarks compute what plain NumPy does."""
+
+import numpy as np
+import pytest
+
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmark_kernels import stacked
+from sixthsense.core.landmarks import (
+    line_errors,
+    observation_innovations,
+    predict,
+    predict_points,
+    predict_walls,
+    translated,
+)
+
+
+def covariances(rng, n):
+    root = rng.normal(size=(n, 2, 2))
+    return root @ root.transpose(0, 2, 1)
+
+
+@pytest.fixture(params=range(5))
+def case(request):
+    rng = np.random.default_rng(request.param)
+    walls = rng.random(12) < 0.5
+    landmarks = rng.normal(size=(12, 2)) * 4.0
+    landmarks[walls, 0] = wrap_angle(landmarks[walls, 0])
+    return rng, Pose(*rng.normal(size=3) * 3.0), landmarks, walls
+
+
+def test_predictions(case):
+    _, pose, landmarks, walls = case
+    z, by_pose, by_landmark = predict(pose, landmarks, walls)
+    for some, predicted in ((walls, predict_walls), (~walls, predict_points)):
+        expected = predicted(pose, landmarks[some])
+        assert np.allclose(z[some], expected[0], atol=1e-12)
+        assert np.allclose(by_pose[some], expected[1], atol=1e-12)
+        assert np.allclose(by_landmark[some], np.broadcast_to(expected[2], (some.sum(), 2, 2)), atol=1e-12)
+
+
+def test_translations(case):
+    rng, _, landmarks, walls = case
+    by = rng.normal(size=landmarks.shape)
+    moved, jacobian = translated(landmarks, walls, by)
+    alpha = landmarks[:, 0]
+    normal, along = np.column_stack([np.cos(alpha), np.sin(alpha)]), np.column_stack([-np.sin(alpha), np.cos(alpha)])
+    offset = landmarks[:, 1] + (normal * by).sum(axis=1)
+    assert np.allclose(moved, np.where(walls[:, None], np.column_stack([alpha, offset]), landmarks + by), atol=1e-12)
+    expected = np.tile(np.eye(2), (len(by), 1, 1))
+    expected[walls, 1, 0] = (along * by).sum(axis=1)[walls]
+    assert np.allclose(jacobian, expected, atol=1e-12)
+
+
+def test_innovations(case):
+    rng, _, predicted, walls = case
+    z, cov = predicted + rng.normal(size=predicted.shape), covariances(rng, len(walls))
+    values, about = observation_innovations(z, cov, predicted, walls)
+    turn, (lever, of_turn, of_shift) = wrap_angle(z[:, 0] - predicted[:, 0]), line_errors(cov)
+    turned = lever * np.cos(turn) + z[:, 1] * np.sin(turn)
+    gap = z[:, 1] * np.cos(turn) - lever * np.sin(turn) - predicted[:, 1] + turned * turn
+    assert np.allclose(values, np.where(walls[:, None], np.column_stack([turn, gap]), z - predicted), atol=1e-12)
+    mixed = turned * of_turn
+    of_wall = np.stack([of_turn, mixed, mixed, of_shift + turned**2 * of_turn], axis=-1).reshape(-1, 2, 2)
+    assert np.allclose(about, np.where(walls[:, None, None], of_wall, cov), atol=1e-10)
+
+
+def test_the_stacked_jacobian(case):
+    _, pose, landmarks, walls = case
+    _, by_pose, by_landmark = predict(pose, landmarks, walls)
+    H = stacked(by_pose, by_landmark, 5)
+    change = np.random.default_rng(1).normal(size=5 + 2 * len(walls))
+    expected = by_pose @ change[:3] + np.einsum("mij,mj->mi", by_landmark, change[5:].reshape(-1, 2))
+    assert np.allclose(H @ change, expected.ravel(), atol=1e-12)
