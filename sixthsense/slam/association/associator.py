@@ -74,14 +74,14 @@ class Associator:
         observed = Observed.of(observations)
         extents, excess = self._extents(estimate) if proposed is None else proposed.extents, self._crookedness.excess
 
-        def at(belief: Belief) -> Matches:
-            return match(observations, observed, belief, extents, self.records, excess, self._config)
+        def at(belief: Belief, estimate: Estimate) -> Matches:
+            return match(observed, belief, estimate, extents, self.records, excess, self._config)
 
         slip = None
         if proposed is None:
-            matches, slip = matches_after_slip(at, estimator)
+            matches, slip = matches_after_slip(at, estimator, estimate)
         else:
-            matches = at(proposed)
+            matches = at(proposed, proposed.estimate())
         if slip is not None:  # extents are where the robot is
             estimate = replace(estimate, pose=matches.pose)
         known, pieces = self._seen_again(observations, matches, estimate)
@@ -100,13 +100,13 @@ class Associator:
             if i >= 0:
                 known[i] = fused(known[i], observation) if i in known else observation
         pieces = int(np.count_nonzero(matches.landmark >= 0)) - len(known)
-        rows = dict(zip(estimate.ids.tolist(), estimate.landmarks, strict=True))
+        rows = {i: k for k, i in enumerate(estimate.ids.tolist())}
         for i, observation in known.items():
             record = self.records[i]
             seen = less_certain(observation, record.shape.square_m2(self._crookedness.excess))
             record.observations += 1
             record.last_scan = self._scan
-            known[i] = record.seen_again(seen, estimate.pose, rows[i]) if seen.is_wall else seen
+            known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]]) if seen.is_wall else seen
         return known, pieces
 
     def known(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numba
@@ -16,7 +16,7 @@ from sixthsense.slam.association.joint_assignment import Indices, best_matches, 
 from sixthsense.slam.association.matching import Innovations, compare
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record
-from sixthsense.slam.estimators.base import Belief
+from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01
 """share of the observations of a wall that show a stretch of it that was not seen before"""
@@ -45,9 +45,9 @@ class Matches(NamedTuple):
 
 
 def match(
-    observations: Sequence[Observation],
     observed: Observed,
     belief: Belief,
+    estimate: Estimate,
     extents: Array,
     records: Mapping[LandmarkId, Record],
     excess: tuple[float, float],
@@ -55,11 +55,11 @@ def match(
 ) -> Matches:
     """The set of matches that explains a keyframe best, and which of the other observations are new given these.
 
-    `observed` are the arrays of the observations, `extents` (n, 2, 2) ends of the belief's walls, and
-    `excess` says how crooked walls are in the mean. The `records` of landmarks that were compared are told how certain
-    these are.
+    `observed` are the arrays of the observations, `estimate` is that of `belief`, `extents` (n, 2, 2) are the ends of
+    its walls, and `excess` says how crooked walls are in the mean. The `records` of landmarks that were compared are
+    told how certain these are.
     """
-    m, estimate = len(observations), belief.estimate()
+    m = len(observed.z)
     own = [records[i] for i in estimate.ids.tolist()]
     known_sigmas = np.array([record.sigma_m for record in own])
     sigmas = observed.sigmas_m(estimate.pose_cov)

@@ -43,26 +43,34 @@ class Slipped:
         return joint
 
 
-def matches_after_slip(at: Callable[[Belief], Matches], belief: Belief) -> tuple[Matches, Odometry | None]:
+def matches_after_slip(
+    at: Callable[[Belief, Estimate], Matches], belief: Belief, estimate: Estimate
+) -> tuple[Matches, Odometry | None]:
     """The matches at a belief's pose, or where the robot is after a slip, and the slip; None: it has not slipped.
 
-    `at` gives the matches at a belief. Of all headings that are tried that is taken at which most matches.
+    `at` gives the matches at a belief with that estimate. Of all headings that are tried that is taken at which most
+    matches.
     """
-    here, estimate = at(belief), belief.estimate()
+    here = at(belief, estimate)
     if len(estimate.ids) < _LEAST or not _says_slip(here):
         return here, None
     cov = np.diag([_SIGMA_M, _SIGMA_M, 0.5 * _STEP_RAD]) ** 2
     best, by = here, None
     for step in _STEPS:
         slip = Odometry(Pose(theta=step * _STEP_RAD), cov)
-        found = at(Slipped(belief, slip))
+        found = _after(slip, at, belief)
         if _matched(found) < _LEAST:
             continue
         slip = Odometry(estimate.pose.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
-        found = at(Slipped(belief, slip))
+        found = _after(slip, at, belief)
         if by is None or _matched(found) > _matched(best):
             best, by = found, slip
     return (best, by) if _tells_place(best) else (here, None)
+
+
+def _after(slip: Odometry, at: Callable[[Belief, Estimate], Matches], belief: Belief) -> Matches:
+    slipped = Slipped(belief, slip)
+    return at(slipped, slipped.estimate())
 
 
 def _says_slip(matches: Matches) -> bool:

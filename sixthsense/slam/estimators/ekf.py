@@ -128,10 +128,9 @@ class EKF:
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
         self._propagate()
-        pose_cov = self._symmetric(np.arange(3))
         landmarks, _ = translated(self._means, self._walls, self._origin + self._centres)
         ids = np.array(list(self._slots), dtype=np.int64)
-        return Estimate(self._in_world(self._pose), pose_cov, ids, landmarks, self._walls.copy())
+        return Estimate(self._in_world(self._pose), self._symmetric(np.arange(3)), ids, landmarks, self._walls.copy())
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dsyr2k
 
-from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import rotation_generator
+from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.estimators.ekf import EKF
+
+Place = tuple[float, float]
 
 
 class InvariantEKF(EKF):
@@ -26,44 +31,56 @@ class InvariantEKF(EKF):
     _has_centres = True
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        theta = float(shift[2])
-        points = np.concatenate([[True], ~self._walls])
-        before = np.vstack([self._pose.position, self._means])  # (1 + n, 2)
-        step = np.vstack([shift[:2], shift[3:].reshape(-1, 2)])
-        # xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17).
-        xi = step - theta * rotation_generator(before)
-        after = before @ rotation(theta).T + xi @ _left_jacobian(theta).T
-        # A wall turns about its centre, and is shifted there.
-        after[~points] = before[~points] + step[~points]
-        after[~points, 0] = wrap_angle(after[~points, 0])
-        self._pose = Pose(after[0, 0], after[0, 1], self._pose.theta + theta)
-        self._means = after[1:]
-        moved = np.where(points[:, None], rotation_generator(after - before), 0.0)
-        self._transport_covariance(moved, _normals(after[~points, 0]) - _normals(before[~points, 0]), before[0])
-
-    def _transport_covariance(self, moved: Array, turned: Array, position: Array) -> None:
-        """Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T + B (e_p - e_theta J p)^T.
-
-        u holds the rows (1 + n, 2) of `moved`, and b^T J c in the row of a wall's offset, with the change b of its
-        normal and its centre c; B the changes (w, 2), `turned`, in the same rows; p is the robot's `position` (2,)
-        before the correction.
-        """
-        U = np.zeros((self._size, 3))
-        U[:, 0] = np.concatenate([moved[0], np.zeros(self._head - 2), moved[1:].ravel()])
-        offsets = self._head + 1 + 2 * np.flatnonzero(self._walls)
-        U[offsets, 0] = (turned * rotation_generator(self._centres[self._walls])).sum(axis=1)
-        U[offsets, 1:] = turned
+        theta, before = float(shift[2]), (self._pose.x, self._pose.y)
+        V = _left_jacobian(theta)
+        (x, y), means, U = _corrected(before, self._means, self._walls, self._centres, shift, V, self._head)
+        self._pose, self._means = Pose(x, y, self._pose.theta + theta), means
+        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T + B (e_p - e_theta J p)^T, U = (u, B).
         of_pose = np.vstack([self._symmetric(np.arange(3)), self._cov[3:, :3]])  # Sigma's columns of the pose
-        C = np.zeros((3, 3))  # theta and xi_p from the errors of the pose
-        C[0, 2] = C[1, 0] = C[2, 1] = 1.0
-        C[1:, 2] = -rotation_generator(position)
+        C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, before[1]], [0.0, 1.0, -before[0]]])  # theta and xi_p of the pose's
         W = of_pose @ C.T + 0.5 * U @ (C @ of_pose[:3] @ C.T)
         self._cov = dsyr2k(1.0, U, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
 
 
-def _normals(alpha: Array) -> Array:
-    """(w, 2) normals of walls with the angles `alpha` (w,)."""
-    return np.column_stack([np.cos(alpha), np.sin(alpha)])
+@numba.njit(cache=True, error_model="numpy")
+def _corrected(
+    position: tuple[float, float],
+    means: Array,
+    walls: NDArray[np.bool_],
+    centres: Array,
+    shift: Array,
+    V: Array,
+    head: int,
+) -> tuple[tuple[float, float], Array, Array]:
+    """The robot's position and the means (n, 2) after a correction by `shift` (3 + 2n,), and U (head + 2n, 3).
+
+    xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17). A wall turns
+    about its centre, and is shifted there. The first column of U holds what a turn by theta adds to the error of a
+    moved position, and b^T J c in the row of a wall's offset, with the change b of its normal and its centre c; the
+    others hold b there.
+    """
+    theta = shift[2]
+    c, s = math.cos(theta), math.sin(theta)
+    U, moved = np.zeros((head + 2 * len(means), 3)), np.empty(means.shape)
+    x, y = position
+    xi, eta = shift[0] + theta * y, shift[1] - theta * x
+    new = c * x - s * y + V[0, 0] * xi + V[0, 1] * eta, s * x + c * y + V[1, 0] * xi + V[1, 1] * eta
+    U[0, 0], U[1, 0] = y - new[1], new[0] - x
+    for k in range(len(means)):
+        a, b = means[k]
+        da, db = shift[3 + 2 * k], shift[4 + 2 * k]
+        row = head + 2 * k
+        if walls[k]:
+            alpha = wrapped(a + da)
+            moved[k] = alpha, b + db
+            nx, ny = math.cos(alpha) - math.cos(a), math.sin(alpha) - math.sin(a)
+            U[row + 1] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
+        else:
+            xi, eta = da + theta * b, db - theta * a
+            moved[k, 0] = c * a - s * b + V[0, 0] * xi + V[0, 1] * eta
+            moved[k, 1] = s * a + c * b + V[1, 0] * xi + V[1, 1] * eta
+            U[row, 0], U[row + 1, 0] = b - moved[k, 1], moved[k, 0] - a
+    return new, moved, U
 
 
 def _left_jacobian(theta: float) -> Array:

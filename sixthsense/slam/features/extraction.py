@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
 from sixthsense.config.removed import OldName
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
@@ -25,6 +26,8 @@ from sixthsense.slam.features.points import find_points
 from sixthsense.slam.features.split import split
 from sixthsense.slam.features.sweep_noise import add_sweep_noise
 from sixthsense.slam.features.walls import find_walls
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,15 +163,29 @@ def _point_observations(
 
     `bearings` holds those of the returns of each point.
     """
-    turn = rotation(mount.theta)
-    observations = []
-    for kind, (x, y, xx, xy, yy), own in zip(kinds, found, bearings, strict=True):
-        # The larger eigenvalue of the covariance, in closed form; NaN fails the comparison.
-        largest = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy)
-        if largest <= config.points.max_sigma_m**2:
-            cov = turn @ np.array([[xx, xy], [xy, yy]]) @ turn.T + assumed.landmark_floor_m**2 * np.eye(2)
-            observations.append(Observation(Kind(int(kind)), mount @ np.array([x, y]), cov, bearings=own))
-    return observations
+    z, cov, is_certain = _points_from(
+        found, (mount.x, mount.y, mount.theta), assumed.landmark_floor_m**2, config.points.max_sigma_m**2
+    )
+    certain = np.flatnonzero(is_certain).tolist()
+    return [Observation(Kind(int(kinds[k])), z[k], cov[k], bearings=bearings[k]) for k in certain]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _points_from(found: Array, mount: Triple, floor: float, most: float) -> tuple[Array, Array, Mask]:
+    """Places (K, 2) in the robot's frame and their covariances, of points in the laser's frame; which are certain.
+
+    Those whose largest variance is at most `most`, m^2; NaN is not. `floor`, m^2, is added along all directions.
+    """
+    z, cov, is_certain = np.empty((len(found), 2)), np.empty((len(found), 2, 2)), np.empty(len(found), np.bool_)
+    c, s = math.cos(mount[2]), math.sin(mount[2])
+    for k in range(len(found)):
+        x, y, xx, xy, yy = found[k]
+        is_certain[k] = 0.5 * (xx + yy) + math.hypot(0.5 * (xx - yy), xy) <= most
+        z[k] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
+        mixed = c * s * (xx - yy) + (c * c - s * s) * xy
+        cov[k, 0] = c * c * xx - 2.0 * c * s * xy + s * s * yy + floor, mixed
+        cov[k, 1] = mixed, s * s * xx + 2.0 * c * s * xy + c * c * yy + floor
+    return z, cov, is_certain
 
 
 def _wall_observations(
