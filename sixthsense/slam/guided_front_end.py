@@ -16,10 +16,10 @@ from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.estimators import Estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.slam.features import NO_FEATURES, Features
-from sixthsense.slam.front_end import LoopClosureCounts, Timed
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
 from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.scans.front_end import ScanFrontEnd
 
@@ -48,6 +48,14 @@ class GuidedFrontEnd(LandmarkFrontEnd):
         """Counts of the loop closures of scan matching so far."""
         return self._guide.loop_closure_counts
 
+    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+        """Process a tick as of landmarks, and place what was seen for the proposals that follow."""
+        found = super().take(tick, scan, increment)
+        if found is not None and scan is not None:
+            seen, records = found.association.observations, self._associator.records
+            self._proposed.remember(self._guide.newest, found.estimate, seen, records)
+        return found
+
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         keyframe = self._guide.take(tick, scan, increment)
         if scan is None:
@@ -66,9 +74,3 @@ class GuidedFrontEnd(LandmarkFrontEnd):
             return super()._associated(features, tick)
         self._proposed.place(self._guide.proposal(), self._estimator.estimate())
         return self._associator.associate(features.observations, self._estimator, self._proposed)
-
-    def _updated(self, association: Association, scan: Scan | None) -> Estimate:
-        estimate = super()._updated(association, scan)
-        if scan is not None:
-            self._proposed.remember(self._guide.newest, estimate, association.observations, self._associator.records)
-        return estimate

@@ -68,7 +68,7 @@ class LandmarkFrontEnd:
             self._predict(association.slip)
             motion = motion.then(association.slip)
         predicted = self._estimator.estimate()
-        estimate = self._update(association, scan)
+        estimate = self._update(association)
         self._pose = estimate.pose
         return Keyframe(motion, predicted, estimate, association, features)
 
@@ -98,10 +98,10 @@ class LandmarkFrontEnd:
             return self._associator.known(tick.observations or {}, self._estimator)
         return self._associator.associate(features.observations, self._estimator)
 
-    def _updated(self, association: Association, scan: Scan | None) -> Estimate:
+    def _updated(self, association: Association) -> Estimate:
         self._estimator.update(association.observations)
         estimate = self._estimator.estimate()
-        gone = self._associator.forgotten(scan, self._estimator, estimate, association)
+        gone = self._associator.forgotten(self._estimator, estimate)
         if gone:
             self._estimator.forget(gone)
             estimate = self._estimator.estimate()

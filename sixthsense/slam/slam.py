@@ -80,9 +80,9 @@ class Slam:
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
         self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
         records = None if prior_map is None else prior_map.fresh_records()
-        self.associator = Associator(self.config.association, records, self.config.grid.no_return_passes)
         self._radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
         self._mapper = Mapper(self.config.grid, self._radius_m, self.config.safety.body_m)
+        self.associator = Associator(self.config.association, records, self._mapper.are_free)
         self._deskew = Deskewer(self.config.features.deskew)
         self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
         self._wheels = self._make_wheels()

@@ -15,17 +15,29 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.laser import Scan
 from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
 from sixthsense.slam.association.matches import Matches, match
 from sixthsense.slam.association.matching import compare_known
-from sixthsense.slam.association.observed import Distances, Observed
+from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.association.slip import matches_after_slip
-from sixthsense.slam.association.vanished import Vanished
 from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
+
+AreFree = Callable[[Array, float], Mask]
+"""(N,) whether a map shows nothing but free cells around the points (N, 2), world frame, within a distance, m"""
+
+_SIGMAS = 3.0
+"""of the pose, within which no obstacle may be where a landmark is gone"""
+_PARTS = 10
+"""of a wall's extent, at whose limits the map is asked"""
+
+
+def nowhere_free(points: Array, within_m: float) -> Mask:
+    """Of a map that says nothing."""
+    return np.zeros(len(points), dtype=bool)
+
 
 Observer = Callable[[Sequence[Observation], Belief], None]
 """Called with all observations of a keyframe and the estimator before its update; must not change either."""
@@ -38,9 +50,9 @@ class Associator:
         self,
         config: AssociationConfig,
         records: Mapping[LandmarkId, Record] | None = None,
-        no_return_passes: bool = True,
+        are_free: AreFree = nowhere_free,
     ) -> None:
-        """Begin with the `records` of a prior map; beams without a return show that its landmarks are gone, or not."""
+        """Begin with the `records` of a prior map, whose landmarks are gone where this run's map says `are_free`."""
         self._config = config
         self._next_id = 1 + max(records or [-1])
         self._scan = 0
@@ -51,7 +63,7 @@ class Associator:
         self.walls_merged = 0
         """walls merged into older duplicates, not counted as culled"""
         self._crookedness = Crookedness()
-        self._vanished = Vanished(self.records, no_return_passes)
+        self._prior, self._are_free = frozenset(self.records), are_free
         self.observer: Observer | None = None
         """called before the observations of a keyframe are matched; for evaluation"""
         self._known_gate = float(chi_square_quantile(config.known_probability, 2))  # infinite for 1
@@ -138,27 +150,35 @@ class Associator:
         innovation = compare_known(observations, old, estimate, estimator)
         return innovation.nis([observations[i] for i in old], np.arange(len(old))), 2 * len(old)
 
-    def forgotten(
-        self, scan: Scan | None, estimator: Estimator, estimate: Estimate, association: Association
-    ) -> list[LandmarkId]:
-        """Landmarks to forget after the update with `association`, whose estimate is given.
+    def forgotten(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
+        """Landmarks to forget after an update, whose estimate is given; looked for once a period.
 
         They were seen too rarely, duplicate an older wall, or are of a prior map and no longer there.
         """
-        gone = [*self._culled(), *self._merged(estimator, estimate)]
-        if scan is not None:
-            vanished = self._vanished.gone(scan, estimate, association.observations, self.records)
-            for i in vanished:
+        if self._scan % self._config.cull_period:
+            return []
+        culled = self._culled()
+        merged = self._merged(estimator, estimate)
+        return [*culled, *merged, *self._vanished(estimate)]
+
+    def _vanished(self, estimate: Estimate) -> list[LandmarkId]:
+        """Landmarks of a prior map that were not seen for a period, where the map shows the most of them free."""
+        within_m = _SIGMAS * math.sqrt(estimate.pose_cov[0, 0] + estimate.pose_cov[1, 1])
+        gone: list[LandmarkId] = []
+        for i, landmark, is_wall in zip(estimate.ids.tolist(), estimate.landmarks, estimate.walls, strict=True):
+            record = self.records.get(i) if i in self._prior else None
+            if record is None or self._scan - record.last_scan < self._config.cull_period:
+                continue
+            places = np.linspace(record.extent[0], record.extent[1], _PARTS + 1) if is_wall else landmark[None]
+            if np.mean(self._are_free(places, within_m)) > 0.5:
                 del self.records[i]
-            self.culled += len(vanished)
-            gone += vanished
+                gone.append(i)
+        self.culled += len(gone)
         return gone
 
     def _culled(self) -> list[LandmarkId]:
         """Landmarks that were seen too rarely a period after their first observation (report: bad landmarks)."""
         config = self._config
-        if self._scan % config.cull_period:
-            return []
         bad = [
             i
             for i, record in self.records.items()
@@ -170,13 +190,11 @@ class Associator:
         return bad
 
     def _merged(self, estimator: Estimator, estimate: Estimate) -> list[LandmarkId]:
-        """Walls that duplicate an older wall; checked once a period.
+        """Walls that duplicate an older wall.
 
         Two walls are one when they lie in line, without a gap, and their difference passes the gate of a match. The
         younger wall's information about the poses stays in the estimate; that both are one is not added to it.
         """
-        if self._scan % self._config.cull_period:
-            return []
         kept = estimate.walls & np.isin(estimate.ids, list(self.records))  # some may just have been culled
         ids, walls = estimate.ids[kept].tolist(), estimate.landmarks[kept]
         records = [self.records[i] for i in ids]

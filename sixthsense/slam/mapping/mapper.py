@@ -137,6 +137,14 @@ class Mapper:
             self._is_read = False
             self._draw()
 
+    def are_free(self, points: Array, within_m: float) -> Bools:
+        """(N,) whether the cells within a distance and a cell of points (N, 2), world frame, are seen and free."""
+        cell_m = self._config.cell_m
+        around = np.floor(points / cell_m).astype(np.int64)[:, None, ::-1] + disc(within_m / cell_m + 1.0)[None]
+        box = box_of(around.reshape(-1, 2))
+        is_free = self.grid.part("seen", box) & ~self.grid.part("obstacles", box)
+        return np.asarray(is_free[around[..., 0] - box.top, around[..., 1] - box.left].all(axis=1))
+
     def complete(self, trajectory: Array) -> None:
         """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
         final = trajectory[: len(self._scans)]

@@ -24,7 +24,7 @@ def updated(estimator, associator, observations):
     """The landmarks that are forgotten after a keyframe."""
     association = associator.associate(observations, estimator)
     estimator.update(association.observations)
-    gone = associator.forgotten(None, estimator, estimator.estimate(), association)
+    gone = associator.forgotten(estimator, estimator.estimate())
     estimator.forget(gone)
     return gone
 

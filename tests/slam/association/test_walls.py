@@ -354,7 +354,7 @@ def test_duplicate_walls_are_merged():
             association = associator.associate([seen, second], estimator)
             estimator.update(association.observations)
             assert estimator.estimate().walls.sum() == 2
-            merged = associator.forgotten(None, estimator, estimator.estimate(), association)
+            merged = associator.forgotten(estimator, estimator.estimate())
         estimator.forget(merged)
         assert merged == gone and associator.walls_merged == len(gone)
         if gone:
