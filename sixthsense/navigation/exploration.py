@@ -13,29 +13,30 @@ from typing import Literal
 import numpy as np
 
 from sixthsense.core.geometry import Pose
-from sixthsense.navigation.closed_walls import ClosedWalls
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.frontier import centre_cell
-from sixthsense.navigation.gridsearch import Costs, Prices, cheapest_way, costs_from, reached_cells
+from sixthsense.navigation.gridsearch import Prices, cheapest_way, costs_from
 from sixthsense.navigation.known_views import KnownViews
-from sixthsense.navigation.limited_map import LimitedMap
-from sixthsense.navigation.map_window import NO_TARGET, FailedViewCounts, MapWindow, Target
+from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
+from sixthsense.navigation.path_margin import margin_m
+from sixthsense.navigation.path_planner import DrivingMap
 from sixthsense.navigation.pose_history import PoseHistory
+from sixthsense.navigation.regions import Cells
+from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import ViewGain
-from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.view_planner import NO_TARGET, Target, ViewPlanner
+from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.estimators import Estimate
-from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 
 State = Literal["viewing", "closing a loop", "going home"]
 
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
 _LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
-_SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 _BLOCKED_PATHS = 6  # without anything new to see; explorations that go on have up to three in a row
 _NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
 
@@ -52,37 +53,33 @@ class Exploration:
         self.outcome: Outcome | None = None
         self.left: list[UnseenPlace] = []
         self.state: State = "viewing"
-        self._task, self._limited = task, LimitedMap(task.region, task.radius_m, task.config)
-        self._widening, self._ways = self._limited.widening, self._limited.ways
+        self._task, self._view = task, MapView(task.region, task.radius_m, task.config)
         self._target, self._turning = NO_TARGET, False  # whether it turns around, at a viewpoint or while it waits
-        self._failed_views, self._failed_dear_views = FailedViewCounts(), FailedViewCounts()
-        self._known_views = KnownViews()
-        self._closed_walls = ClosedWalls(round(_SIGHT_MARGIN * task.radius_m / task.config.grid.cell_m))
+        self._gain, self._known_views = ViewGain(self._view, task.sensor), KnownViews()
         self._history = PoseHistory(task.config.explore)
         self._ways_home = 0  # over dear cells, that were tried
         self._stuck = False  # since the last arrival
         self._blocked_paths = self._waits = 0  # since the robot has seen anything new
         self._seen_m2 = 0.0
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
-        self._map = self._limited.driving_map(grid, estimate)
+        self._map = self._driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
-        self._drawn_window: MapWindow | None = None
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
-        self._map = self._limited.driving_map(grid, estimate)
-        self._ways.moved(pose.position)
-        self._update_window(pose)
+        self._map = self._driving_map(grid, estimate)
+        self._view.ways.moved(pose.position)
+        self.driver.update_map(self._map, pose)
         self._history.add(pose, estimate.pose_cov)
         if self.state == "viewing":
-            self._view(grid, pose)
+            self._go_on(grid, pose)
         elif self.state == "closing a loop" and self._history.is_certain:
             self._choose_view(pose)
         elif not self.driver.path_is_free(pose):
             self.driver.plan(pose)
 
-    def _view(self, grid: Grid, pose: Pose) -> None:
+    def _go_on(self, grid: Grid, pose: Pose) -> None:
         """Go on with a view: until its cells are seen, its path is blocked, or the pose becomes uncertain."""
         waits = self._turning and self._target is NO_TARGET
         seen_more = self._has_seen_more or self._history.is_much_less_certain
@@ -124,10 +121,11 @@ class Exploration:
         self.state, self._turning = "viewing", False
         self._target = self._next_target(pose) or self._target_outside(pose) or self._dear_target(pose) or NO_TARGET
         if self._target is not NO_TARGET:
-            self.driver.head_for(self._window.point(*self._target.viewpoint_in(self._window)), pose)
+            row, col = self._target.viewpoint
+            self.driver.head_for(self._view.point(row - self._view.frame.top, col - self._view.frame.left), pose)
             return
         planner = self._make_view_planner(pose)
-        self.left = unseen_places(planner, planner.candidates(self._widening))
+        self.left = unseen_places(planner, planner.candidates())
         if self.left and self._may_wait():
             self._turning = True
             self.driver.wait(pose)
@@ -158,44 +156,49 @@ class Exploration:
 
     def _count_failed_view(self, pose: Pose) -> None:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
-        window, self._has_seen_more = self._window, True
-        cell = window.cell(pose.position)
-        visible = visible_cells(window.obstacles, window.unknown, *cell, self._task.sensor.gapless_reach)
-        self._failed.count_failure(window, (self._target.mask(window) | visible) & window.unknown)
+        view, self._has_seen_more = self._view, True
+        row, col = view.cell(pose.position)
+        span = int(self._task.sensor.gapless_reach)
+        top, left = max(row - span, 0), max(col - span, 0)
+        part = slice(top, row + span + 1), slice(left, col + span + 1)
+        obstacles, unknown = view.obstacles[part].copy(), ~(view.seen[part] | view.obstacles[part])
+        visible = visible_cells(obstacles, unknown, row - top, col - left, self._task.sensor.gapless_reach)
+        cells = np.argwhere(visible) + np.add(view.first, (top, left))
+        view.count_attempt(np.concatenate([self._target.cells, cells]), self._target.dear)
         self._choose_view(pose)
 
     def _give_up_target(self, pose: Pose) -> None:
         """Count a target that the robot has not come to as not seen, then choose another view."""
-        self._ways.close_untried()
-        window = self._window
-        self._failed.count_failure(window, self._target.mask(window) & window.unknown)
+        self._view.close_ways()
+        self.driver.update_map(self._map, pose)
+        self._view.count_attempt(self._target.cells, self._target.dear)
         self._choose_view(pose)
 
     def _look_again(self, pose: Pose) -> None:
         """Choose a view as if nothing had been given up: who was in the way may have gone."""
-        self._failed_views, self._failed_dear_views = FailedViewCounts(), FailedViewCounts()
+        self._view.forget_attempts()
         self._choose_view(pose)
 
     def _close_loop(self, pose: Pose) -> bool:
         """Head for the nearest place where the pose was certain; whether one can be reached."""
         self._history.postpone_loop_closure()
-        costs = self._costs(self._ways.free_prices(self._window), pose)
-        places = [place for place in self._history.well_known_places() if costs[self._window.cell(place)] >= 0]
-        if not places:
+        places, view = self._history.well_known_places(), self._view
+        view.draw_views(self._here(pose))
+        cells = np.array([view.cell(place) for place in places], dtype=np.int64).reshape(-1, 2)
+        lengths = view.tile_ways.lengths(self._here(pose), cells)
+        if not np.isfinite(lengths).any():
             return False
         self.state, self._target, self._turning, self._has_seen_more = "closing a loop", NO_TARGET, False, False
-        self.driver.head_for(min(places, key=lambda place: int(costs[self._window.cell(place)])), pose)
+        self.driver.head_for(places[int(np.argmin(lengths))], pose)
         return True
 
     def _go_home_as_it_came(self, pose: Pose) -> None:
         """Without a path home, open the cheapest way over dear cells, those where the robot has been included."""
         if self._ways_home < self._task.config.explore.tries:
             self._ways_home += 1
-            window = self._window
-            prices = self._ways.dear_prices(window, self._map.grid, self._history.positions)
-            costs = self._costs(prices, pose)
-            self._ways.open(window, cheapest_way(prices, costs, *window.cell(self._task.home)), prices)
-            self._update_window(pose)
+            prices = self._view.dear_prices(self._history.positions)
+            costs = costs_from(prices, *self._here(pose))
+            self._open_way(cheapest_way(prices, costs, *self._view.cell(self._task.home)), prices, pose)
             self.driver.head_for(self._task.home, pose)
             if self.driver.following:
                 return
@@ -211,67 +214,54 @@ class Exploration:
     def _next_target(self, pose: Pose) -> Target | None:
         """The best view from a cell in reach; None if nothing is left to see from there."""
         planner = self._make_view_planner(pose)
-        return planner.next_target(planner.candidates(self._widening), self._task.rng)
+        return planner.next_target(planner.candidates(), self._task.rng)
 
     def _target_outside(self, pose: Pose) -> Target | None:
-        """A target for a robot that may drive farther outside the region, from where it may see more of it."""
-        before = self._widening.step
-        while not self._widening.is_last:
-            self._widening.step += 1
-            self._update_window(pose)
-            target = self._next_target(pose)
-            if target is not None:
-                return target
-        self._widening.step = before
-        self._update_window(pose)
-        return None
+        """A target for a robot that may drive far outside the region, from where it may see more of it."""
+        if self._view.is_wide:
+            return None
+        self._view.widen(True)
+        target = self._next_target(pose)
+        if target is None:
+            self._view.widen(False)
+        self.driver.update_map(self._map, pose)
+        return target
 
     def _dear_target(self, pose: Pose) -> Target | None:
         """A target behind a gap that only the clearance closes, and the cheapest way through it, opened."""
-        grid = self._map.grid
-        prices = self._ways.dear_prices(self._window, grid)
-        costs = self._costs(prices, pose)
-        planner = self._make_view_planner(pose, costs >= 0)
-        candidates = planner.candidates(self._widening)
+        view, known = self._view, self._known_views
+        view.draw_views(self._here(pose))
+        prices = view.dear_prices()
+        costs = costs_from(prices, *self._here(pose))
+        reachable, ways = view.reached | (costs >= 0), TileWays(view.tile_ways.tile)
+        ways.update(reachable)
+        viewpoints = Viewpoints(reachable & ~view.reached, view.obstacles, self._task.sensor.reach)
+        task = self._task
+        planner = ViewPlanner(
+            self._gain, pose, reachable, viewpoints, ways, task.config, task.home, KnownViews(), dear=True
+        )
+        candidates = planner.candidates()
         # What free cells have in view was ignored, as long as all of it is dust.
-        hidden = [cells for cells in candidates.clusters if not self._known_views.ignores(centre_cell(cells))]
-        dust = candidates.dust - self._known_views.shown_by_ignored
-        target = planner.next_target(replace(candidates, clusters=hidden, dust=dust), self._task.rng)
+        hidden = [cells for cells in candidates.clusters if not known.ignores(planner.key(centre_cell(cells)))]
+        dust = candidates.dust - known.shown_by_ignored
+        target = planner.next_target(replace(candidates, clusters=hidden, dust=dust), task.rng)
         if target is not None:
-            target = replace(target, dear=True)
-            self._ways.open(self._window, cheapest_way(prices, costs, *target.viewpoint_in(self._window)), prices)
-            self._update_window(pose)
+            self._open_way(cheapest_way(prices, costs, *planner.local(target.viewpoint)), prices, pose)
         return target
 
-    def _make_view_planner(self, pose: Pose, beyond: Bools | None = None) -> ViewPlanner:
-        """The view planner for views from the cells that a path leads to, or from others in reach, `beyond` (H, W)."""
-        closed = self._closed_walls.close(self._window, self._map.grid)
-        window = self._drawn_window = closed.window
-        task = self._task
-        passable, blocked = window.seen & ~window.blocked, np.array(window.blocked)
-        reachable = reached_cells(passable, blocked, *self._here(pose))
-        gain = ViewGain(closed, task.sensor, task.radius_m)
-        if beyond is None:
-            failed, known, view_cells = self._failed_views, self._known_views, reachable
-        else:
-            failed, known, view_cells = self._failed_dear_views, KnownViews(), beyond & ~reachable
-            reachable = reachable | beyond
-        viewpoints = gain.viewpoints(view_cells)
-        return ViewPlanner(gain, failed.within(window), pose, reachable, viewpoints, task.config, task.home, known)
-
-    @property
-    def _failed(self) -> FailedViewCounts:
-        """The counts of failed views of the kind that the target's is."""
-        return self._failed_dear_views if self._target.dear else self._failed_views
-
-    def _costs(self, prices: Prices, pose: Pose) -> Costs:
-        """(H, W) the costs of the ways from the robot."""
-        return costs_from(prices, *self._here(pose))
+    def _make_view_planner(self, pose: Pose) -> ViewPlanner:
+        """The view planner for views from the cells that a path leads to."""
+        view, task = self._view, self._task
+        view.draw_views(self._here(pose))
+        viewpoints = Viewpoints(view.reached, view.obstacles, task.sensor.reach, view.occupied)
+        return ViewPlanner(
+            self._gain, pose, view.reached, viewpoints, view.tile_ways, task.config, task.home, self._known_views
+        )
 
     def _here(self, pose: Pose) -> tuple[int, int]:
-        """The cell of the window that paths from the robot begin at."""
+        """The cell that paths from the robot begin at."""
         free = self.driver.space.nearest_free(pose.position, 0.5)
-        return self._window.cell(pose.position if free is None else free)
+        return self._view.cell(pose.position if free is None else free)
 
     def _may_wait(self) -> bool:
         """Count a wait for people to go; whether any are expected and patience is left."""
@@ -286,13 +276,12 @@ class Exploration:
             self._blocked_paths = self._waits = 0
         self._seen_m2 = max(seen_m2, self._seen_m2)
 
-    def _update_window(self, pose: Pose) -> None:
+    def _open_way(self, way: Cells, prices: Prices, pose: Pose) -> None:
+        """Let the robot drive over the cells (N, 2) of a way over such prices (H, W)."""
+        self._view.open_way(way, prices)
         self.driver.update_map(self._map, pose)
-        self._drawn_window = None
 
-    @property
-    def _window(self) -> MapWindow:
-        """The map window, drawn when somebody looks at it."""
-        if self._drawn_window is None:
-            self._drawn_window = self._limited.window(self._map.grid, self.driver.space)
-        return self._drawn_window
+    def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
+        """The map as a path planner sees it."""
+        self._view.update(grid)
+        return DrivingMap(grid, self._view.free_space, margin_m(estimate.pose_cov, self._task.config))

@@ -7,10 +7,10 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Command
+from sixthsense.navigation.area_to_see import Region
 from sixthsense.navigation.exploration import Exploration
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.map_window import Region
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import Planner

@@ -8,8 +8,8 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
+from sixthsense.navigation.area_to_see import Region
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.map_window import Region
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.view_gain import SensorModel
 

@@ -9,10 +9,9 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.regions import Cells, are_beside, frontier_cells, joined, small_regions
+from sixthsense.navigation.regions import Cells, Nodes, frontier_cells, joined, small_regions
 from sixthsense.slam.mapping.freespace import Bools
 
 
@@ -55,19 +54,19 @@ def _eroded(mask: Bools) -> Bools:
     return ~dilated(~mask)
 
 
-def drop_small_regions(unseen: Bools, edge: Cells, max_cells: float) -> tuple[Bools, Cells]:
-    """`unseen` without its smallest regions, up to `max_cells` in all, and the cells of `edge` (N, 2) beside the rest.
+def smallest_regions(unseen: Bools, edge: Cells, max_cells: float) -> Nodes:
+    """(N,) flat cells of the smallest regions of `unseen`, up to `max_cells` in all.
 
-    Regions are connected edge to edge. A region without a cell of `edge` beside it is not visible and is kept.
+    Regions are connected edge to edge. One without a cell of `edge` (N, 2) beside it is not visible and does not count.
     """
-    rest = unseen.copy()
+    found: list[Nodes] = [np.zeros(0, dtype=np.int64)]
     left = max_cells
     for region in small_regions(unseen, edge, math.floor(max_cells)):
         left -= len(region)
         if left < 0:
             break
-        rest.ravel()[region] = False
-    return rest, edge[are_beside(rest, edge)]
+        found.append(region)
+    return np.concatenate(found)
 
 
 def frontier_clusters(edge: Cells, tile: int) -> list[Cells]:
@@ -101,25 +100,6 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
     out = np.empty((len(once), 2), dtype=np.int64)
     out[:, 0], out[:, 1] = once // width, once % width
     return out
-
-
-def centre_cells(clusters: list[Cells]) -> Cells:
-    """(K, 2) the `centre_cell` of each cluster."""
-    if not clusters:
-        return np.zeros((0, 2), dtype=np.int64)
-    ends = np.cumsum([len(cells) for cells in clusters])
-    return np.asarray(_centre_cells(np.concatenate(clusters), ends))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _centre_cells(cells: Cells, ends: NDArray[np.int64]) -> Cells:
-    """As `centre_cells`, of clusters one after the other, each up to its end."""
-    centres = np.empty((len(ends), 2), dtype=np.int64)
-    first = 0
-    for k in range(len(ends)):
-        centres[k, 0], centres[k, 1] = _centre_cell(cells[first : ends[k]])
-        first = ends[k]
-    return centres
 
 
 def centre_cell(cells: Cells) -> tuple[int, int]:

@@ -5,23 +5,17 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.viewpoints import Cell
 from sixthsense.slam.mapping.freespace import Bools
-
-_TILE = 8
-"""cells; changes are kept by squares of so many"""
-
-Masks = tuple[Bools, ...]
-"""(H, W) each."""
 
 
 class View(NamedTuple):
     """What a search for the view of a cell has found."""
 
     cell: Cell | None
-    """the cell to look from; None if no view from a cell in reach is worth while"""
+    """the cell to look from, from the world's origin; None if no view from a cell in reach is worth while"""
     shown: int
     """how many cells it shows"""
     span: int
@@ -29,45 +23,30 @@ class View(NamedTuple):
 
 
 class KnownViews:
-    """Remembers what searches for views have found: far from the robot little changes between two searches."""
+    """Remembers what searches for views have found: far from the robot little changes between two searches.
+
+    Cells are counted from the world's origin.
+    """
 
     def __init__(self) -> None:
-        """Begin without a map."""
+        """Begin without a view."""
         self._views: dict[Cell, View] = {}
         self._ignored: set[Cell] = set()
-        self._first = (0, 0)
-        self._masks: Masks = ()
 
-    def update(self, first: Cell, masks: Masks) -> None:
-        """Take in the masks of another map, whose cell (0, 0) is `first` from the world's origin.
-
-        What the views depend on are the cells in reach, the obstacles, and the cells wanted. Those near changes are
-        forgotten.
-        """
-        before, self._masks = self._masks, masks
-        (down, across), self._first = np.subtract(self._first, first).tolist(), first
-        if not before or down < 0 or across < 0 or (np.add(before[0].shape, (down, across)) > masks[0].shape).any():
-            self._views.clear()
-        elif self._views:
-            if down or across:  # the map has grown
-                self._views = {
-                    _moved(cell, down, across): _seen_from(view, down, across) for cell, view in self._views.items()
-                }
-                self._ignored = {_moved(cell, down, across) for cell in self._ignored}
-            for cell in self._near(_changed(masks, before, (down, across))):
-                del self._views[cell]
+    def forget(self, changed: Bools, first: Cell) -> None:
+        """Forget the views near the tiles (R, C) of a map that have changed; its cell (0, 0) is `first`."""
+        if self._views and changed.any():
+            count = np.pad(changed.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))  # in the tiles from the corner on
+            known = list(self._views)
+            cells = np.array(known) - first
+            spans = np.array([view.span for view in self._views.values()])[:, None]
+            most = np.array(changed.shape)
+            (top, left) = np.clip((cells - spans) // TILE, 0, most).T
+            (bottom, right) = np.clip((cells + spans) // TILE + 1, 0, most).T
+            near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
+            for k in np.flatnonzero(near).tolist():
+                del self._views[known[k]]
         self._ignored.intersection_update(self._views)
-
-    def _near(self, changed: Bools) -> list[Cell]:
-        """The cells near a change, by the squares with one."""
-        count = np.pad(changed.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))  # in the squares from the corner on
-        cells, known = np.array(list(self._views)), list(self._views)
-        spans = np.array([view.span for view in self._views.values()])[:, None]
-        low = np.maximum(cells - spans, 0) // _TILE
-        past = np.minimum((cells + spans) // _TILE + 1, np.array(count.shape) - 1)
-        (top, left), (bottom, right) = low.T, past.T
-        near = count[bottom, right] - count[top, right] - count[bottom, left] + count[top, left] > 0
-        return [known[k] for k in np.flatnonzero(near).tolist()]
 
     def add(self, cell: Cell, view: View) -> None:
         """Remember what a search in the latest map has found."""
@@ -104,24 +83,3 @@ class KnownViews:
             else:
                 kept.append(k)
         return kept
-
-
-def _moved(cell: Cell, down: int, across: int) -> Cell:
-    return cell[0] + down, cell[1] + across
-
-
-def _seen_from(view: View, down: int, across: int) -> View:
-    return view._replace(cell=None if view.cell is None else _moved(view.cell, down, across))
-
-
-def _changed(now: Masks, before: Masks, at: Cell) -> Bools:
-    """(R, C) the squares of `_TILE` cells with a change; the cell (0, 0) of the masks before is now the cell `at`."""
-    (height, width), (rows, cols) = now[0].shape, before[0].shape
-    changed: NDArray[np.bool_] = np.zeros(np.add(now[0].shape, _TILE - 1) // _TILE, dtype=np.bool_)
-    rim = (at[0], height - rows - at[0]), (at[1], width - cols - at[1])
-    for new, old in zip(now, before, strict=True):
-        differs = new != (old if new.shape == old.shape else np.pad(old, rim))
-        rows_with = np.flatnonzero(differs.any(axis=1))
-        where, columns = np.nonzero(differs[rows_with])
-        changed[rows_with[where] // _TILE, columns // _TILE] = True
-    return changed

@@ -8,11 +8,11 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.escape import escape_path
 from sixthsense.navigation.path_margin import FreeSpaceFunction, plan_with_margin
 from sixthsense.navigation.planners import Planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.navigation.ways import way_out
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
@@ -54,7 +54,7 @@ class PathPlanner:
         config = self._config
         leaving = np.zeros((0, 2))
         if space.is_blocked(start):
-            path = escape_path(map_.grid, space, start, config.grid.clearance_m)
+            path = way_out(map_.grid, space, start, config.grid.clearance_m)
             if path is not None:
                 leaving, start = path[:-1], path[-1]
         # A goal just inside the inflation is reached from the nearest free place within the slack.

@@ -10,7 +10,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.growing import appended
+from sixthsense.navigation.gridsearch.bucket_queue import appended
 from sixthsense.slam.mapping.freespace import Bools
 
 Cells = NDArray[np.int64]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch.bucket_queue import pop, push
 from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT
+from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -32,12 +33,37 @@ Cell = tuple[int, int]
 
 
 class TileWays:
-    """Lengths of ways over the passable cells of one map."""
+    """Lengths of ways over the passable cells of one map, kept up to date."""
 
-    def __init__(self, passable: Bools, tile: int) -> None:
-        """`passable` is (H, W); a tile has `tile` cells a side."""
-        self._tile = tile
-        self._links: Links = _links(passable, tile)
+    def __init__(self, tile: int) -> None:
+        """Begin without a map."""
+        self.tile = tile
+        """cells a side of a tile"""
+        self._shape: tuple[int, ...] = 0, 0
+        self._make(self._shape)
+
+    def update(self, passable: Bools, changed: Bools | None = None) -> None:
+        """Take in another map (H, W), `changed` (R, C) where it may differ, or everywhere: tiles of `TILE` cells."""
+        rows = cols = slice(0, max(passable.shape))
+        if passable.shape != self._shape:
+            self._make(passable.shape)
+        elif changed is not None:
+            r, c = np.nonzero(changed)
+            if len(r) == 0:
+                return
+            rows, cols = (slice(int(k.min()) * TILE, (int(k.max()) + 1) * TILE) for k in (r, c))
+        # A tile's links hang on its own cells and on those of its neighbours.
+        bounds = [
+            (max(span.start // self.tile - 2, 0), min(span.stop // self.tile + 3, count))
+            for span, count in zip((rows, cols), self._links.shape, strict=True)
+        ]
+        _link(passable, self.tile, (self._across, self._up), self._links, *bounds)
+
+    def _make(self, shape: tuple[int, ...]) -> None:
+        self._shape, tiles = shape, (shape[0] // self.tile + 1, shape[1] // self.tile + 1)
+        self._links: Links = np.zeros(tiles, dtype=np.uint8)
+        # Whether each tile leads to the next one of its row, and to that in the next row; the rim leads nowhere.
+        self._across, self._up = np.zeros((2, tiles[0] + 2, tiles[1] + 2), dtype=np.bool_)
 
     def lengths(self, cell: Cell, cells: Cells) -> Array:
         """(N,) lengths from a cell to `cells` (N, 2); inf without a way."""
@@ -45,24 +71,25 @@ class TileWays:
 
     def matrix(self, cells: Cells) -> Array:
         """(N, N) lengths between cells (N, 2); inf without a way."""
-        upper = np.triu(self._between(cells, cells), 1)
-        return np.asarray(upper + upper.T)
+        lengths = np.zeros((len(cells), len(cells)))
+        for k in range(len(cells) - 1):
+            lengths[k, k + 1 :] = lengths[k + 1 :, k] = self._between(cells[k : k + 1], cells[k + 1 :])[0]
+        return lengths
 
     def _between(self, sources: Cells, targets: Cells) -> Array:
-        lengths = _lengths(self._links, sources // self._tile, targets // self._tile) * (self._tile / STRAIGHT)
+        lengths = _lengths(self._links, sources // self.tile, targets // self.tile) * (self.tile / STRAIGHT)
         straight = np.hypot(*(sources[:, None] - targets).transpose(2, 0, 1))
         return np.asarray(np.maximum(lengths, straight))
 
 
-def first_view(reachable: Bools, tile: int, here: Cell, views: Cells, home: Cell) -> int:
+def first_view(ways: TileWays, here: Cell, views: Cells, home: Cell) -> int:
     """The index of the view that a short tour from `here` through the nearest of `views` (N, 2) and home goes to first.
 
-    Ways lead over the `reachable` cells (H, W). A tile has `tile` cells a side, and one view in a tile is a stop.
+    One view in a tile is a stop.
     """
-    ways = TileWays(reachable, tile)
     away = ways.lengths(here, views)
     nearest = np.argsort(away, kind="stable")
-    _, one_each = np.unique(views[nearest] // tile, axis=0, return_index=True)
+    _, one_each = np.unique(views[nearest] // ways.tile, axis=0, return_index=True)
     stops = nearest[np.sort(one_each)][:_STOPS]
     lengths = np.zeros((len(stops) + 2, len(stops) + 2))
     lengths[1:-1, 1:-1] = ways.matrix(views[stops])
@@ -83,33 +110,42 @@ def first_stop(lengths: Array) -> int:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _links(passable: Bools, tile: int) -> Links:
+def _link(
+    passable: Bools,
+    tile: int,
+    leads: tuple[Bools, Bools],
+    links: Links,
+    rows: tuple[int, int],
+    cols: tuple[int, int],
+) -> None:
+    """Write the `links` of the tiles in some rows and columns, and whether they lead to the next ones, `leads`."""
     height, width = passable.shape
-    # Whether each tile leads to the next one of its row and to that in the next row; the rim leads nowhere.
-    across = np.zeros((height // tile + 3, width // tile + 3), dtype=np.bool_)
-    up = np.zeros_like(across)
-    for r in range(height):
-        for c in range(tile - 1, width - 1, tile):
-            across[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r, c + 1]
-    for r in range(tile - 1, height - 1, tile):
-        for c in range(width):
-            up[r // tile + 1, c // tile + 1] |= passable[r, c] and passable[r + 1, c]
-    links = np.zeros((height // tile + 1, width // tile + 1), dtype=np.uint8)
-    for r in range(1, len(across) - 1):
-        for c in range(1, across.shape[1] - 1):
+    across, up = leads
+    for r in range(rows[0], rows[1]):
+        for c in range(cols[0], cols[1]):
+            leads_across = leads_up = False
+            past_r, past_c = (r + 1) * tile, (c + 1) * tile
+            if past_c < width:
+                for row in range(r * tile, min(past_r, height)):
+                    leads_across |= passable[row, past_c - 1] and passable[row, past_c]
+            if past_r < height:
+                for col in range(c * tile, min(past_c, width)):
+                    leads_up |= passable[past_r - 1, col] and passable[past_r, col]
+            across[r + 1, c + 1], up[r + 1, c + 1] = leads_across, leads_up
+    for r in range(rows[0] + 1, rows[1] + 1):
+        for c in range(cols[0] + 1, cols[1] + 1):
             link = 0
             for k in range(8):
                 dr, dc = _ROWS[k], _COLS[k]
                 below, left = r + min(dr, 0), c + min(dc, 0)
                 if dr == 0:
-                    leads = across[r, left]
+                    is_link = across[r, left]
                 elif dc == 0:
-                    leads = up[below, c]
+                    is_link = up[below, c]
                 else:
-                    leads = (across[r, left] and up[below, c + dc]) or (up[below, c] and across[r + dr, left])
-                link |= leads << k
+                    is_link = (across[r, left] and up[below, c + dc]) or (up[below, c] and across[r + dr, left])
+                link |= is_link << k
             links[r - 1, c - 1] = link
-    return links
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -12,6 +12,7 @@ from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.regions import frontier_cells, in_large_regions
 from sixthsense.navigation.view_planner import Candidates, ViewPlanner
+from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import too_near
@@ -53,24 +54,28 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
 
     A line of sight counts if it passes no opaque cell.
     """
-    window, explore = planner.window, planner.config.explore
-    given_up = window.unseen & (planner.failed_views >= explore.tries)
+    view, explore = planner.view, planner.config.explore
+    unseen = view.unseen
+    given_up = unseen & view.given_up(planner.dear)
     for cells in candidates.clusters:
         if planner.viewpoints.nearest(centre_cell(cells)) is None:  # there was nowhere to look from
             given_up[tuple(adjacent_cells(candidates.wanted, cells).T)] = True
-    edge = np.argwhere(frontier_cells(window.free, given_up))
-    edge = edge[in_large_regions(window.free, edge, planner.glimpsed_cells(), window.cell(planner.pose.position))]
+    edge = np.argwhere(frontier_cells(view.free, given_up))
+    edge = edge[in_large_regions(view.free, edge, planner.glimpsed_cells(), view.cell(planner.pose.position))]
     clusters = frontier_clusters(edge, planner.tile)
     if not clusters:
         return []
-    viewpoints = {reason: planner.gain.viewpoints(allowed) for reason, allowed in _viewpoints(planner).items()}
-    hidden = window.unseen.copy()
+    reach = planner.gain.sensor.reach
+    viewpoints = {
+        reason: Viewpoints(allowed, view.obstacles, reach) for reason, allowed in _viewpoints(planner).items()
+    }
+    hidden = unseen.copy()
     visible = {reason: np.zeros_like(hidden) for reason in viewpoints}
     for centre in map(centre_cell, clusters):
         for reason, allowed in viewpoints.items():
-            view = allowed.nearest(centre)
-            if view is not None and planner.gain.shown(hidden, view, centre) > 0:
-                mark_visible(visible[reason], planner.gain.closed.opaque, hidden, *view, planner.gain.sensor.reach)
+            cell = allowed.nearest(centre)
+            if cell is not None and planner.gain.shown(hidden, cell, centre) > 0:
+                mark_visible(visible[reason], view.opaque, hidden, *cell, reach)
                 break
     places = []
     for reason, mask in visible.items():
@@ -78,19 +83,19 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
         hidden &= ~mask
         for k, box in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[box] == k + 1) + np.array([span.start for span in box])
-            x, y = window.point(*centre_cell(cells))
-            places.append(UnseenPlace(float(x), float(y), len(cells) * window.cell_m**2, reason))
+            x, y = view.point(*centre_cell(cells))
+            places.append(UnseenPlace(float(x), float(y), len(cells) * view.cell_m**2, reason))
     places.sort(key=lambda place: -place.area_m2)
     small = sum(place.area_m2 for place in places if place.area_m2 < explore.least_area_m2)
-    if small > _SMALL_PLACES_FRACTION * np.count_nonzero(window.seen) * window.cell_m**2:
+    if small > _SMALL_PLACES_FRACTION * np.count_nonzero(view.seen) * view.cell_m**2:
         return places
     return [place for place in places if place.area_m2 >= explore.least_area_m2]
 
 
 def _viewpoints(planner: ViewPlanner) -> dict[Reason, Bools]:
     """(H, W) the cells from which something may be seen, by the reason why it has not been, the best first."""
-    window, here = planner.window, planner.window.cell(planner.pose.position)
-    fitting = window.seen & ~too_near(window.obstacles, planner.gain.radius_m / window.cell_m)
+    view, here = planner.view, planner.view.cell(planner.pose.position)
+    fitting = view.seen & ~too_near(view.obstacles, view.radius)
     without_clearance = costs_from(fitting.astype(np.uint8), *here) >= 0
     labels, _ = ndimage.label(fitting)
     large = np.bincount(labels.ravel()) >= planner.glimpsed_cells()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from sixthsense.config import LaserConfig
 from sixthsense.core.laser import beam_bearings
-from sixthsense.navigation.closed_walls import ClosedMap
+from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.navigation.visibility import expected_gain, gapless_reach
 from sixthsense.slam.mapping.freespace import Bools
@@ -51,34 +51,27 @@ class ViewGain:
     shows what lines of sight reach that pass no opaque cell.
     """
 
-    closed: ClosedMap
+    view: MapView
     sensor: SensorModel
-    radius_m: float
-    """the robot's"""
 
     def shown(self, wanted: Bools, view: Cell, cell: Cell) -> int:
         """How many of the `wanted` cells (H, W) a view, from one cell of another, shows up to a little behind that."""
-        depth, sensor = round(_GAIN_DEPTH_M / self.closed.window.cell_m), self.sensor
+        depth, sensor = round(_GAIN_DEPTH_M / self.view.cell_m), self.sensor
         reach = min(sensor.reach, math.dist(view, cell) + depth)
-        return int(expected_gain(self.closed.opaque, wanted, *view, sensor.rays, reach, depth))
+        return int(expected_gain(self.view.opaque, wanted, *view, sensor.rays, reach, depth))
 
     def span(self, view: Cell, cell: Cell) -> int:
         """How many rows and columns around a cell determine its nearest view and what that shows."""
-        around = _NEARBY_M + _GAIN_DEPTH_M + self.radius_m
-        return math.ceil(2.0 * math.dist(view, cell) + around / self.closed.window.cell_m)
+        around = (_NEARBY_M + _GAIN_DEPTH_M) / self.view.cell_m + self.view.radius
+        return math.ceil(2.0 * math.dist(view, cell) + around)
 
     def shown_nearby(self, wanted: Bools, cell: Cell) -> int:
         """How many of the `wanted` cells the nearest view of a cell shows, if the robot needs no clearance."""
-        window = self.closed.window
-        radius, span = self.radius_m / window.cell_m, _NEARBY_M / window.cell_m
+        radius, span = self.view.radius, _NEARBY_M / self.view.cell_m
         around = math.ceil(span + radius)
         top, left = (max(k - around, 0) for k in cell)
         part = slice(top, cell[0] + around + 1), slice(left, cell[1] + around + 1)
-        obstacles = window.obstacles[part].copy()  # contiguous as the whole map is: one type of array for the kernels
-        fitting = window.seen[part] & ~too_near(obstacles, radius)
+        obstacles = self.view.obstacles[part].copy()  # contiguous, as the kernels' arrays are
+        fitting = self.view.seen[part] & ~too_near(obstacles, radius)
         view = Viewpoints(fitting, obstacles, span).nearest((cell[0] - top, cell[1] - left))
         return 0 if view is None else self.shown(wanted, (view[0] + top, view[1] + left), cell)
-
-    def viewpoints(self, allowed: Bools) -> Viewpoints:
-        """The search among the `allowed` cells (H, W) for one that has a cell in view."""
-        return Viewpoints(allowed, self.closed.window.obstacles, self.sensor.reach)

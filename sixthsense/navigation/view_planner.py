@@ -1,6 +1,6 @@
 """Choosing the next view: which unseen cells to look at, and from where.
 
-`ViewPlanner` holds one map and one pose, and remembers the views that it has found.
+`ViewPlanner` holds one map and one pose, and adds the views that it has found to those known.
 """
 
 from __future__ import annotations
@@ -9,28 +9,42 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.driving_limits import Widening
-from sixthsense.navigation.frontier import (
-    adjacent_cells,
-    centre_cell,
-    drop_small_regions,
-    frontier_clusters,
-)
+from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters, smallest_regions
 from sixthsense.navigation.known_views import KnownViews, View
-from sixthsense.navigation.map_window import NOWHERE, MapWindow, Target
-from sixthsense.navigation.regions import Cells, are_beside, in_large_regions, spread
-from sixthsense.navigation.tour import first_view
+from sixthsense.navigation.map_view import MapView
+from sixthsense.navigation.regions import Cells, are_beside, in_large_regions
+from sixthsense.navigation.tour import TileWays, first_view
 from sixthsense.navigation.view_gain import ViewGain
-from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.grid import Grid
 
 _TILE_M = 1.0  # longer frontiers are split
 _GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
+_SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Target:
+    """Unseen cells and the cell to see them from, row and col counted from the world's origin."""
+
+    cells: Cells
+    """(N, 2) unseen cells"""
+    viewpoint: Cell
+    """the cell to see them from"""
+    dear: bool = False
+    """whether only ways over dear cells lead to the viewpoint"""
+
+    def is_seen(self, grid: Grid) -> bool:
+        """Whether little of it is still unknown."""
+        return bool(np.count_nonzero(grid.unknown(self.cells)) <= _SEEN_FRACTION * len(self.cells))
+
+
+NO_TARGET = Target(np.zeros((0, 2), dtype=np.int64), (0, 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +54,7 @@ class Candidates:
     wanted: Bools
     """(H, W) unseen cells to be seen"""
     clusters: list[Cells]
-    """frontier cells beside them, (N, 2) each, row and col in the window"""
+    """frontier cells beside them, (N, 2) each, row and col in the map's frame"""
     dust: float
     """cells that may be left unseen"""
 
@@ -50,25 +64,27 @@ class ViewPlanner:
     """Chooses the next view from the map and the robot's pose."""
 
     gain: ViewGain
-    """of the map within the driving limits"""
-    failed_views: NDArray[np.uint8]
-    """(H, W) how often each cell was not seen from a viewpoint chosen for it"""
+    """of the map"""
     pose: Pose
     """the robot's"""
     reachable: Bools
     """(H, W) the cells that paths lead to from the robot"""
     viewpoints: Viewpoints
-    """the search among the cells that it can reach"""
+    """the search among the cells that it may look from"""
+    ways: TileWays
+    """over the reachable cells"""
     config: Config
     home: Array
     """(2,) where the tour ends, world frame"""
     known: KnownViews
     """views of the clusters' centres; centres that no reachable cell of this map sees, or whose view shows nothing"""
+    dear: bool = False
+    """whether the robot looks from where only ways over dear cells lead to"""
 
     @property
-    def window(self) -> MapWindow:
-        """The map within the driving limits, with closed walls."""
-        return self.gain.closed.window
+    def view(self) -> MapView:
+        """The map."""
+        return self.gain.view
 
     def next_target(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The best view of the candidates, by the configured method; None if no view from a reachable cell is left."""
@@ -78,26 +94,21 @@ class ViewPlanner:
             return self.sample_random(candidates, rng)
         return self.best(candidates)
 
-    def candidates(self, widening: Widening) -> Candidates:
-        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise.
-
-        Unknown cells outside the region count as far as `widening` says, for a part of the region may be visible only
-        across its edge.
-        """
-        window, explore = self.window, self.config.explore
-        few, widened = self.failed_views < explore.tries, widening.step > 0
-        unknown = window.unknown
-        # Cells that were looked at and not seen are no reason to drive farther outside.
-        sought = window.unseen & few if widened else window.unseen
-        steps = max(1, round(widening.outside_m / window.cell_m))
-        wanted = spread(sought, unknown, steps, NOWHERE if widened else window.inside) & few
-        edge = self.gain.closed.edge
+    def candidates(self) -> Candidates:
+        """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
+        view, explore = self.view, self.config.explore
+        wanted = view.dear_wanted() if self.dear else view.wanted
+        edge = view.edge[are_beside(wanted, view.edge)]
+        edge = edge[in_large_regions(view.free, edge, self.glimpsed_cells(), view.cell(self.pose.position))]
+        dust = explore.dust * np.count_nonzero(view.seen)
+        ignored = smallest_regions(wanted, edge, dust)
+        if self.dear:
+            wanted.ravel()[ignored] = False
+        else:
+            self.known.forget(view.ignore(ignored), view.first)
         edge = edge[are_beside(wanted, edge)]
-        edge = edge[in_large_regions(window.free, edge, self.glimpsed_cells(), window.cell(self.pose.position))]
-        dust = explore.dust * np.count_nonzero(window.seen)
-        wanted, edge = drop_small_regions(wanted, edge, dust)
-        self.known.update(window.first, (self.reachable, window.obstacles, wanted))
-        return Candidates(wanted, frontier_clusters(edge, self.tile), dust)
+        first = np.array(view.first)
+        return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], dust)
 
     def glimpsed_cells(self) -> int:
         """Fewest free cells of a place that counts though it is not connected to the robot's.
@@ -105,23 +116,24 @@ class ViewPlanner:
         A room that was seen through a door which the map has closed since, after an error of the pose perhaps, is none
         that nobody need look at.
         """
-        cell_m2 = self.window.cell_m**2
+        cell_m2 = self.view.cell_m**2
         cells = math.ceil(_GLIMPSED_M2 / cell_m2)
         return cells - 1 if (cells - 1) * cell_m2 >= _GLIMPSED_M2 else cells
 
     def best(self, candidates: Candidates) -> Target | None:
         """The first stop of a short tour through the views; None if all that is visible together is dust."""
-        window = self.window
+        view = self.view
         found = [
-            (cells, *view) for cells in candidates.clusters if (view := self.view_beside(candidates.wanted, cells))
+            (cells, *seen_from)
+            for cells in candidates.clusters
+            if (seen_from := self.view_beside(candidates.wanted, cells))
         ]
-        found = [found[k] for k in self.known.worthwhile([centre_cell(cells) for cells, *_ in found], candidates.dust)]
+        keys = [self.key(centre_cell(cells)) for cells, *_ in found]
+        found = [found[k] for k in self.known.worthwhile(keys, candidates.dust)]
         if not found:
             return None
-        views, here = np.array([view for _, view, _ in found]), window.cell(self.pose.position)
-        # A wall is inflated to more than twice the robot's radius: no way over such tiles leads through one.
-        tile = max(1, math.floor(2.0 * self.gain.radius_m / window.cell_m))
-        k = first_view(self.reachable, tile, here, views, window.cell(self.home))
+        views, here = np.array([cell for _, cell, _ in found]), view.cell(self.pose.position)
+        k = first_view(self.ways, here, views, view.cell(self.home))
         return self.target_of(candidates.wanted, found[k][0], found[k][1])
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
@@ -132,7 +144,7 @@ class ViewPlanner:
         for cells in candidates.clusters:
             target = self.target_beside(candidates.wanted, cells)
             if target is not None:
-                row, col = target.cells[0] - self.window.first
+                row, col = target.cells[0] - self.view.first
                 found.setdefault(int(labels[row, col]), []).append((cells, target))
         if not found:
             return None
@@ -153,24 +165,32 @@ class ViewPlanner:
         would fit without the clearance.
         """
         centre = centre_cell(cells)
-        known = self.known.get(centre)
+        key = self.key(centre)
+        known = self.known.get(key)
         if known is not None:
-            return None if known.cell is None else (known.cell, known.shown)
+            return None if known.cell is None else (self.local(known.cell), known.shown)
         view = self.viewpoints.nearest(centre)
         shown = 0 if view is None else self.gain.shown(wanted, view, centre) or self.gain.shown_nearby(wanted, centre)
         if view is None or shown == 0:
             span = int(self.gain.sensor.reach) if view is None else self.gain.span(view, centre)
-            self.known.add(centre, View(None, 0, span))
+            self.known.add(key, View(None, 0, span))
             return None
-        self.known.add(centre, View(view, shown, self.gain.span(view, centre)))
+        self.known.add(key, View(self.key(view), shown, self.gain.span(view, centre)))
         return view, shown
 
-    def target_of(self, wanted: Bools, cells: Cells, view: tuple[int, int]) -> Target:
-        """The cells of `wanted` beside a cluster, to be seen from a cell of the window."""
-        first = self.window.first
-        return Target(adjacent_cells(wanted, cells) + first, (view[0] + first[0], view[1] + first[1]))
+    def target_of(self, wanted: Bools, cells: Cells, view: Cell) -> Target:
+        """The cells of `wanted` beside a cluster, to be seen from a cell of the frame."""
+        return Target(adjacent_cells(wanted, cells) + self.view.first, self.key(view), self.dear)
+
+    def key(self, cell: Cell) -> Cell:
+        """A cell of the frame, counted from the world's origin."""
+        return cell[0] + self.view.frame.top, cell[1] + self.view.frame.left
+
+    def local(self, cell: Cell) -> Cell:
+        """A cell from the world's origin, in the frame."""
+        return cell[0] - self.view.frame.top, cell[1] - self.view.frame.left
 
     @property
     def tile(self) -> int:
         """Side of the squares that frontiers are split into, cells."""
-        return max(1, round(_TILE_M / self.window.cell_m))
+        return max(1, round(_TILE_M / self.view.cell_m))

@@ -2,68 +2,64 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
+from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.visibility import line_of_sight
 from sixthsense.slam.mapping.freespace import Bools
 
 _DIRECTIONS = 8192
 """in which a search tells shadows apart"""
-_TILE = 8
-"""cells; squares of so many without a viewpoint or an obstacle are skipped"""
-_ALLOWED, _OBSTACLE = np.uint8(1), np.uint8(2)
-
 Cell = tuple[int, int]
 """Row and column."""
-Kinds = NDArray[np.uint8]
-"""(H, W) of each cell: allowed, an obstacle, both or neither"""
 
 
 class Viewpoints:
     """Searches among the allowed cells of one map for the nearest that has a cell in view."""
 
-    def __init__(self, allowed: Bools, obstacles: Bools, reach: float) -> None:
-        """`allowed` and `obstacles` are (H, W) and must not change afterwards; `reach` of a view is in cells."""
+    def __init__(self, allowed: Bools, obstacles: Bools, reach: float, tiles: Bools | None = None) -> None:
+        """`allowed` and `obstacles` are (H, W) and must not change afterwards; `reach` of a view is in cells.
+
+        `tiles` are those that `mark_tiles` marks, where they are known.
+        """
         self._allowed, self._obstacles, self._reach = allowed, obstacles, reach
+        if tiles is None:
+            tiles = np.zeros((-(-allowed.shape[0] // TILE), -(-allowed.shape[1] // TILE)), dtype=np.bool_)
+            mark_tiles(tiles, allowed, obstacles, np.ones_like(tiles))
+        self._tiles = tiles
 
     def nearest(self, cell: Cell) -> Cell | None:
         """The nearest allowed cell from which no obstacle hides a cell, both row and col; None if there is none."""
-        index = _nearest(*self._kinds, self._obstacles, *cell, self._reach)
+        index = _nearest(self._tiles, self._allowed, self._obstacles, *cell, self._reach)
         return divmod(int(index), self._obstacles.shape[1]) if index >= 0 else None
 
-    @functools.cached_property
-    def _kinds(self) -> tuple[Kinds, Bools]:
-        """The kinds of all cells, and the tiles that hold one of any kind; drawn for the first search."""
-        kinds, tiles = _kinds_and_tiles(self._allowed, self._obstacles)
-        return kinds, tiles
-
 
 @numba.njit(cache=True, error_model="numpy")
-def _kinds_and_tiles(allowed: Bools, obstacles: Bools) -> tuple[Kinds, Bools]:
+def mark_tiles(tiles: Bools, allowed: Bools, obstacles: Bools, changed: Bools) -> None:
+    """Mark those of the `changed` tiles (R, C), of `TILE` cells, that hold an allowed cell or an obstacle."""
     height, width = allowed.shape
-    kinds = np.empty((height, width), dtype=np.uint8)
-    tiles = np.zeros((height // _TILE + 1, width // _TILE + 1), dtype=np.bool_)
-    for row in range(height):
-        for col in range(width):
-            kinds[row, col] = allowed[row, col] * _ALLOWED + obstacles[row, col] * _OBSTACLE
-            if kinds[row, col]:
-                tiles[row // _TILE, col // _TILE] = True
-    return kinds, tiles
+    for r in range(tiles.shape[0]):
+        for c in range(tiles.shape[1]):
+            if not changed[r, c]:
+                continue
+            tiles[r, c] = False
+            for row in range(r * TILE, min((r + 1) * TILE, height)):
+                for col in range(c * TILE, min((c + 1) * TILE, width)):
+                    if allowed[row, col] or obstacles[row, col]:
+                        tiles[r, c] = True
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _nearest(kinds: Kinds, tiles: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
+def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int, reach: float) -> int:
     """The flat index of the nearest allowed cell from which a cell is visible within `reach`; -1 if none.
 
     Squares around the cell are searched outwards until no cell further out can be nearer; of several that are as near,
     that of the smallest square, then the first. Cells in the shadow of an obstacle of a smaller square are left out.
     """
-    height, width = kinds.shape
+    height, width = allowed.shape
     shadow = np.zeros(_DIRECTIONS, dtype=np.bool_)
     hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
     best, found = reach + 1e-9, -1
@@ -81,17 +77,16 @@ def _nearest(kinds: Kinds, tiles: Bools, obstacles: Bools, row: int, col: int, r
             past = min(col + ring + 1, width) if is_row else min(row + ring, height)
             while along < past:
                 r, c = (at, along) if is_row else (along, at)
-                if not tiles[r // _TILE, c // _TILE]:
-                    along = (along // _TILE + 1) * _TILE
+                if not tiles[r // TILE, c // TILE]:
+                    along = (along // TILE + 1) * TILE
                     continue
                 along += 1
-                kind = kinds[r, c]
-                if kind == 0 or shadow[int(_direction(r - row, c - col))]:
+                if not (allowed[r, c] or obstacles[r, c]) or shadow[int(_direction(r - row, c - col))]:
                     continue
-                if kind & _OBSTACLE and ring > 0:
+                if obstacles[r, c] and ring > 0:
                     hiding[count] = r - row, c - col
                     count += 1
-                if kind & _ALLOWED:
+                if allowed[r, c]:
                     away, index = math.hypot(r - row, c - col), r * width + c
                     first_of_equals = away == best and found != of_smaller and index < found
                     if (away < best or first_of_equals) and line_of_sight(obstacles, r, c, row, col):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sixthsense.config import Config, merge
 from sixthsense.core.geometry import Array, Pose
@@ -10,12 +11,12 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import Exploration, State
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.map_window import NO_TARGET
 from sixthsense.navigation.path_driver import DriveEvent
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.navigation.view_gain import SensorModel
+from sixthsense.navigation.view_planner import NO_TARGET
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
 
@@ -81,6 +82,19 @@ def seen_room(changes: dict[str, object] | None = None) -> Stage:
     return stage
 
 
+def attempts(exploration: Exploration) -> NDArray[np.uint8]:
+    """(H, W) how often cells were not seen from free ones."""
+    return exploration._view._attempts[False]
+
+
+def unknown_cells(exploration: Exploration) -> tuple[NDArray[np.int64], ...]:
+    """Rows and columns of the unknown ones among the target's cells."""
+    rows, cols = exploration._target.cells.T - np.array(exploration._view.first)[:, None]
+    unknown = ~(exploration._view.seen | exploration._view.obstacles)[rows, cols]
+    assert unknown.any()
+    return rows[unknown], cols[unknown]
+
+
 def estimate(pose: Pose, sigma_m: float = 0.0) -> Estimate:
     none = np.zeros(0, dtype=np.int64)
     cov = np.diag([sigma_m**2, sigma_m**2, 0.0])
@@ -142,10 +156,9 @@ def test_a_turn_at_the_viewpoint_that_does_not_show_the_target_is_counted(event:
     stage = Stage(TWO_ROOMS)
     pose = stage.at_viewpoint()
     exploration = stage.exploration
-    failed = exploration._target.mask(exploration._window) & exploration._window.unknown
-    assert failed.any()
+    cells = unknown_cells(exploration)
     exploration.handle(event, pose)
-    assert (exploration._failed_views.within(exploration._window)[failed] == 1).all()
+    assert (attempts(exploration)[cells] == 1).all()
 
 
 @pytest.mark.parametrize("event", ["turned around", "stuck"])
@@ -153,10 +166,9 @@ def test_a_target_without_a_path_is_counted_as_not_seen(event: DriveEvent) -> No
     stage = Stage(TWO_ROOMS)
     stage.look(START)
     exploration = stage.exploration
-    failed = exploration._target.mask(exploration._window) & exploration._window.unknown
-    assert failed.any()
+    cells = unknown_cells(exploration)
     exploration.handle(event, START)
-    assert (exploration._failed_views.within(exploration._window)[failed] == 1).all()
+    assert (attempts(exploration)[cells] == 1).all()
 
 
 def test_a_robot_that_is_stuck_twice_without_an_arrival_gives_up() -> None:
@@ -180,10 +192,10 @@ def test_a_target_whose_path_is_blocked_again_and_again_while_nothing_new_is_see
     stage.look(START)
     exploration = stage.exploration
     for _ in range(7):
-        assert not exploration._failed_views.within(exploration._window).any()
+        assert not attempts(exploration).any()
         exploration.driver.stop()
         stage.look(START)
-    assert exploration._failed_views.within(exploration._window).any()
+    assert attempts(exploration).any()
 
 
 def test_an_uncertain_pose_closes_a_loop_and_exploration_goes_on_when_it_is_certain() -> None:

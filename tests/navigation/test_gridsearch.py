@@ -9,12 +9,11 @@ from scipy.ndimage import label
 from test_planners import WORLDS
 
 from sixthsense.navigation.gridsearch import (
-    FarCells,
+    Reached,
     far_from,
     geodesic_distances,
     reached_cells,
 )
-from sixthsense.slam.mapping.changes import Box, Changes
 
 Mask = NDArray[np.bool_]
 
@@ -63,21 +62,20 @@ def test_far_cells_are_beyond_a_square_around_every_marked_one(seed: int, reach:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_cells_far_from_changing_marks_are_those_of_a_computation_from_scratch(seed: int) -> None:
-    rng, cells, changes = np.random.default_rng(seed), FarCells(3), Changes()
-    marked = {first: scattered(seed, 0.01, shape) for first, shape in (((0, 0), (40, 50)), ((-2, -2), (44, 54)))}
-    for k in range(40):
-        row, col = int(rng.integers(40)), int(rng.integers(50))
-        value = rng.random() < 0.6
-        for first, mask in marked.items():
-            mask[row - first[0] : row - first[0] + 4, col - first[1] : col - first[1] + 3] = value
-        changes.add(Box(row, col, row + 4, col + 3))
-        if k % 17 == 16:
-            marked[0, 0][:] = scattered(k, 0.01, (40, 50))
-            changes.add_all()
-        first = list(marked)[rng.integers(2)]
-        assert np.array_equal(cells.of(marked[first], first, changes), far_from(marked[first], 3))
-        assert np.array_equal(cells.of(marked[first], first, changes), far_from(marked[first], 3))
+def test_cells_reached_in_a_map_that_changes_are_those_of_a_search_from_scratch(seed: int) -> None:
+    rng, reached = np.random.default_rng(seed), Reached(np.zeros((128, 192), dtype=np.bool_))
+    passable = ~scattered(seed, 0.45, (128, 192))
+    part = slice(0, 128), slice(0, 192)
+    for _ in range(20):
+        reached.redraw(passable, ~passable, *part)
+        row, col = rng.permutation(np.argwhere(passable))[0].tolist()
+        before, changed = reached.cells.copy(), np.zeros((16, 24), dtype=np.bool_)
+        reached.search(~passable, row, col, changed)
+        assert np.array_equal(reached.cells, reached_cells(passable, ~passable, row, col))
+        assert np.array_equal((reached.cells != before).reshape(16, 8, 24, 8).any(axis=(1, 3)), changed)
+        top, left = int(rng.integers(120)), int(rng.integers(180))
+        part = slice(top, min(top + 30, 128)), slice(left, min(left + 20, 192))
+        passable[part] = rng.random(passable[part].shape) < 0.6
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sixthsense.navigation.map_window import NOWHERE
 from sixthsense.navigation.regions import are_beside, frontier_cells, in_large_regions, spread
 
 Mask = NDArray[np.bool_]
@@ -21,7 +20,7 @@ def test_a_mask_spreads_as_by_dilations_within_another_one(seed: int, steps: int
     allowed = scattered(seed, 0.7)
     mask = allowed & scattered(seed + 50, 0.05)
     expected = ndimage.binary_dilation(mask, iterations=steps, mask=allowed)
-    assert np.array_equal(spread(mask, allowed, steps, NOWHERE), expected)
+    assert np.array_equal(spread(mask, allowed, steps, (0, 0, 0, 0)), expected)
     mask[4:18, 6:29] |= allowed[4:18, 6:29]
     expected = ndimage.binary_dilation(mask, iterations=steps, mask=allowed)
     assert np.array_equal(spread(mask, allowed, steps, (4, 18, 6, 29)), expected)

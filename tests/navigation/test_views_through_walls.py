@@ -6,22 +6,24 @@ from scipy import ndimage
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.navigation.closed_walls import ClosedMap
-from sixthsense.navigation.driving_limits import Widening
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.known_views import KnownViews
-from sixthsense.navigation.map_window import MapWindow, Target
+from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells
+from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_gain import SensorModel, ViewGain
-from sixthsense.navigation.view_planner import ViewPlanner
+from sixthsense.navigation.view_planner import Target, ViewPlanner
+from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import too_near
 
 CELL_M, RADIUS_M, CLEARANCE_M = 0.05, 0.2, 0.1
 SHAPE = 60, 120
+FRAME = 64, 128
 HERE = 30, 20
-REGION_ONLY = Widening((0.1, 0.1, 5.9, 2.9), margin_m=1.0, laser_m=0.0)
+REGION = (0.1, 0.1, 5.9, 2.9)
 
 
 def planner(
@@ -41,30 +43,33 @@ def planner(
     seen[3:57, 3:61] = True
     if behind is not None:
         seen |= behind
+    config = preset("default", explore={"dust": dust, "tries": 2}, grid={"cell_m": CELL_M})
+    view = MapView(REGION, RADIUS_M, config)
+    view._make_masks(Box(0, 0, *FRAME))
+    height, width = SHAPE
     seen |= obstacles
-    unseen = ~seen
-    unseen[:2], unseen[58:], unseen[:, :2], unseen[:, 118:] = False, False, False, False
-    blocked = too_near(obstacles, (RADIUS_M + CLEARANCE_M) / CELL_M)
-    window = MapWindow((0, 0), CELL_M, seen, obstacles, blocked, unseen, (2, 58, 2, 118))
-    opaque = ndimage.binary_dilation(obstacles, np.ones((5, 5), dtype=np.bool_))
-    closed = ClosedMap(window, opaque, np.argwhere(frontier_cells(window.free, window.unknown)))
-    reachable = costs_from((seen & ~blocked).astype(np.uint8), *HERE) >= 0
-    sensor, known = SensorModel(180, 100.0, 40.0, 1.0), KnownViews()
-    failed_views = np.where(unseen, np.uint8(tries), np.uint8(0))
-    pose = Pose(*window.point(*HERE), 0.0)
-    config = preset("default", explore={"dust": dust})
-    gain = ViewGain(closed, sensor, RADIUS_M)
-    viewpoints = gain.viewpoints(reachable)
-    return ViewPlanner(gain, failed_views, pose, reachable, viewpoints, config, pose.position, known)
+    view.seen[:height, :width], view.obstacles[:height, :width] = seen, obstacles
+    view.blocked[:] = too_near(view.obstacles, (RADIUS_M + CLEARANCE_M) / CELL_M)
+    view.opaque[:] = ndimage.binary_dilation(view.obstacles, np.ones((5, 5), dtype=np.bool_))
+    view.free[:] = view.seen & ~view.obstacles
+    view.edge = np.argwhere(frontier_cells(view.free, ~view.seen))
+    view._attempts[False][view.unseen] = tries
+    view.wanted[:] = view.unseen & (tries < 2)
+    reachable = costs_from((view.seen & ~view.blocked).astype(np.uint8), *HERE) >= 0
+    ways = TileWays(8)
+    ways.update(reachable)
+    gain, pose = ViewGain(view, SensorModel(180, 100.0, 40.0, 1.0)), Pose(*view.point(*HERE), 0.0)
+    viewpoints = Viewpoints(reachable, view.obstacles, 100.0)
+    return ViewPlanner(gain, pose, reachable, viewpoints, ways, config, pose.position, KnownViews())
 
 
 def next_target(view: ViewPlanner) -> Target | None:
-    candidates = view.candidates(REGION_ONLY)
+    candidates = view.candidates()
     return view.next_target(candidates, np.random.default_rng(0))
 
 
 def left_by(view: ViewPlanner) -> list[UnseenPlace]:
-    return unseen_places(view, view.candidates(REGION_ONLY))
+    return unseen_places(view, view.candidates())
 
 
 def room_behind() -> Bools:
@@ -75,7 +80,7 @@ def room_behind() -> Bools:
 
 @pytest.mark.parametrize("opening", [1, 2, 3, 4])
 def test_a_hole_in_a_wall_is_no_view_and_nothing_is_left_behind_it(opening: int) -> None:
-    assert planner(opening).candidates(REGION_ONLY).clusters
+    assert planner(opening).candidates().clusters
     assert next_target(planner(opening)) is None
     assert left_by(planner(opening, tries=2)) == []
 
@@ -92,7 +97,7 @@ def test_an_opening_is_a_view(opening: int) -> None:
 def test_what_all_views_show_together_is_dust_if_it_is_little_of_what_was_seen() -> None:
     """The unseen region behind the wall is as large as the room before it, which shows a tenth of it."""
     assert next_target(planner(8, dust=0.03)) is not None
-    assert planner(8, dust=0.5).candidates(REGION_ONLY).clusters
+    assert planner(8, dust=0.5).candidates().clusters
     assert next_target(planner(8, dust=0.5)) is None
 
 

@@ -59,20 +59,22 @@ def seen_from_both_sides(walls: Array) -> Stage:
 
 def way_behind(stage: Stage, ways: Ways) -> bool:
     """Open the cheapest way to behind the wall; whether there is one."""
-    window = stage.exploration._window
-    prices = ways.dear_prices(window, stage.grid)
-    way = cheapest_way(prices, costs_from(prices, *window.cell(START.position)), *window.cell(BEHIND))
+    view = stage.exploration._view
+    view.draw_views(view.cell(START.position))
+    prices = ways.prices(view.frame, view.passable, view.free & view.blocked, stage.grid)
+    way = cheapest_way(prices, costs_from(prices, *view.cell(START.position)), *view.cell(BEHIND))
     if len(way):
-        ways.open(window, way, prices)
+        ways.open(way + np.array(view.first), prices[tuple(way.T)])
     return len(way) > 0
 
 
 def is_open(stage: Stage, ways: Ways) -> bool:
     """Whether free cells lead behind the wall."""
-    space = stage.grid.free_space()
-    blocked = np.array(space.blocked)
-    ways.unblock(blocked, space, stage.grid)
-    return bool(costs_from((~blocked).astype(np.uint8), *space.cell_of(START.position))[space.cell_of(BEHIND)] >= 0)
+    box, view = stage.grid.box, stage.exploration._view
+    blocked = stage.grid.part("cover", box) > 0
+    ways.unblock(blocked, box, stage.grid)
+    here, there = (tuple(np.add(view.cell(point), view.first) - box[:2]) for point in (START.position, BEHIND))
+    return bool(costs_from((~blocked).astype(np.uint8), *here)[there] >= 0)
 
 
 @pytest.mark.parametrize(("walls", "guarded"), [(CLOSED, True), (NARROW, False)])

@@ -12,15 +12,15 @@ There are three shortest-path searches:
 from __future__ import annotations
 
 from sixthsense.navigation.gridsearch.cost_tree import CostTree, shortest_path
-from sixthsense.navigation.gridsearch.distances import geodesic_distances, reached_cells
-from sixthsense.navigation.gridsearch.far import FarCells, far_from
+from sixthsense.navigation.gridsearch.distances import far_from, geodesic_distances, reached_cells
 from sixthsense.navigation.gridsearch.prices import Costs, Prices, cheapest_way, costs_from
+from sixthsense.navigation.gridsearch.reached import Reached
 
 __all__ = [
     "CostTree",
     "Costs",
-    "FarCells",
     "Prices",
+    "Reached",
     "cheapest_way",
     "costs_from",
     "far_from",

@@ -1,6 +1,8 @@
-"""A queue of cells in a ring of stacks: pushing and popping take constant time."""
+"""A queue of cells in a ring of stacks, and an array that grows: adding and taking a cell take constant time."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numba
 import numpy as np
@@ -35,3 +37,12 @@ def pop(stacks: Stacks, sizes: Sizes, at: int) -> tuple[int, int]:
     slot = at % len(sizes)
     sizes[slot] -= 1
     return at, int(stacks[slot, sizes[slot]])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def appended(cells: NDArray[np.signedinteger[Any]], count: int, cell: int) -> tuple[Any, int]:
+    """Append `cell` to the first `count` of `cells`, in an array twice as long if that one is full; array and count."""
+    if count == len(cells):
+        cells = np.concatenate((cells, np.empty_like(cells)))
+    cells[count] = cell
+    return cells, count + 1

@@ -71,7 +71,7 @@ def reached_cells(passable: Bools, blocked: Bools, row: int, col: int) -> Bools:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _may_step(blocked: Bools, row: int, col: int, to_row: int, to_col: int) -> bool:
+def may_step(blocked: Bools, row: int, col: int, to_row: int, to_col: int) -> bool:
     """Whether a step to a neighbour cuts no corner of `blocked` (H, W)."""
     return bool(to_row == row or to_col == col or not (blocked[row, to_col] or blocked[to_row, col]))
 
@@ -91,8 +91,32 @@ def _flood(reached: Bools, passable: Bools, blocked: Bools, row: int, col: int) 
             for to_c in range(max(c - 1, 0), min(c + 2, width)):
                 if reached[to_r, to_c] or not passable[to_r, to_c]:
                     continue
-                if not _may_step(blocked, r, c, to_r, to_c):
+                if not may_step(blocked, r, c, to_r, to_c):
                     continue
                 reached[to_r, to_c] = True
                 stack[size] = to_r * width + to_c
                 size += 1
+
+
+@numba.njit(cache=True, error_model="numpy")
+def far_from(marked: Bools, reach: int) -> Bools:
+    """(H, W) the cells more than `reach` rows or columns away from every marked cell."""
+    height, width = marked.shape
+    far = np.ones((height, width), dtype=np.bool_)
+    until = np.full(width, -1)  # the last row that a marked cell of each column reaches
+    for row in range(height + reach):
+        if row < height:
+            for col in range(width):
+                if marked[row, col]:
+                    until[col] = row + reach
+        # The row `reach` before this one has met all marked cells that reach it.
+        target = row - reach
+        if target < 0:
+            continue
+        last = -1  # the last column that a marked cell reaches in the target's row
+        for col in range(width + reach):
+            if col < width and until[col] >= target:
+                last = col + reach
+            if col >= reach and last >= col - reach:
+                far[target, col - reach] = False
+    return far

@@ -17,15 +17,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.changes import Box, Changes, box_of
-from sixthsense.slam.mapping.evidence import (
-    Cells,
-    EvidenceRules,
-    Ints,
-    ScanCells,
-    count_scan,
-    line_cells,
-    touched_squares,
-)
+from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, touched_squares
 from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, Ellipse, FreeSpace, cell_box
 from sixthsense.slam.mapping.growth import grown_box
 from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
@@ -33,7 +25,7 @@ from sixthsense.slam.mapping.masks import Masks, masks_of
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, TILE, Places, Tiles
 
-__all__ = ["FreeSpace", "Grid", "line_cells"]
+__all__ = ["FreeSpace", "Grid"]
 
 
 class Grid:
@@ -238,6 +230,12 @@ class Grid:
     def obstacles(self) -> Bools:
         """(H, W) cells whose evidence says occupied; not inflated."""
         return self._whole("obstacles")
+
+    @property
+    def box(self) -> Box:
+        """The box of all cells that were seen, with their inflation and a rim, from the world's origin; it grows."""
+        self._counted()
+        return self._box
 
     @property
     def origin(self) -> tuple[float, float]:

@@ -8,8 +8,9 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.slam.mapping.evidence import line_cells
 from sixthsense.slam.mapping.freespace import FreeSpace
-from sixthsense.slam.mapping.grid import Grid, line_cells
+from sixthsense.slam.mapping.grid import Grid
 
 NO_WALLS = np.empty((0, 2, 2))
 ROOM = np.array(

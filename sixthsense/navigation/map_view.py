@@ -1,0 +1,295 @@
+"""The map of one exploration: what is free, what hides, where the robot may drive, and what is to be seen.
+
+`MapView` keeps all of it in masks (H, W) of one frame, indexed [row = y, col = x], and draws them again where the grid
+has changed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array
+from sixthsense.navigation.area_to_see import AreaToSee, Counts, Region
+from sixthsense.navigation.frontier import close_gaps, dilated
+from sixthsense.navigation.gridsearch import Prices, Reached, far_from
+from sixthsense.navigation.gridsearch.reached import SQUARE, TILE
+from sixthsense.navigation.regions import Cells, Nodes, frontier_cells
+from sixthsense.navigation.tour import TileWays
+from sixthsense.navigation.viewpoints import mark_tiles
+from sixthsense.navigation.ways import Ways
+from sixthsense.slam.mapping.changes import Box, Revision, box_of
+from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.inflation import give_way
+
+_UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
+_SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
+_WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
+_CLOSING = 2  # cells; how far a closing by 3 x 3 cells carries a change
+_MASKS = "seen", "free", "obstacles", "opaque", "wanted", "blocked", "passable", "_barred"
+_NOWHERE, _NO_CELLS = Box(0, 0, 0, 0), np.zeros((0, 0), dtype=np.bool_)
+
+
+class MapView:
+    """What an exploration knows of the map. Masks are written to by it alone, and are valid until it changes."""
+
+    seen: Bools
+    """crossed by a beam"""
+    free: Bools
+    """seen, and no obstacle"""
+    obstacles: Bools
+    """with closed walls: gaps of two cells, and what grazing beams have erased"""
+    opaque: Bools
+    """obstacles and the cells near them: a line of sight that keeps off them passes no hole in a wall"""
+    wanted: Bools
+    """unknown cells that are to be seen"""
+    blocked: Bools
+    """where the robot may not drive"""
+    passable: Bools
+    """seen cells where it may"""
+    edge: Cells
+    """(N, 2) free cells beside unknown ones, row by row"""
+    occupied: Bools
+    """(H / 8, W / 8) tiles that hold an obstacle or a cell reached"""
+    grid: Grid
+    """the one of the latest update"""
+    _barred: Bools
+    """far into the unknown, or outside the limits"""
+    _changed: Bools
+
+    def __init__(self, region: Region, radius_m: float, config: Config) -> None:
+        """Begin without a map, for a disc of `radius_m` that is to see all of a region."""
+        self.cell_m = cell_m = config.grid.cell_m
+        self.radius = radius_m / cell_m
+        """of the robot, in cells"""
+        self.frame = _NOWHERE
+        """the cells of the masks"""
+        self.ways = Ways(radius_m, config)
+        """over dear cells"""
+        self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
+        """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
+        self._area = AreaToSee(region, config)
+        self._unknown_reach, self._sight_margin = round(_UNKNOWN_M / cell_m), round(_SIGHT_MARGIN * self.radius)
+        inflation = math.ceil((radius_m + config.grid.clearance_m) / cell_m) + 1
+        self._spread = max(inflation, self._unknown_reach, self._sight_margin + _CLOSING, self._area.narrow_outside)
+        self._revision: Revision | None = None
+        self._due = _NOWHERE  # where views are to be drawn again
+        self._ignored: Nodes = np.zeros(0, dtype=np.int64)
+        self._space: FreeSpace | None = None
+        self._attempts: dict[bool, Counts] = {dear: np.zeros((0, 0), dtype=np.uint8) for dear in (False, True)}
+        self._reached = Reached(_NO_CELLS)
+        self._make_masks(self.frame)
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the robot may drive, and unknown cells count, as far outside the region as its laser reaches."""
+        return self._area.is_wide
+
+    @property
+    def first(self) -> tuple[int, int]:
+        """Row and col of the masks' corner, counted from the world's origin."""
+        return self.frame.top, self.frame.left
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the masks."""
+        return self.frame.bottom - self.frame.top, self.frame.right - self.frame.left
+
+    @property
+    def unseen(self) -> Bools:
+        """(H, W) within the region, and neither seen nor an obstacle."""
+        return self._area.of_region(~(self.seen | self.obstacles), self.frame)
+
+    @property
+    def reached(self) -> Bools:
+        """(H, W) the cells that paths over seen cells lead to from the robot, when views were last drawn."""
+        return self._reached.cells
+
+    def cell(self, point: Array) -> tuple[int, int]:
+        """Row and col of a (2,) point, world frame, clipped to the masks."""
+        row = math.floor(point[1] / self.cell_m) - self.frame.top
+        col = math.floor(point[0] / self.cell_m) - self.frame.left
+        return min(max(row, 0), self.shape[0] - 1), min(max(col, 0), self.shape[1] - 1)
+
+    def point(self, row: float, col: float) -> Array:
+        """(2,) centre of a cell, world frame."""
+        return np.array([(self.frame.left + col + 0.5) * self.cell_m, (self.frame.top + row + 0.5) * self.cell_m])
+
+    def update(self, grid: Grid) -> None:
+        """Draw where the robot may drive, where the grid has changed."""
+        self.grid, changes = grid, grid.changes
+        frame = grid.box.aligned(SQUARE)
+        box = changes.since(self._revision) if frame == self.frame else None
+        self._revision = changes.revision
+        if frame != self.frame:
+            self._make_masks(frame)
+        self.redraw(frame if box is None else box)
+
+    def redraw(self, box: Box) -> None:
+        """Draw again where the robot may drive, as far as what is in a box matters for it."""
+        rows, cols = part = box.grown(self._spread).within(self.first, self.shape)
+        if box.bottom == box.top or not self.seen[part].size:
+            return
+        inner, reach = self._box(rows, cols), self._unknown_reach
+        outer = self.grid.part("seen", inner.grown(reach))
+        own = slice(reach, reach + rows.stop - rows.start), slice(reach, reach + cols.stop - cols.start)
+        barred = far_from(outer, reach)[own]
+        inside = np.zeros_like(barred)
+        inside[self._area.limits.within((inner.top, inner.left), barred.shape)] = True
+        barred |= ~inside
+        blocked = barred | (self.grid.part("cover", inner) > 0)
+        self.ways.unblock(blocked, inner, self.grid)
+        self.seen[part], self._barred[part], self.blocked[part] = outer[own], barred, blocked
+        self.passable[part] = self.seen[part] & ~blocked
+        self._due, self._space = _joined(self._due, inner), None
+
+    def draw_views(self, here: tuple[int, int]) -> None:
+        """Draw what views are chosen from, where it has changed, for a robot in the cell `here`."""
+        self.wanted.ravel()[self._ignored] = True
+        part = (self.frame if self._area.is_wide else self._due.aligned(SQUARE)).within(self.first, self.shape)
+        self._due = _NOWHERE
+        if self.seen[part].size:
+            self._draw_views(*part)
+            self._reached.redraw(self.passable, self.blocked, *part)
+        self._reached.search(self.blocked, *here, self._changed)
+        mark_tiles(self.occupied, self.reached, self.obstacles, self._changed)
+        self.tile_ways.update(self.reached, self._changed)
+
+    def ignore(self, cells: Nodes) -> Bools:
+        """Leave (N,) flat cells out of the wanted ones until views are drawn again.
+
+        (H / 8, W / 8) the tiles of 8 cells in which the obstacles, the wanted cells, or those reached differ since the
+        last call.
+        """
+        row, col = np.divmod(np.setxor1d(cells, self._ignored), max(self.shape[1], 1))
+        self._changed[row // TILE, col // TILE] = True
+        self._ignored = cells
+        self.wanted.ravel()[cells] = False
+        changed: Bools = self._changed
+        self._changed = np.zeros_like(changed)
+        return changed
+
+    def dear_wanted(self) -> Bools:
+        """(H, W) unknown cells that are to be seen from where only dear ways lead to."""
+        return self._area.to_see(~(self.seen | self.obstacles), self.frame, self._attempts[True])
+
+    def given_up(self, dear: bool) -> Bools:
+        """(H, W) the cells not seen from as many viewpoints as are tried; by `dear` ways, or over free cells."""
+        return self._area.given_up(self._attempts[dear])
+
+    def count_attempt(self, cells: Cells, dear: bool) -> None:
+        """Count one more viewpoint from which (N, 2) cells, from the world's origin, were not seen, if unknown now."""
+        rows, cols = np.unique(cells, axis=0).T - np.array(self.first)[:, None]
+        counts = self._attempts[dear]
+        missed = ~(self.seen | self.obstacles)[rows, cols] & (counts[rows, cols] < np.iinfo(counts.dtype).max)
+        counts[rows[missed], cols[missed]] += 1
+        self._due = _joined(self._due, box_of(cells))
+
+    def forget_attempts(self) -> None:
+        """Begin to count as if no viewpoint had been tried."""
+        for counts in self._attempts.values():
+            counts[:] = 0
+        self._due = self.frame
+
+    def widen(self, is_wide: bool) -> None:
+        """Let the robot drive as far outside the region as its laser reaches, or no more."""
+        self._area.is_wide = is_wide
+        self.redraw(self.frame)
+        self._due = self.frame
+
+    def dear_prices(self, been: Array | None = None) -> Prices:
+        """(H, W) what the cells cost a robot that may drive over dear ones, as of `Ways.prices`."""
+        return self.ways.prices(self.frame, self.passable, self.free & self.blocked, self.grid, been)
+
+    def open_way(self, way: Cells, prices: Prices) -> None:
+        """Let the robot drive over the cells (N, 2) of a way over such prices (H, W)."""
+        cells = way + np.array(self.first)
+        self.ways.open(cells, prices[way[:, 0], way[:, 1]])
+        self.redraw(box_of(cells))
+
+    def close_ways(self) -> None:
+        """Close the ways over dear cells that the robot has not come through."""
+        for way in self.ways.close_untried():
+            self.redraw(box_of(way.cells))
+
+    def free_space(self, margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
+        """Where the robot may drive; with a margin, the cells about an ellipse, which gives way near (K, 2) places."""
+        cell_m, origin = self.cell_m, (self.frame.left * self.cell_m, self.frame.top * self.cell_m)
+        if self._space is None:
+            self._space = FreeSpace(self.blocked, self.seen, origin, cell_m)
+        if margin_m == 0.0 or within is None:
+            return self._space.covering(*places)
+        part = within.rows_and_cols(self.shape, origin, cell_m)
+        box = self._box(*part)
+        corner = box.left * cell_m, box.top * cell_m
+        blocked = self.grid.inflated(box, margin_m)
+        for point in places:
+            give_way(blocked, corner, self._space, point, margin_m)
+        blocked |= self._barred[part]
+        within.block_beyond(blocked, corner, cell_m)
+        return FreeSpace(blocked, self.seen[part], corner, cell_m).covering(*places)
+
+    def _make_masks(self, frame: Box) -> None:
+        """Begin with masks of another frame, with what was in the present one."""
+        if self._ignored.size:
+            self.wanted.ravel()[self._ignored] = True
+        before, self.frame = self.frame, frame
+        self.edge, self._ignored = np.zeros((0, 2), dtype=np.int64), self._ignored[:0]
+        for name in _MASKS:
+            setattr(self, name, _moved(getattr(self, name, _NO_CELLS), before, frame))
+        for name in ("occupied", "_changed"):
+            setattr(self, name, _moved(getattr(self, name, _NO_CELLS), before, frame, TILE))
+        self._attempts = {dear: _moved(counts, before, frame) for dear, counts in self._attempts.items()}
+        self._reached = Reached(_moved(self._reached.cells, before, frame))
+
+    def _draw_views(self, rows: slice, cols: slice) -> None:
+        """Draw what views are chosen from in some rows and columns."""
+        part, inner, spread_by = (rows, cols), self._box(rows, cols), 2 * self._spread
+        outer = inner.grown(spread_by)
+        own = slice(spread_by, spread_by + rows.stop - rows.start), slice(spread_by, spread_by + cols.stop - cols.start)
+        seen, hits, passes = (self.grid.part(name, outer) for name in ("seen", "hits", "passes"))
+        wall = (hits >= _WALL_HITS) & (passes <= _WALL_PASSES * hits)
+        opaque = closed = close_gaps(self.grid.part("obstacles", outer) | wall)
+        for _ in range(self._sight_margin):
+            opaque = dilated(opaque)
+        unknown = ~(seen | closed)
+        attempts = _moved(self._attempts[False], self.frame, outer)
+        wanted = self._area.to_see(unknown, outer, attempts)[own]
+        edge = np.argwhere(frontier_cells(seen & ~closed, unknown)[own]) + np.array([rows.start, cols.start])
+        differs = (self.wanted[part] != wanted) | (self.obstacles[part] != closed[own])
+        tiles = differs.reshape(differs.shape[0] // TILE, TILE, -1, TILE).any(axis=(1, 3))
+        self._changed[rows.start // TILE : rows.stop // TILE, cols.start // TILE : cols.stop // TILE] |= tiles
+        self.wanted[part], self.obstacles[part], self.opaque[part] = wanted, closed[own], opaque[own]
+        self.free[part] = seen[own] & ~closed[own]
+        old_rows, old_cols = self.edge.T
+        kept = (old_rows < rows.start) | (old_rows >= rows.stop) | (old_cols < cols.start) | (old_cols >= cols.stop)
+        cells = np.concatenate([self.edge[kept], edge])
+        self.edge = cells[np.argsort(cells[:, 0] * self.shape[1] + cells[:, 1])]
+
+    def _box(self, rows: slice, cols: slice) -> Box:
+        """The box of some rows and columns of the masks."""
+        top, left = self.first
+        return Box(top + rows.start, left + cols.start, top + rows.stop, left + cols.stop)
+
+
+def _joined(a: Box, b: Box) -> Box:
+    """The box that holds both; one without cells holds nothing."""
+    if a.bottom == a.top or b.bottom == b.top:
+        return b if a.bottom == a.top else a
+    return Box(min(a.top, b.top), min(a.left, b.left), max(a.bottom, b.bottom), max(a.right, b.right))
+
+
+def _moved(mask: NDArray[Any], before: Box, box: Box, side: int = 1) -> NDArray[Any]:
+    """(H, W) what a mask of the cells of a box, or of their squares, has in another box; 0 outside."""
+    height, width = box.bottom - box.top, box.right - box.left
+    moved = np.zeros((height // side, width // side), dtype=mask.dtype)
+    there = before.within((box.top, box.left), (height, width))
+    here = box.within((before.top, before.left), (before.bottom - before.top, before.right - before.left))
+    to, of = (tuple(slice(s.start // side, s.stop // side) for s in part) for part in (there, here))
+    moved[to] = mask[of]
+    return moved
