@@ -16,7 +16,7 @@ from sixthsense.core.source import Command, Source, Tick
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator, ReplayNavigator
-from sixthsense.navigation.pilot import Pilot
+from sixthsense.navigation.pilot import Pilot, Steersman
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
@@ -41,7 +41,7 @@ Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every tick; an outcome that it returns ends the run."""
 
 
-def drive(source: Source, slam: Slam, pilot: Pilot, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
+def drive(source: Source, slam: Slam, pilot: Steersman, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
     """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
     sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
     command = Command()
@@ -157,7 +157,7 @@ def searching_navigator(config: Config, radius_m: float) -> Navigator:
 def recorded_drive(
     source: Source,
     start: Pose,
-    pilot: Pilot,
+    pilot: Steersman,
     trace: Trace,
     on_tick: OnTick | None = None,
     prior: PriorStart | None = None,

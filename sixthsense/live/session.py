@@ -30,7 +30,7 @@ from sixthsense.loop import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator, ReplayNavigator
-from sixthsense.navigation.pilot import AheadPilot, Pilot
+from sixthsense.navigation.pilot import AheadPilot, Pilot, Steersman
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
@@ -128,11 +128,11 @@ class Session:
         guard = Guard(config, radius_m)
         trace = Trace(config, None, radius_m, name="live")
         with contextlib.ExitStack() as stack:
-            pilot: Pilot = Pilot(_listening(), guard)
+            pilot: Steersman = Pilot(_listening(), guard)
             steering = None
             if drive:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
-                pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
+                pilot = ahead = AheadPilot(Pilot(_navigator(config, believed, radius_m), guard))
                 kind = self._commands or TWIST
                 writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)

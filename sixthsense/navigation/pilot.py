@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.navigation.guard import Guard
@@ -10,6 +12,24 @@ from sixthsense.slam.slam import Step
 
 _PATIENCE_NS = 3_000_000_000
 """time that a stopped robot waits for what moves, before it seeks another way"""
+
+
+class Steersman(Protocol):
+    """What the loop asks for commands."""
+
+    @property
+    def navigator(self) -> Navigator:
+        """Says where to go."""
+        ...
+
+    @property
+    def guard(self) -> Guard:
+        """Slows or stops the robot before what it would touch."""
+        ...
+
+    def steer(self, step: Step) -> Command:
+        """Take in a step of SLAM; the command from now on."""
+        ...
 
 
 class Pilot:
@@ -24,11 +44,15 @@ class Pilot:
         """The command for the next control tick."""
         if step.increment is not None:
             self.guard.moved(step.increment.motion)
+        self.look(step)
+        return self.command(step.pose, step.stamp_ns)
+
+    def look(self, step: Step) -> None:
+        """Show the guard the step's scan, and the navigator the map of its keyframe."""
         if step.scan is not None:
             self.guard.see(step.scan, step.moving.points_robot)
         if step.keyframe is not None:
             self.navigator.look(step.grid, step.keyframe.estimate)
-        return self.command(step.pose, step.stamp_ns)
 
     def command(self, pose: Pose, stamp_ns: int) -> Command:
         """The command of a robot at a pose, `T_world_robot`."""
@@ -44,26 +68,26 @@ class Pilot:
         return command
 
 
-class AheadPilot(Pilot):
-    """Steers a robot whose scans arrive late: by the last step and the odometry since, as often as that arrives."""
+class AheadPilot:
+    """Asks a pilot to steer a robot whose scans arrive late: by the last step and the odometry since."""
 
-    def __init__(self, navigator: Navigator, guard: Guard) -> None:
-        super().__init__(navigator, guard)
+    def __init__(self, pilot: Pilot) -> None:
+        self.navigator, self.guard = pilot.navigator, pilot.guard
+        self._pilot = pilot
         self._step: Step | None = None
         self._since_scan = Pose()  # motion from the last scan to the last step
         self._guarded = Pose()  # motion from the last scan that the guard knows of
+        self._command = Command()
 
     def steer(self, step: Step) -> Command:
-        """Take in a step; the command is made by `ahead`."""
+        """Take in a step; the command in force, which the newest odometry has made, and not this late step."""
         if step.increment is not None:
             self._since_scan = self._since_scan @ step.increment.motion
         if step.scan is not None:
-            self.guard.see(step.scan, step.moving.points_robot)
             self._since_scan = self._guarded = Pose()
-        if step.keyframe is not None:
-            self.navigator.look(step.grid, step.keyframe.estimate)
+        self._pilot.look(step)
         self._step = step
-        return Command()
+        return self._command
 
     def ahead(self, motion: Pose, stamp_ns: int) -> Command:
         """The command of a robot that has moved by `motion` since the last step; a standstill before the first one."""
@@ -72,4 +96,5 @@ class AheadPilot(Pilot):
         since_scan = self._since_scan @ motion
         self.guard.moved(self._guarded.inverse() @ since_scan)
         self._guarded = since_scan
-        return self.command(self._step.pose @ motion, stamp_ns)
+        self._command = self._pilot.command(self._step.pose @ motion, stamp_ns)
+        return self._command

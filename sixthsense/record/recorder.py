@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from sixthsense.core.source import Command, Tick
-from sixthsense.navigation.pilot import Pilot
+from sixthsense.navigation.pilot import Steersman
 from sixthsense.record.live import Live
 from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam, Step
@@ -14,7 +14,7 @@ from sixthsense.slam.slam import Slam, Step
 class Recorder:
     """Appends what each tick brought to a trace."""
 
-    def __init__(self, trace: Trace, slam: Slam, pilot: Pilot) -> None:
+    def __init__(self, trace: Trace, slam: Slam, pilot: Steersman) -> None:
         """Record into `trace`, which shows the plans and the map from now on."""
         self._trace, self._slam, self._pilot = trace, slam, pilot
         trace.plans, trace.grid = pilot.navigator.plans, slam.grid

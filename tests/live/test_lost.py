@@ -109,7 +109,7 @@ def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
     driver, sent = Driver(ELSEWHERE, Pose(40.0, -7.0, 1.0)), []
 
     def steering(guard: Guard) -> Steering:
-        return Steering(AheadPilot(ReplayNavigator(), guard), sent.append, lambda: 1)
+        return Steering(AheadPilot(Pilot(ReplayNavigator(), guard)), sent.append, lambda: 1)
 
     trace, robot, lines = run(driver, 45.0, steering)
     assert robot.outcome == "lost" and sent[-1] == Command()

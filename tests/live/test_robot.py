@@ -17,7 +17,7 @@ from sixthsense.live.reading import LaserReader, MessageReader
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import ReplayNavigator
-from sixthsense.navigation.pilot import AheadPilot
+from sixthsense.navigation.pilot import AheadPilot, Pilot
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam
@@ -48,7 +48,7 @@ class Bench:
         self.lines: list[str] = []
         self.sent: list[tuple[int, Command]] = []
         reader = MessageReader()
-        self.pilot = AheadPilot(Forward(), Guard(preset(), 0.2))
+        self.pilot = AheadPilot(Pilot(Forward(), Guard(preset(), 0.2)))
         send = lambda command: self.sent.append((self.now_ms, command))  # noqa: E731
         steering = Steering(self.pilot, send, lambda: self.subscribers)
         laser = LaserReader(reader, None, Pose())

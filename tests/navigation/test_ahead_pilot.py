@@ -30,8 +30,9 @@ def goal_navigator() -> GoalNavigator:
 def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():
     """Slam of the one takes odometry at once, that of the other only with the next scan."""
     world = World(HALL, Pose(), 0.2, CONFIG, np.random.default_rng(0))
-    punctual, ahead = Pilot(goal_navigator(), Guard(CONFIG, 0.2)), AheadPilot(goal_navigator(), Guard(CONFIG, 0.2))
-    command, held = Command(), []
+    punctual, asked = (Pilot(goal_navigator(), Guard(CONFIG, 0.2)) for _ in range(2))
+    ahead = AheadPilot(asked)
+    command, other, held = Command(), Command(), []
     moved = 0
     with Slam(CONFIG) as slam, Slam(CONFIG) as late_slam:
         for _ in range(600):
@@ -41,7 +42,8 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
             held.append(tick)
             if tick.scan is not None:
                 for old in held:
-                    ahead.steer(late_slam.take(old))
+                    in_force = ahead.steer(late_slam.take(old))
+                    assert in_force == other
                 held = []
                 last = tick
             other = ahead.ahead(last.odometry.inverse() @ tick.odometry, tick.stamp_ns)
@@ -51,7 +53,7 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
 
 
 def test_a_pilot_without_a_step_stands():
-    assert AheadPilot(goal_navigator(), Guard(CONFIG, 0.2)).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
+    assert AheadPilot(Pilot(goal_navigator(), Guard(CONFIG, 0.2))).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
 
 
 class Forward(ReplayNavigator):
@@ -60,7 +62,7 @@ class Forward(ReplayNavigator):
 
 
 def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_it():
-    pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
+    pilot = AheadPilot(Pilot(Forward(), Guard(CONFIG, 0.2)))
     walls = np.array([[[2.0, -1.0], [2.0, 1.0]]])
     tick = World(walls, Pose(), 0.2, CONFIG, np.random.default_rng(0)).step(Command())
     assert tick is not None
