@@ -26,23 +26,19 @@ import argparse
 import json
 import math
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
 
+from asked import Case, Figures, Found, Line, line, measure, selected
 from damaged_logs import DAMAGES, damaged
 from harness import (
-    CACHE,
     PACKAGE,
     PART_MIN,
     check_at_least,
     code_commit,
     command_figures,
     data_path,
-    kept,
-    pooled,
     print_table,
     replay_errors,
     rows_as_json,
@@ -57,12 +53,8 @@ from sixthsense.config import merge, preset
 from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.replay_input import of_log, open_recorded
 
-Figures = dict[str, Any]
-Found = Mapping[str, Figures]
-"""figures by the key of their case"""
-
 CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
-    "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")))  # fmt: skip
+    "asked", "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")))  # fmt: skip
 """what the figures depend on"""
 
 CLEAN_M = {"intel": 0.014, "fr079": 0.031, "aces": 0.036}
@@ -89,19 +81,6 @@ COMMAND_SPEED = {"intel": 70.0, "fr079": 45.0}
 FIRST_SEED, REPETITIONS, TOUR_S = 1000, 2, 200.0
 NEES_RUNS = {"apartment": 10, "office": 10, "standing": 20, "corridor": 20}
 WHEELS = ("wheels as they are", "wheels on line")
-
-
-class Case(NamedTuple):
-    """One run."""
-
-    kind: str
-    setting: tuple[str, ...]
-    seed: int = 0
-
-    @property
-    def key(self) -> str:
-        """Its name in the JSON."""
-        return ".".join((self.kind, *self.setting, str(self.seed)))
 
 
 def cases(seed: int) -> list[Case]:
@@ -149,52 +128,6 @@ def figures_of(case: Case) -> Figures:
     if case.kind == "damages":
         log, known = damaged(case.setting[1], log, known, case.seed)
     return replay_errors(log, of_log(preset("log"), log), known)
-
-
-def measured(folder: Path, until: float, case: Case) -> Figures | None:
-    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised.
-
-    None after the time `until`, s.
-    """
-    file = folder / f"logs-{case.key.replace(' ', '_')}.json"
-    if not file.exists() and time.time() > until:
-        return None
-
-    def make() -> Figures:
-        found = figures_of(case)
-        if found.get("outcome") == "interrupted":
-            raise KeyboardInterrupt  # what a run cut short has measured is not kept
-        return found
-
-    try:
-        return kept(file, make)
-    except Exception as error:  # one case that fails must not cost the table
-        return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
-
-
-class Line(NamedTuple):
-    """A line of the table."""
-
-    what: str
-    asked: str
-    measured: str
-    met: str
-
-
-Judge = Callable[[Sequence[Figures]], tuple[str, bool]]
-"""From the figures of the runs of a line to what is shown, and whether it is as asked."""
-
-
-def line(what: str, asked: str, runs: Sequence[Figures | None], judge_runs: Judge) -> Line:
-    """A line of the table from its runs, of which None was not measured."""
-    known = [found for found in runs if found is not None]
-    if len(known) < len(runs):
-        return Line(what, asked, "", "")
-    for found in known:
-        if "failed" in found:
-            return Line(what, asked, found["failed"], "NO")
-    shown, is_met = judge_runs(known)
-    return Line(what, asked, shown, "yes" if is_met else "NO")
 
 
 def lines(found: Found, seeds: Sequence[int]) -> Iterator[Line]:
@@ -289,31 +222,9 @@ def warm() -> None:
     warm_up_scans()
 
 
-def measure(chosen: Sequence[Case], jobs: int, commit: str, minutes: float) -> dict[str, Figures]:
-    """The figures by key of the cases begun within so many minutes; commands one after the other, before all else."""
-    function = partial(measured, CACHE / commit, time.time() + 60.0 * minutes)
-    made: dict[str, Figures] = {}
-    for alone in (True, False):
-        due = [case for case in chosen if (case.kind == "command") == alone]
-        if alone and due:
-            warm()  # into the cache that the commands read
-        found = pooled(function, due, 1 if alone else jobs, warm) if due else iter(())
-        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True) if own is not None}
-    return made
-
-
 def seeds_of(found: Found) -> list[int]:
     """The seeds of the damages that were measured."""
     return sorted({int(key.rsplit(".", 1)[1]) for key in found if key.startswith("damages.")})
-
-
-def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:
-    """The cases whose key begins with one of `prefixes`, all without one; ValueError for one that selects nothing."""
-    for prefix in prefixes:
-        if prefix != "none" and not any(case.key.startswith(prefix) for case in every):
-            kinds = ", ".join(dict.fromkeys(case.kind for case in every))
-            raise ValueError(f"--rows: found {prefix!r}, allowed: none, and beginnings of keys of {kinds}")
-    return [case for case in every if not prefixes or case.key.startswith(tuple(prefixes))]
 
 
 def main() -> int:
@@ -330,7 +241,8 @@ def main() -> int:
         logs = {case.setting[0] for case in chosen} & {*CLEAN_M, *COARSE_SHARE}
         if missing := [file for log in sorted(logs) for file in files_of(log) if not file.is_file()]:
             raise ValueError(f"SIXTHSENSE_DATA: found no {missing[0]}, allowed: a folder with the logs")
-        made = measure(chosen, options.jobs, code_commit(CODE), options.minutes)
+        commit = code_commit(CODE)
+        made = measure(chosen, figures_of, options, commit, warm, lambda case: case.kind == "command")
     except (ValueError, RuntimeError) as error:
         print(f"evidence_logs.py: {error}", file=sys.stderr)
         return 2

@@ -2,7 +2,7 @@
 
 Every seed is another world, or another tour of the same map. The tour is a closed path through the free space of the
 truth, a list of way points each of which the next can be reached from in a straight line. The robot finds its way from
-one to the next with its own map. Columns as of `pipeline_nees.py`; ± is the standard error over runs, and the NEES of a
+one to the next with its own map. Columns as of `tours.py`; ± is the standard error over runs, and the NEES of a
 row is that of the pose in world coordinates (3 if consistent).
 """
 

@@ -1,0 +1,114 @@
+"""A table of what is asked, what was measured, and whether it is met; its runs are kept, so that a command resumes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from harness import CACHE, kept, pooled
+from tables import mean_and_error
+
+Figures = dict[str, Any]
+Found = Mapping[str, Figures]
+"""figures by the key of their case"""
+
+
+class Case(NamedTuple):
+    """One run."""
+
+    kind: str
+    setting: tuple[str, ...]
+    seed: int = 0
+
+    @property
+    def key(self) -> str:
+        """Its name in the JSON."""
+        return ".".join((self.kind, *self.setting, str(self.seed)))
+
+
+def measured(folder: Path, until: float, figures_of: Callable[[Case], Figures], case: Case) -> Figures | None:
+    """The figures of a run, from its file in `folder` if it has been made; of one that raises, what it raised.
+
+    None after the time `until`, s.
+    """
+    file = folder / f"{case.key.replace(' ', '_')}.json"
+    if not file.exists() and time.time() > until:
+        return None
+
+    def make() -> Figures:
+        found = figures_of(case)
+        if found.get("outcome") == "interrupted":
+            raise KeyboardInterrupt  # what a run cut short has measured is not kept
+        return found
+
+    try:
+        return kept(file, make)
+    except Exception as error:  # one case that fails must not cost the table
+        return {"failed": f"{type(error).__name__}: {error}".splitlines()[0]}
+
+
+class Line(NamedTuple):
+    """A line of the table."""
+
+    what: str
+    asked: str
+    measured: str
+    met: str
+
+
+Judge = Callable[[Sequence[Figures]], tuple[str, bool]]
+"""From the figures of the runs of a line to what is shown, and whether it is as asked."""
+
+
+def line(what: str, asked: str, runs: Sequence[Figures | None], judge_runs: Judge) -> Line:
+    """A line of the table from its runs, of which None was not measured."""
+    known = [found for found in runs if found is not None]
+    if len(known) < len(runs):
+        return Line(what, asked, "", "")
+    for found in known:
+        if "failed" in found:
+            return Line(what, asked, found["failed"], "NO")
+    shown, is_met = judge_runs(known)
+    return Line(what, asked, shown, "yes" if is_met else "NO")
+
+
+def within(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
+    """A judge of the mean of a figure over runs, with its standard error."""
+    mean, error = mean_and_error([found[name] for found in runs])
+    shown = f"{mean:.3g}" if error is None else f"{mean:.3g} ± {error:.2g}"
+    return shown, low <= mean <= high
+
+
+def measure(
+    chosen: Sequence[Case],
+    figures_of: Callable[[Case], Figures],
+    options: Any,
+    commit: str,
+    warm: Callable[[], object],
+    alone: Callable[[Case], bool] = lambda case: False,
+) -> dict[str, Figures]:
+    """The figures by key of the cases begun within `options.minutes`, by `options.jobs` processes.
+
+    Those that are to run `alone` come first, one after the other. `warm` compiles the hot loops in each process.
+    """
+    function = partial(measured, CACHE / commit, time.time() + 60.0 * options.minutes, figures_of)
+    made: dict[str, Figures] = {}
+    for is_alone in (True, False):
+        due = [case for case in chosen if alone(case) == is_alone]
+        if is_alone and due:
+            warm()  # into the cache that commands read
+        found = pooled(function, due, 1 if is_alone else options.jobs, warm) if due else iter(())
+        made |= {case.key: {"commit": commit, **own} for case, own in zip(due, found, strict=True) if own is not None}
+    return made
+
+
+def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:
+    """The cases whose key begins with one of `prefixes`, all without one; ValueError for one that selects nothing."""
+    for prefix in prefixes:
+        if prefix != "none" and not any(case.key.startswith(prefix) for case in every):
+            kinds = ", ".join(dict.fromkeys(case.kind for case in every))
+            raise ValueError(f"--rows: found {prefix!r}, allowed: none, and beginnings of keys of {kinds}")
+    return [case for case in every if not prefixes or case.key.startswith(tuple(prefixes))]
