@@ -67,6 +67,8 @@ class Observation:
     stretch: int = field(default=0, repr=False, compare=False)
     """number, among those of its wall, of the stretch and side that was seen: there the shape's error stays; not
     recorded"""
+    stretch_kept: float = field(default=1.0, repr=False, compare=False)
+    """correlation of the error by the shape with that of the stretch, 0 to 1; not recorded"""
     sensor: SensorTerms | None = field(default=None, repr=False, compare=False)
     """its dependence on the sensor's parameters, if these are estimated; not recorded"""
 

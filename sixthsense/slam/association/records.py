@@ -68,7 +68,9 @@ class Record:
         if observation.shape_cov is None:
             return observation
         kept = 0.0 if before is None else correlation(before, self.footprint)
-        return replace(observation, shape_kept=kept, stretch=self.stretch_of(self.footprint))
+        stretch = self.stretch_of(self.footprint)
+        alike = correlation(self.stretches[stretch], self.footprint)
+        return replace(observation, shape_kept=kept, stretch=stretch, stretch_kept=alike)
 
     def stretch_of(self, seen: Footprint) -> int:
         """Number of the stretch that is most like what was seen; a new one, if none has most of its error."""

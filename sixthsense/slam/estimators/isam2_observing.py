@@ -59,7 +59,8 @@ class Observing:
             return seen_point(key, pose[0], observation, self._head.sensor, self._loss)
         if observation.shape_cov is not None:
             key = self._landmarks.stretches[i, observation.stretch]
-            observation = replace(observation, cov=observation.cov - observation.shape_cov)
+            of_stretch = observation.stretch_kept**2 * observation.shape_cov
+            observation = replace(observation, cov=observation.cov - of_stretch)
         if self._head.wheels is not None and not is_new:
             return exact_factor(key, pose[0], observation, self._loss)
         return wall_factor((key, self._frame(key, values)), pose, observation, is_new, self._loss)

@@ -106,6 +106,15 @@ def test_in_the_smoother_a_stretch_that_was_seen_says_more_of_the_pose():
     assert variances[0] < 1e-5 < 1e-4 < variances[1] < 3e-4
 
 
+def test_in_the_smoother_what_a_scan_does_not_share_with_its_stretch_is_noise():
+    """The information of a wall is that of observations with errors of one part in common."""
+    clean = wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 4e-6]))
+    crooked, alike = less_certain(clean, 1e-4), 0.8
+    estimator = filtered("isam2", [replace(crooked, stretch_kept=alike)] * 5)
+    own = (clean.cov + (1.0 - alike**2) * crooked.shape_cov) / 5
+    assert estimator.joint_covariance([0])[3, 3] == pytest.approx((crooked.shape_cov + own)[0, 0], rel=1e-3)
+
+
 def test_apparent_walls_go_with_their_wall():
     crooked = less_certain(wall_from(Pose(0.0, -2.0, 0.3), np.diag([1e-6, 1e-6])), 1e-4)
     estimator = make_estimator("isam2", Pose(0.0, -2.0, 0.3), np.zeros((3, 3)))
