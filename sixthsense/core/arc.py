@@ -17,9 +17,15 @@ def _sinc(angle: float) -> float:
 
 def arc(motion: Pose) -> tuple[float, float]:
     """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
-    half = 0.5 * motion.theta
-    chord = motion.x * math.cos(half) + motion.y * math.sin(half)
-    return chord / _sinc(half), motion.theta
+    return arc_length(motion.x, motion.y, motion.theta), motion.theta
+
+
+@numba.njit(cache=True, error_model="numpy")
+def arc_length(x: float, y: float, turn: float) -> float:
+    """Length (m, signed) of the circular arc that ends at (x, y) after a turn (rad)."""
+    half = 0.5 * turn
+    chord = x * math.cos(half) + y * math.sin(half)
+    return chord / _sinc(half)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -6,17 +6,15 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from numpy.typing import NDArray
 
-from sixthsense.config import AssumedConfig, Distribution, MotionNoise
-from sixthsense.core.arc import arc, arc_jacobian
+from sixthsense.config import AssumedConfig, Distribution
 from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.odometry_kernels import Folded, OdometryNoise, increment, motion_covariance, variance_divisor
 from sixthsense.core.pose_kernels import driven
-from sixthsense.core.wheels import Wheels, WheelTerms, corrected, corrected_with_terms
-
-_FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
+from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
 
 
 def rk4(pose: Pose, speed: float, turn_rate: float, duration_s: float, step_s: float = math.inf) -> Pose:
@@ -37,15 +35,7 @@ def draw(rng: np.random.Generator, distribution: Distribution, scale: float, siz
 
 def variance(distribution: Distribution, scale: float) -> float:
     """Variance of what `draw` returns."""
-    return scale * scale if distribution == "gaussian" else scale * scale / 3.0
-
-
-def slip_variances(noise: MotionNoise, distance: float, turn: float) -> tuple[float, float]:
-    """Variances of position (m^2, each axis) and heading (rad^2) that slip adds over a distance and a turn."""
-    d, a = abs(distance), abs(turn)
-    position = noise.slip_position_per_sqrt_m**2 * d + noise.slip_position_per_sqrt_rad**2 * a
-    heading = noise.slip_heading_per_sqrt_m**2 * d + noise.slip_heading_per_sqrt_rad**2 * a
-    return position, heading
+    return scale * scale / variance_divisor(distribution)
 
 
 def compose_jacobians(heading: float, motion: Pose) -> tuple[Array, Array]:
@@ -129,8 +119,30 @@ def _composed_terms(
     return WheelTerms(later.values, by_first @ first.jacobian + by_later @ later.jacobian)
 
 
+def are_carried(covs: Array) -> NDArray[np.bool_]:
+    """Whether no wheel has measured motions of these (..., 3, 3) covariances, as of `Odometry.is_carried`."""
+    return np.asarray(np.maximum(covs[..., 0, 0], covs[..., 1, 1]) > _CARRIED_M**2)
+
+
 STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
 STANDSTILL.cov.flags.writeable = False
+
+
+def fold_from(odometry: Pose, pose: Pose, since: Odometry) -> Folded:
+    """What kernels add ticks to: the last pose by the wheels, the pose, and the motion since the last keyframe."""
+    motion = since.motion
+    return Folded(
+        (odometry.x, odometry.y, odometry.theta),
+        (pose.x, pose.y, pose.theta),
+        (motion.x, motion.y, motion.theta),
+        np.array(since.cov),
+        since is not STANDSTILL,
+    )
+
+
+def since_keyframe(folded: Folded) -> Odometry:
+    """The motion since the last keyframe, as kernels have summed it up."""
+    return Odometry(Pose(*folded.since), folded.cov) if folded.has_moved else STANDSTILL
 
 
 def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
@@ -141,8 +153,10 @@ def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:
     """
     if before == after:
         return STANDSTILL  # the difference would have rounding errors that look like motion
-    motion = corrected(before.inverse() @ after, Wheels.assumed(assumed))
-    return Odometry(motion, _covariance(motion, assumed))
+    motion, cov = increment(
+        (before.x, before.y, before.theta), (after.x, after.y, after.theta), OdometryNoise.of(assumed)
+    )
+    return Odometry(Pose(*motion), cov)
 
 
 class WheelOdometry:
@@ -160,7 +174,11 @@ class WheelOdometry:
         if reported == STANDSTILL.motion and not change.any():
             return STANDSTILL
         motion, terms = corrected_with_terms(reported, self.wheels, change)
-        cov = np.zeros((3, 3)) if reported == STANDSTILL.motion else _covariance(motion, self._assumed)
+        cov = (
+            np.zeros((3, 3))
+            if reported == STANDSTILL.motion
+            else motion_covariance((motion.x, motion.y, motion.theta), OdometryNoise.of(self._assumed))
+        )
         late = self._assumed.wheels.jitter_sigma_s * change
         return Odometry(motion, cov + np.outer(late, late), terms)
 
@@ -206,31 +224,3 @@ class _Reported:
                 break
             end_s, pose, velocity = start_s, start, earlier
         return pose, velocity
-
-
-def _covariance(motion: Pose, assumed: AssumedConfig) -> Array:
-    """(3, 3) of a motion's error by the assumed noise."""
-    distance, turn = arc(motion)
-    noise = assumed.motion
-    position, heading = slip_variances(noise, distance, turn)
-    share = max(abs(distance) / _FLOOR_PER_M, abs(turn) / _FLOOR_PER_RAD)
-    position += assumed.floor_m**2 * share
-    heading += assumed.floor_rad**2 * share
-    by_distance = variance(noise.distribution, noise.speed * distance)
-    by_turn = variance(noise.distribution, noise.turn_rate * turn)
-    return np.asarray(_arc_covariance(distance, turn, (by_distance, by_turn), position, heading))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _arc_covariance(
-    distance: float, turn: float, of_arc: tuple[float, float], position: float, heading: float
-) -> Array:
-    """(3, 3) of an arc's end; variances of its length and turn, and of position (each axis) and heading beside them."""
-    g, cov = arc_jacobian(distance, turn), np.empty((3, 3))
-    for i in range(3):
-        for j in range(3):
-            cov[i, j] = g[i, 0] * of_arc[0] * g[j, 0] + g[i, 1] * of_arc[1] * g[j, 1]
-    cov[0, 0] += position
-    cov[1, 1] += position
-    cov[2, 2] += heading
-    return cov

@@ -5,12 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig
-from sixthsense.core.arc import arc
+from sixthsense.core.arc import arc, arc_length
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.pose_kernels import Triple, wrapped
 
 PARAMETERS = 5
 """number of the wheels' parameters"""
@@ -82,11 +85,51 @@ def wheel_prior(config: AssumedConfig) -> WheelEstimate:
     return WheelEstimate(Wheels.assumed(config), cov)
 
 
-def corrected(motion: Pose, wheels: Wheels) -> Pose:
+class WheelErrors(NamedTuple):
+    """The parameters that change a reported motion, as numbers for kernels; fields as of `Wheels`."""
+
+    forward_scale_error: float
+    turn_scale_error: float
+    drift_rad_per_m: float
+    curve_loss_m_per_rad: float
+
+
+def errors_of(wheels: Wheels) -> WheelErrors:
+    """The wheels' parameters but for the latency."""
+    return WheelErrors(
+        float(wheels.forward_scale_error),
+        float(wheels.turn_scale_error),
+        float(wheels.drift_rad_per_m),
+        float(wheels.curve_loss_m_per_rad),
+    )
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _bent(reported: float, turn: float, errors: WheelErrors) -> tuple[float, float, bool]:
+    """Turn (rad) to add to an arc of a reported length (m) and turn, factor of its length, and whether it drives."""
+    scale, lost = 1.0 + errors.forward_scale_error, errors.curve_loss_m_per_rad * abs(turn)
+    is_driving = scale * abs(reported) >= max(lost, 0.0)  # it does not turn on the spot
+    stretch = 0.0
+    if is_driving:
+        stretch = scale - (lost / abs(reported) if reported != 0.0 else 0.0)
+    return errors.turn_scale_error * turn + errors.drift_rad_per_m * stretch * reported, stretch, is_driving
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _turned_chord(x: float, y: float, bend: float) -> tuple[float, float]:
+    """The end of an arc that is bent by an angle: its chord turns by half as much as its end."""
+    c, s = math.cos(0.5 * bend), math.sin(0.5 * bend)
+    return c * x - s * y, s * x + c * y
+
+
+@numba.njit(cache=True, error_model="numpy")
+def true_motion(motion: Triple, errors: WheelErrors) -> Triple:
     """The true motion for the reported one."""
-    if wheels == Wheels(latency_s=wheels.latency_s):
+    if errors == (0.0, 0.0, 0.0, 0.0):
         return motion
-    return corrected_with_terms(motion, wheels, np.zeros(3))[0]
+    bend, stretch, _ = _bent(arc_length(motion[0], motion[1], motion[2]), motion[2], errors)
+    x, y = _turned_chord(motion[0], motion[1], bend)
+    return stretch * x, stretch * y, wrapped(motion[2] + bend)
 
 
 def corrected_with_terms(motion: Pose, wheels: Wheels, velocity_change: Array) -> tuple[Pose, WheelTerms]:
@@ -96,13 +139,9 @@ def corrected_with_terms(motion: Pose, wheels: Wheels, velocity_change: Array) -
     old at its stamp lacks what the robot has moved since: over one increment, its velocity's change times the change of
     the latency. The motion itself is that for the present latency.
     """
-    reported, scale = arc(motion)[0], 1.0 + wheels.forward_scale_error
-    lost = wheels.curve_loss_m_per_rad * abs(motion.theta)
-    is_driving = scale * abs(reported) >= max(lost, 0.0)  # it does not turn on the spot
-    stretch = scale - (lost / abs(reported) if reported else 0.0) if is_driving else 0.0
-    bend = wheels.turn_scale_error * motion.theta + wheels.drift_rad_per_m * stretch * reported
-    c, s = math.cos(0.5 * bend), math.sin(0.5 * bend)  # bending an arc turns its chord by half as much as its end
-    x, y = c * motion.x - s * motion.y, s * motion.x + c * motion.y
+    reported = arc(motion)[0]
+    bend, stretch, is_driving = _bent(reported, motion.theta, errors_of(wheels))
+    x, y = _turned_chord(motion.x, motion.y, bend)
     by_loss = -abs(motion.theta) / abs(reported) if is_driving and reported else 0.0
     jacobian = np.zeros((3, PARAMETERS))
     for k, by_parameter in ((0, float(is_driving)), (4, by_loss)):  # of the stretch

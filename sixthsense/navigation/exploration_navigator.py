@@ -12,6 +12,7 @@ from sixthsense.navigation.exploration import Exploration
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.navigator import Outcome
+from sixthsense.navigation.path_driver import PathDriver
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import Planner
 from sixthsense.navigation.unseen_places import UnseenPlace
@@ -70,6 +71,11 @@ class ExplorationNavigator:
     def plans_by_astar(self) -> int | None:
         """How many of them are A*'s because the planner found none; None if it is A*."""
         return self._paths.plans_by_astar
+
+    @property
+    def driver(self) -> PathDriver | None:
+        """Drives to the present target; None before the first map."""
+        return None if self._exploration is None else self._exploration.driver
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed."""

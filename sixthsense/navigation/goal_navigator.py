@@ -57,6 +57,11 @@ class GoalNavigator:
         """How many of them are A*'s because the planner found none; None if it is A*."""
         return self._paths.plans_by_astar
 
+    @property
+    def driver(self) -> PathDriver | None:
+        """Drives to the present goal; None before the first map."""
+        return None if self._drive is None else self._drive.driver
+
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Plan again if the path crosses an obstacle now, or if there is no path."""
 

@@ -7,6 +7,7 @@ deceleration. A disc that turns on the spot touches nothing, so turning is alway
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
+from sixthsense.core.pose_kernels import Triple
 from sixthsense.core.source import Command
 
 _TOUCH = 1e-9  # metres
@@ -22,6 +24,32 @@ _NOTHING = np.zeros((0, 2))
 _STRAIGHT = 1e-6  # an arc with a smaller product of curvature and radius is treated as a line
 
 
+class GuardLimits(NamedTuple):
+    """What the guard allows a robot."""
+
+    is_on: bool
+    radius_m: float
+    """of the robot's disc, with the buffer"""
+    radius_to_bodies_m: float
+    """the same towards what moves"""
+    latency_s: float
+    """longest time from an event to the command that reacts to it"""
+    deceleration: float
+    """of braking, m/s^2"""
+    creep: float
+    """speed at which it passes narrow places, m/s"""
+
+
+class Returns(NamedTuple):
+    """What the guard knows of the surroundings: returns in the robot's frame at the latest scan, metres."""
+
+    points: Array
+    """(N, 2) all returns"""
+    moving: Array
+    """(M, 2) those that move"""
+
+
+@numba.njit(cache=True, error_model="numpy")
 def stopping_distance(speed: float, latency_s: float, deceleration: float) -> float:
     """Distance, metres, from the moment an obstacle appears to standstill; m/s and m/s^2.
 
@@ -91,6 +119,46 @@ def _return_points(
     return points[:k]
 
 
+@numba.njit(cache=True, error_model="numpy")
+def _speed_within(distance_m: float, limits: GuardLimits) -> float:
+    """The speed whose stopping distance is `distance_m`, m/s."""
+    if not 0.0 < distance_m < math.inf:
+        return max(distance_m, 0.0)
+    delay = limits.deceleration * limits.latency_s
+    return math.sqrt(delay * delay + 2.0 * limits.deceleration * distance_m) - delay
+
+
+@numba.njit(cache=True, error_model="numpy")
+def checked(
+    command: tuple[float, float], since: Triple, returns: Returns, waits_for_moving: bool, limits: GuardLimits
+) -> tuple[float, float, bool, bool]:
+    """Speed and turn rate of a command, slowed or stopped as `Guard.check` says, and whether it was stopped.
+
+    `since` is the motion since the latest scan. The last result says whether what moves is nearest in the way of the
+    latest command that drives; `waits_for_moving` is the same of the one before.
+    """
+    v, w = command
+    if v == 0.0 or not limits.is_on:
+        return v, w, False, waits_for_moving
+    x, y, theta = since
+    speed = abs(v)
+    reach = stopping_distance(speed, limits.latency_s, limits.deceleration)
+    contact, gap = _limits(returns.points, x, y, theta, v, w, limits.radius_m, reach)
+    waits_for_moving = False
+    if len(returns.moving):
+        to_body, body_gap = _limits(returns.moving, x, y, theta, v, w, limits.radius_to_bodies_m, reach)
+        waits_for_moving = to_body < contact
+        contact, gap = min(contact, to_body), min(gap, body_gap)
+    creep = min(limits.creep, speed)
+    limit = _speed_within(contact, limits)
+    if limit < creep:
+        return 0.0, w, True, waits_for_moving
+    limit = min(limit, max(_speed_within(gap, limits), creep))
+    if limit >= speed:
+        return v, w, False, waits_for_moving
+    return v * limit / speed, w * limit / speed, False, waits_for_moving  # on the same arc, slower
+
+
 class Guard:
     """Slows commands so that the robot can stop before any return, and stops those that would touch one."""
 
@@ -100,12 +168,17 @@ class Guard:
         """how often a moving robot was stopped"""
         self.waits_for_moving = False
         """whether what moves is nearest in the way of the latest command"""
-        self._config = config
-        self._radius_m = radius_m + config.safety.buffer_m
-        self._latency_s = latency_s(config)
-        self._scan: Scan | None = None
-        self._points = np.zeros((0, 2))  # returns in the robot's frame at the latest scan
-        self._moving = _NOTHING
+        self.limits = GuardLimits(
+            bool(config.safety.guard),
+            float(radius_m + config.safety.buffer_m),
+            float(radius_m + config.safety.buffer_m + config.safety.body_m),
+            float(latency_s(config)),
+            float(config.robot.deceleration),
+            float(config.safety.creep),
+        )
+        """what it allows"""
+        self._scan: Scan | None = None  # the latest one, until its returns are needed
+        self._returns = Returns(_NOTHING, _NOTHING)
         self._since = Pose()
         self._stopped = False
 
@@ -115,7 +188,21 @@ class Guard:
 
     def see(self, scan: Scan, moving_robot: Array = _NOTHING) -> None:
         """Take in a scan from the robot's present pose, and those of its returns (M, 2), robot's frame, that move."""
-        self._scan, self._since, self._moving = scan, Pose(), moving_robot
+        self._scan, self._since = scan, Pose()
+        self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot))
+
+    @property
+    def since(self) -> Pose:
+        """Motion since the latest scan."""
+        return self._since
+
+    def moved_to(self, since: Triple) -> None:
+        """Take in the motion since the latest scan."""
+        self._since = Pose(*since)
+
+    def passed(self, waits_for_moving: bool) -> None:
+        """Take in that a kernel has checked commands and stopped none."""
+        self.waits_for_moving, self._stopped = waits_for_moving, False
 
     @property
     def stopped(self) -> bool:
@@ -131,42 +218,21 @@ class Guard:
         ahead, so that the robot can stop before it, however it turns meanwhile. This law leaves at least creep speed,
         or the robot could not pass a narrow door.
         """
-        if command.speed == 0.0 or not self._config.safety.guard:
-            self._stopped = False
-            return command
+        since, before = self._since, self._stopped
+        speed, turn_rate, self._stopped, self.waits_for_moving = checked(
+            (float(command.speed), float(command.turn_rate)),
+            (since.x, since.y, since.theta),
+            self.returns(),
+            self.waits_for_moving,
+            self.limits,
+        )
+        self.stops += self._stopped and not before
+        return Command(speed, turn_rate)
+
+    def returns(self) -> Returns:
+        """The returns of the latest scan, in the robot's frame there."""
         if self._scan is not None:
             scan, mount = self._scan, self._scan.T_robot_laser
-            self._points = _return_points(scan.ranges, scan.bearings, scan.max_range, mount.x, mount.y, mount.theta)
-            self._scan = None
-        since, speed = self._since, abs(command.speed)
-        reach = stopping_distance(speed, self._latency_s, self._config.robot.deceleration)
-        contact, gap = _limits(
-            self._points, since.x, since.y, since.theta, command.speed, command.turn_rate, self._radius_m, reach
-        )
-        self.waits_for_moving = False
-        if len(self._moving):
-            wide_m = self._radius_m + self._config.safety.body_m
-            to_body = _limits(
-                self._moving, since.x, since.y, since.theta, command.speed, command.turn_rate, wide_m, reach
-            )
-            self.waits_for_moving = to_body[0] < contact
-            contact, gap = min(contact, to_body[0]), min(gap, to_body[1])
-        creep = min(self._config.safety.creep, speed)
-        limit = self._speed_within(contact)
-        stopped = limit < creep
-        self.stops += stopped and not self._stopped
-        self._stopped = stopped
-        if stopped:
-            return Command(0.0, command.turn_rate)
-        limit = min(limit, max(self._speed_within(gap), creep))
-        if limit >= speed:
-            return command
-        # On the same arc, slower.
-        return Command(command.speed * limit / speed, command.turn_rate * limit / speed)
-
-    def _speed_within(self, distance_m: float) -> float:
-        """The speed whose stopping distance is `distance_m`, m/s."""
-        if not 0.0 < distance_m < math.inf:
-            return max(distance_m, 0.0)
-        delay = self._config.robot.deceleration * self._latency_s
-        return math.sqrt(delay * delay + 2.0 * self._config.robot.deceleration * distance_m) - delay
+            points = _return_points(scan.ranges, scan.bearings, scan.max_range, mount.x, mount.y, mount.theta)
+            self._returns, self._scan = Returns(points, self._returns.moving), None
+        return self._returns

@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Command
+from sixthsense.navigation.path_driver import PathDriver
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
@@ -46,6 +47,11 @@ class Navigator(Protocol):
         """The places that a completed exploration has not seen."""
         ...
 
+    @property
+    def driver(self) -> PathDriver | None:
+        """Drives to the present goal; None before there is one."""
+        ...
+
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed, and the estimate of the robot's pose."""
         ...
@@ -69,6 +75,7 @@ class ReplayNavigator:
         self.plans_below_margin: int | None = None
         self.plans_by_astar: int | None = None
         self.left: list[UnseenPlace] = []
+        self.driver: PathDriver | None = None
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Nothing to do."""

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
+import numba
 import numpy as np
 
 from sixthsense.config import Config, RobotConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.pose_kernels import Triple, hypot, wrapped
 from sixthsense.core.source import Command
-from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.follower import Follower, Following, FollowLimits, followed
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.shortcut import path_is_free
 
@@ -33,25 +35,85 @@ class Mission(Protocol):
         ...
 
 
+class DriverLimits(NamedTuple):
+    """When a drive to a goal needs more than a command, and how fast the robot turns on the spot."""
+
+    goal_slack_m: float
+    patience_ns: float
+    """time without progress after which the robot is stuck"""
+    turn_rate: float
+    """rad/s"""
+    follow: FollowLimits
+
+
+class GoalDrive(NamedTuple):
+    """A drive to a goal, as kernels change it tick by tick."""
+
+    goal: tuple[float, float]
+    is_following: bool
+    """whether there is a path that is being followed"""
+    following: Following
+    is_turning: bool
+    """whether the robot turns on the spot, as long as there is no path"""
+    heading: float
+    """at the last tick of that turn"""
+    left_rad: float
+    """still to be turned"""
+    is_watched: bool
+    """whether there is a place since which progress is watched"""
+    anchor: tuple[int, float, float]
+    """stamp (ns) and that place"""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def steered(
+    drive: GoalDrive, pose: Triple, stamp_ns: int, limits: DriverLimits
+) -> tuple[GoalDrive, float, float, bool]:
+    """The drive after a control tick, speed and turn rate, and whether that is all that the tick needs.
+
+    It is not where the mission has to be asked: the robot is at the goal, is stuck or has completed a turn.
+    """
+    if hypot(pose[0] - drive.goal[0], pose[1] - drive.goal[1]) <= limits.goal_slack_m:
+        return drive, 0.0, 0.0, False
+    anchor, following, heading, left_rad = drive.anchor, drive.following, drive.heading, drive.left_rad
+    if not drive.is_watched or hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _STUCK_M:
+        anchor = (stamp_ns, pose[0], pose[1])
+    elif stamp_ns - anchor[0] > limits.patience_ns:
+        return drive, 0.0, 0.0, False
+    speed, turn_rate = 0.0, 0.0
+    if drive.is_following:
+        speed, turn_rate, k, is_driving = followed(pose, following, limits.follow)
+        following = Following(following.path, k, is_driving)
+    elif drive.is_turning:
+        left_rad -= abs(wrapped(pose[2] - heading))
+        if left_rad <= 0.0:
+            return drive, 0.0, 0.0, False
+        heading, turn_rate = pose[2], limits.turn_rate
+    after = GoalDrive(drive.goal, drive.is_following, following, drive.is_turning, heading, left_rad, True, anchor)
+    return after, speed, turn_rate, True
+
+
 class ProgressMonitor:
     """Watches whether the robot moves on."""
 
     def __init__(self, robot: RobotConfig) -> None:
         """Allow a slow robot the time for two turns on the spot and for the distance."""
         patience_s = max(_STUCK_S, 4.0 * math.pi / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
-        self._patience_ns = 1e9 * patience_s
-        self._anchor: tuple[int, Pose] | None = None
+        self.patience_ns = 1e9 * patience_s
+        """time without progress after which the robot is stuck"""
+        self.anchor: tuple[int, float, float] | None = None
+        """stamp (ns) and place since which the robot is watched"""
 
     def reset(self) -> None:
         """Start to watch anew."""
-        self._anchor = None
+        self.anchor = None
 
     def is_stuck(self, pose: Pose, stamp_ns: int) -> bool:
         """Whether the robot has not moved on for too long; if so, start anew."""
-        if self._anchor is None or math.dist(pose.position, self._anchor[1].position) > _STUCK_M:
-            self._anchor = (stamp_ns, pose)
-        elif stamp_ns - self._anchor[0] > self._patience_ns:
-            self._anchor = None
+        if self.anchor is None or math.dist((pose.x, pose.y), self.anchor[1:]) > _STUCK_M:
+            self.anchor = (stamp_ns, pose.x, pose.y)
+        elif stamp_ns - self.anchor[0] > self.patience_ns:
+            self.anchor = None
             return True
         return False
 
@@ -91,6 +153,13 @@ class PathDriver:
         self._patience_rad = 2.0 * math.pi * (PATIENT_TURNS if config.people else 1)
         self._progress = ProgressMonitor(config.robot)
         self._turn: _Turn | None = None
+        self.limits = DriverLimits(
+            float(config.follow.goal_slack_m),
+            float(self._progress.patience_ns),
+            float(config.robot.turn_rate),
+            follower.limits,
+        )
+        """when a tick needs more than a command"""
         self.update_map(map_, pose)
 
     def update_map(self, map_: DrivingMap, pose: Pose) -> None:
@@ -145,6 +214,27 @@ class PathDriver:
         self.following = False
         if self._turn is None:
             self._turn = _Turn(pose.theta, self._patience_rad)
+
+    @property
+    def drive(self) -> GoalDrive:
+        """The state that control ticks change."""
+        turn, anchor = self._turn or _Turn(0.0, 0.0), self._progress.anchor
+        return GoalDrive(
+            (float(self.goal[0]), float(self.goal[1])),
+            self.following,
+            self._follower.following,
+            self._turn is not None,
+            turn.heading,
+            turn.left_rad,
+            anchor is not None,
+            anchor or (0, 0.0, 0.0),
+        )
+
+    def passed(self, drive: GoalDrive) -> None:
+        """Take in control ticks in which a kernel has steered, to the state after them."""
+        self._follower.following = drive.following
+        self._turn = _Turn(drive.heading, drive.left_rad) if drive.is_turning else None
+        self._progress.anchor = drive.anchor if drive.is_watched else None
 
     def step(self, pose: Pose, stamp_ns: int, mission: Mission) -> Command:
         """The command of a control tick, after `mission` has handled the events."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 
-from sixthsense.core.source import Command, Tick
+from sixthsense.core.geometry import Array
+from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.navigation.pilot import Steersman
 from sixthsense.record.live import Live
 from sixthsense.record.trace import Trace
@@ -33,6 +34,14 @@ class Recorder:
         trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
         if tick.scan is not None or tick.observations is not None:
             trace.add_scan(tick, step)
+
+    def passed(self, ticks: ControlTicks, since_cov: Array) -> None:
+        """Record ticks between two scans; `since_cov` (3, 3) is of the motion since the last keyframe after them."""
+        trace = self._trace
+        trace.stopwatch.end_tick(False)
+        assert trace.live is not None
+        trace.live.since_cov = since_cov
+        trace.add_ticks(ticks)
 
     def finish(self, outcome: str) -> None:
         """Record how the run ended, and what is known then."""

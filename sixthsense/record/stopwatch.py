@@ -11,7 +11,19 @@ import numpy as np
 
 from sixthsense.core.geometry import Array
 
-STAGES = ("sense", "extract", "associate", "predict", "update", "grid", "plan", "track", "link", "loop_closure")
+STAGES = (
+    "sense",
+    "ticks",
+    "extract",
+    "associate",
+    "predict",
+    "update",
+    "grid",
+    "plan",
+    "track",
+    "link",
+    "loop_closure",
+)
 
 
 class Stopwatch:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +13,8 @@ from sixthsense.config import Config
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
-from sixthsense.core.motion import Odometry
-from sixthsense.core.source import Tick
+from sixthsense.core.motion import Odometry, are_carried
+from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
@@ -135,10 +135,19 @@ class Trace:
         `odometry` is the dead-reckoned pose in the world frame.
         """
         here = tick.truth or odometry
-        if self.last_position is not None and not is_carried:
-            x, y = self.last_position.tolist()
-            self.path_length_m += math.hypot(here.x - x, here.y - y)
-        self.last_position = here.position
+        self._add_way([(here.x, here.y)], [is_carried])
+
+    def add_ticks(self, ticks: ControlTicks) -> None:
+        """The same for ticks between two scans."""
+        self._add_way(ticks.truths[:, :2].tolist(), are_carried(ticks.covs).tolist())
+
+    def _add_way(self, places: Sequence[Sequence[float]], are_carried: Sequence[bool]) -> None:
+        x, y = places[0] if self.last_position is None else self.last_position.tolist()
+        for here, is_carried in zip(places, are_carried, strict=True):
+            if not is_carried:
+                self.path_length_m += math.hypot(here[0] - x, here[1] - y)
+            x, y = here
+        self.last_position = np.array([x, y])
 
     def add_scan(self, tick: Tick, step: Step) -> None:
         """Record a scan after it was processed."""

@@ -13,22 +13,22 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config, ConfigError
-from sixthsense.config.names import KEEP_POSES, NEEDS_FILTER
+from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.removed import OldName
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
-from sixthsense.core.random_streams import random_streams
+from sixthsense.core.odometry_kernels import Folded
 from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.source import Tick
+from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Filter, Smoother, make_estimator
+from sixthsense.slam.estimators import Estimate, Filter, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import FrontEnd, Keyframe, LoopClosureCounts, Timed
-from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
+from sixthsense.slam.front_ends import make_front_end
 from sixthsense.slam.last_velocity import LastVelocity
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
@@ -92,7 +92,9 @@ class Slam:
         if prior_map is not None:
             begin_with(prior_map, self.config, self.estimator, self._start, cov)
             self._mapper.start_from(prior_map.evidence)
-        self._front_end = self._make_front_end(timed)
+        self._front_end = make_front_end(
+            self.config, self.estimator, self.associator, self._start, timed, self._velocity
+        )
         self._odometry: Pose | None = None
         self._stamp_ns = 0
         self._T_world_odom = Pose()
@@ -127,6 +129,21 @@ class Slam:
         if still is not None and keyframe is not None:
             self._map(still, keyframe, moving)
         return self._step(tick, increment, scan, keyframe, moving)
+
+    def between_scans(self) -> Folded | None:
+        """What ticks without a scan are added to; None if the loop has to `take` them.
+
+        That is before the first tick, and where odometry is missing or its parameters are estimated.
+        """
+        if self._odometry is None or self._velocity is not None or self._wheels is not None:
+            return None
+        return self._front_end.between_scans(self._odometry)
+
+    def passed(self, folded: Folded, ticks: ControlTicks) -> None:
+        """Take in ticks without a scan that have been added to what `between_scans` has returned."""
+        self._front_end.passed(folded, ticks)
+        self._deskew.passed(ticks)
+        self._odometry, self._stamp_ns = Pose(*folded.odometry), int(ticks.stamps_ns[-1])
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -236,22 +253,6 @@ class Slam:
         here = self.pose @ motion.motion
         found = located(scan, prior_map, here, cov, self.config.grid)
         return increment if found == here else motion.then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
-
-    def _make_front_end(self, timed: Timed) -> FrontEnd:
-        """The configured front end; ConfigError for one that the estimator cannot use."""
-        if self.config.front_end == "landmarks":
-            rng = random_streams(self.config.seed).ransac
-            args = self.config, self.estimator, self.associator, rng, self._start, timed
-            if self.config.association.proposed_by == "estimate":
-                return LandmarkFrontEnd(*args)
-            from sixthsense.slam.guided_front_end import GuidedFrontEnd
-
-            return GuidedFrontEnd(*args)
-        if not isinstance(self.estimator, Smoother):
-            raise ConfigError(f"front_end: found scan-matching with {self.config.estimator}, {KEEP_POSES}")
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        return ScanFrontEnd(self.config, self.estimator, self._start, timed, self._velocity)
 
     def _make_wheels(self) -> WheelOdometry | None:
         """Odometry whose parameters the estimator estimates, if configured; ConfigError if it cannot."""

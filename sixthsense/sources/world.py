@@ -2,71 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import replace
 
-import numba
 import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
-from sixthsense.core.motion import draw, rk4, slip_variances
-from sixthsense.core.pose_kernels import Triple, composed, driven
+from sixthsense.core.motion import draw
 from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, cast_among, cast_sweep
-from sixthsense.core.source import Command, Tick
+from sixthsense.core.source import Command, ControlTicks, Tick
+from sixthsense.sources.drive import DRAWS, Drive, Driving, driven_tick
 from sixthsense.sources.walkers import Walkers
 
 _MOVED_M = 1.0
 """more than a robot moves in a control tick, slip included"""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _touches(x0: float, y0: float, x1: float, y1: float, walls: Array, radius: float) -> bool:
-    """Whether a disc moving from (x0, y0) to (x1, y1) comes closer than `radius` to any of `walls` (M, 4)."""
-    mx, my = x1 - x0, y1 - y0
-    for j in range(walls.shape[0]):
-        ax, ay, bx, by = walls[j, 0], walls[j, 1], walls[j, 2], walls[j, 3]
-        if min(ax, bx) - radius > max(x0, x1) or max(ax, bx) + radius < min(x0, x1):
-            continue
-        if min(ay, by) - radius > max(y0, y1) or max(ay, by) + radius < min(y0, y1):
-            continue
-        ex, ey = bx - ax, by - ay
-        # Unless two segments cross, their distance is attained at an end of one of them.
-        length_sq = max(ex * ex + ey * ey, 1e-300)
-        for px, py in ((x0, y0), (x1, y1)):
-            s = min(max(((px - ax) * ex + (py - ay) * ey) / length_sq, 0.0), 1.0)
-            if math.hypot(ax + s * ex - px, ay + s * ey - py) < radius:
-                return True
-        length_sq = max(mx * mx + my * my, 1e-300)
-        for px, py in ((ax, ay), (bx, by)):
-            s = min(max(((px - x0) * mx + (py - y0) * my) / length_sq, 0.0), 1.0)
-            if math.hypot(x0 + s * mx - px, y0 + s * my - py) < radius:
-                return True
-        cross = mx * ey - my * ex
-        t = ((ax - x0) * ey - (ay - y0) * ex) / cross
-        u = ((ax - x0) * my - (ay - y0) * mx) / cross
-        if 0.0 <= t <= 1.0 and 0.0 <= u <= 1.0:
-            return True
-    return False
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _driven_among(
-    pose: Triple, control: tuple[float, float, float], steps: int, shift: Triple, walls: Array, radius: float
-) -> tuple[Triple, bool]:
-    """Where a disc comes at a `control` of speed, turn rate and step (s), with a `shift` per step; whether it touched.
-
-    It stops before the step in which it would come closer than `radius` to any of `walls` (M, 4).
-    """
-    speed, turn_rate, step_s = control
-    for _ in range(steps):
-        ahead = composed(driven(pose, speed, turn_rate, step_s, 1), shift)
-        if _touches(pose[0], pose[1], ahead[0], ahead[1], walls, radius):
-            return pose, True
-        pose = ahead
-    return pose, False
+_DRAWN_AT_ONCE = 64
+"""ticks whose noise is drawn at once, at most: a laser may be much slower than the drive"""
 
 
 class World:
@@ -88,13 +41,14 @@ class World:
         beams, not the robot.
         """
         self._walkers = walkers
-        self._radius_m = radius_m
         self._config = config
+        self.drive = Drive.of(config, radius_m)
+        """limits and errors of the robot's drive"""
         self._place(walls, glass)
         self._rng = rng
+        self._draws = np.zeros((0, DRAWS))  # of ticks until the next scan
         self._truth = start
         self._odometry = start
-        self._period_ns = round(config.robot.control_period_s * 1e9)
         self._ticks = 0
         self._collided = False
         self._bearings = beam_bearings(config.laser)
@@ -111,12 +65,11 @@ class World:
             return None
         if self._ticks > 0:
             before = self._truth
-            self._drive(command)
-            self._past.append(self._truth)
+            self._move(command)
             if self._walkers is not None:
-                self._walkers.step(before, self._truth, 1e-9 * self._period_ns)
+                self._walkers.step(before, self._truth, 1e-9 * self.drive.period_ns)
         scan = self._sense() if self._ticks % self._config.laser.period_ticks == 0 else None
-        stamp_ns = self._ticks * self._period_ns
+        stamp_ns = self._ticks * self.drive.period_ns
         tick = Tick(stamp_ns, self._odometry, scan, truth=self._truth, collided=self._collided)
         if self._walkers is not None:
             by_robot, by_walkers = self._walkers.touches
@@ -129,34 +82,54 @@ class World:
         laser, robot = self._config.laser, self._config.robot
         solid = walls if glass is None else np.concatenate([walls, glass])
         # Twice the top speed: noise makes the robot faster than its wheels say.
+        between_scans_m = 2.0 * robot.speed * laser.period_ticks * robot.control_period_s
         self._visible = NearWalls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
-        self._solid = NearWalls(solid, self._radius_m + _MOVED_M)
+        self._solid = NearWalls(solid, self.drive.radius_m + _MOVED_M + between_scans_m)
 
-    def _drive(self, command: Command) -> None:
-        robot, world, rng = self._config.robot, self._config.world, self._rng
-        v = min(max(command.speed, -robot.speed), robot.speed)
-        w = min(max(command.turn_rate, -robot.turn_rate), robot.turn_rate)
-        noise = world.motion
-        control = draw(rng, noise.distribution, 1.0, 2)
-        slip = rng.standard_normal(3)
-        if v == 0.0 and w == 0.0:
-            return
-        dt = self._period_ns * 1e-9
-        self._odometry = rk4(self._odometry, v, w, dt, robot.integration_step_s)
-        v_true = v * (1.0 + noise.speed * float(control[0])) * (1.0 + world.wheel_scale_error)
-        w_true = w * (1.0 + noise.turn_rate * float(control[1])) * (1.0 + world.wheel_scale_error)
-        w_true += world.drift_rad_per_m * v_true
-        steps = max(1, math.ceil(dt / robot.integration_step_s - 1e-9))
-        position, heading = slip_variances(noise, v_true * dt, w_true * dt)
-        # One slip per tick, distributed evenly over its integration steps.
-        sigmas = math.sqrt(position), math.sqrt(position), math.sqrt(heading)
-        shift = Pose(*(sigma * part / steps for sigma, part in zip(sigmas, slip.tolist(), strict=True)))
-        truth, per_step = self._truth, (shift.x, shift.y, shift.theta)
-        solid, radius = self._solid.at(truth.x, truth.y), float(self._radius_m)
-        found, self._collided = _driven_among(
-            (truth.x, truth.y, truth.theta), (v_true, w_true, dt / steps), steps, per_step, solid, radius
+    def between_scans(self) -> Driving | None:
+        """What a kernel needs for the ticks before the next scan; None where people walk, who move in each tick."""
+        if self._walkers is not None or self._collided or self._ticks == 0:
+            return None
+        left = -self._ticks % self._config.laser.period_ticks
+        return Driving(
+            (self._truth.x, self._truth.y, self._truth.theta),
+            (self._odometry.x, self._odometry.y, self._odometry.theta),
+            self._noise()[:left],
+            self._solid.at(self._truth.x, self._truth.y),
         )
-        self._truth = Pose(*found)
+
+    def moved(self, passed: ControlTicks, collided: bool) -> None:
+        """Take in ticks that a kernel has driven."""
+        self._truth, self._odometry = Pose(*passed.truths[-1].tolist()), Pose(*passed.odometry[-1].tolist())
+        self._draws, self._collided = self._draws[len(passed) :], collided
+        self._past.extend(Pose(*row) for row in passed.truths.tolist())
+        self._ticks += len(passed)
+
+    def _move(self, command: Command) -> None:
+        truth, odometry = self._truth, self._odometry
+        found, by_wheels, self._collided = driven_tick(
+            (truth.x, truth.y, truth.theta),
+            (odometry.x, odometry.y, odometry.theta),
+            (float(command.speed), float(command.turn_rate)),
+            self._noise()[0],
+            self.drive,
+            self._solid.at(truth.x, truth.y),
+        )
+        self._draws = self._draws[1:]
+        self._truth, self._odometry = Pose(*found), Pose(*by_wheels)
+        self._past.append(self._truth)
+
+    def _noise(self) -> Array:
+        """(K, DRAWS) draws of the next ticks, K at least 1: those until the next scan, which draws after them."""
+        if not len(self._draws):
+            rng, distribution = self._rng, self._config.world.motion.distribution
+            count = min(1 + -self._ticks % self._config.laser.period_ticks, _DRAWN_AT_ONCE)
+            if distribution == "gaussian":
+                self._draws = rng.standard_normal((count, DRAWS))
+            else:
+                rows = [(*draw(rng, distribution, 1.0, 2), *rng.standard_normal(DRAWS - 2)) for _ in range(count)]
+                self._draws = np.array(rows)
+        return self._draws
 
     def _sense(self) -> Scan:
         laser, noise = self._config.laser, self._config.world.laser
@@ -173,7 +146,7 @@ class World:
 
     def _sweep(self) -> Array:
         """(N, 3) true pose of the laser at each beam's time, interpolated linearly between control ticks."""
-        stamps_s = 1e-9 * self._period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
+        stamps_s = 1e-9 * self.drive.period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
         poses = interpolated(stamps_s, np.array([pose.array() for pose in self._past]), self._times_s)
         x, y, theta = self._config.laser.mount
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.source import ControlTicks
 
 LONGEST_SWEEP_NS = 1_000_000_000
 """Longest duration of a sweep."""
@@ -39,6 +40,12 @@ class Deskewer:
         # One tick at or before the begin of the longest sweep is enough.
         while len(self._ticks) > 2 and self._ticks[1][0] <= stamp_ns - LONGEST_SWEEP_NS:
             self._ticks.popleft()
+
+    def passed(self, ticks: ControlTicks) -> None:
+        """Add ticks that have no scan."""
+        for k, stamp_ns in enumerate(ticks.stamps_ns.tolist()):
+            is_still = ticks.are_still[k]
+            self.moved(stamp_ns, STANDSTILL if is_still else Odometry(Pose(*ticks.motions[k]), ticks.covs[k]))
 
     def __call__(self, scan: Scan) -> Scan:
         """The scan as if taken at the latest tick; a scan without duration is returned unchanged."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.core.geometry import Pose
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.random_streams import random_streams
-from sixthsense.core.source import Command, Source, Tick
+from sixthsense.core.source import Command, ControlTicks, Source, Tick
+from sixthsense.loop.control_ticks import BetweenScans, Deadline, TicksHook
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator, ReplayNavigator
@@ -41,8 +42,18 @@ Watcher = Callable[[Tick, Step, Command], str | None]
 """Called after every tick; an outcome that it returns ends the run."""
 
 
-def drive(source: Source, slam: Slam, pilot: Steersman, watchers: Sequence[Watcher], clock: Stopwatch) -> str:
-    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
+def drive(
+    source: Source,
+    slam: Slam,
+    pilot: Steersman,
+    watchers: Sequence[Watcher],
+    clock: Stopwatch,
+    between_scans: BetweenScans | None = None,
+) -> str:
+    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome.
+
+    `between_scans` runs the control ticks from one scan to the next in one call; without it each comes from the source.
+    """
     sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
     command = Command()
     while (tick := sense(command)) is not None:
@@ -52,6 +63,8 @@ def drive(source: Source, slam: Slam, pilot: Steersman, watchers: Sequence[Watch
         for watch in watchers:
             ended = watch(tick, step, command)
             outcome = outcome or ended
+        if outcome is None and between_scans is not None:
+            command, outcome = between_scans(tick.stamp_ns, command)
         if outcome is not None:
             return outcome
     return "log ended"
@@ -128,7 +141,7 @@ def find_start(
     with Slam(config, Pose(), radius_m=radius_m, timed=clock.timed) as slam, deferred_interrupt() as interrupted:
         watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
         if config.max_time is not None:
-            watchers.append(_Deadline(config.max_time, "out of time"))
+            watchers.append(Deadline(config.max_time, "out of time"))
         outcome = drive(first, slam, pilot, watchers, clock)
     if outcome == "interrupted":
         raise KeyboardInterrupt
@@ -170,10 +183,21 @@ def recorded_drive(
             watchers: list[Watcher] = [recorder]
             if on_tick is not None:
                 watchers.append(lambda tick, step, command: on_tick(tick, trace))
-            if config.max_time is not None:
-                watchers.append(_Deadline(config.max_time, pilot.navigator.timeout_outcome))
+            deadline = None if config.max_time is None else Deadline(config.max_time, pilot.navigator.timeout_outcome)
+            if deadline is not None:
+                watchers.append(deadline)
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
-            outcome = drive(source, slam, pilot, watchers, clock)
+
+            def see(ticks: ControlTicks, since_cov: Array) -> None:
+                recorder.passed(ticks, since_cov)
+                if isinstance(on_tick, TicksHook):
+                    on_tick.passed(ticks, trace)
+
+            between_scans = None
+            # What is derived from these may do otherwise in a tick, and other hooks want each of them.
+            if type(source) is World and type(pilot) is Pilot and (on_tick is None or isinstance(on_tick, TicksHook)):
+                between_scans = BetweenScans(source, slam, pilot, see, clock, deadline)
+            outcome = drive(source, slam, pilot, watchers, clock, between_scans)
             # A robot that sends nothing brings no tick after which a watcher could end the run.
             recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
     return trace
@@ -192,16 +216,3 @@ def _slam(start: Pose, trace: Trace, clock: Stopwatch, prior: PriorStart | None)
         timed=clock.timed,
         prior_map=prior.map,
     )
-
-
-class _Deadline:
-    """Ends a run when `max_time_s` of source time has passed."""
-
-    def __init__(self, max_time_s: float, outcome: str) -> None:
-        self._max_ns, self._outcome = round(max_time_s * 1e9), outcome
-        self._first_ns: int | None = None
-
-    def __call__(self, tick: Tick, step: Step, command: Command) -> str | None:
-        if self._first_ns is None:
-            self._first_ns = tick.stamp_ns
-        return self._outcome if tick.stamp_ns >= self._first_ns + self._max_ns else None
