@@ -9,7 +9,8 @@ from sixthsense.config import AssumedConfig, MotionNoise
 from sixthsense.core.arc import arc, arc_jacobian
 from sixthsense.core.covariance import composed_covariance, transformed, turned_covariance
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, slip_variances, variance
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, variance
+from sixthsense.core.odometry_kernels import Slip, slipped
 
 RNG = np.random.default_rng(0)
 
@@ -51,6 +52,6 @@ def test_the_covariance_of_an_increment_is_that_of_its_arc_and_of_slip(motion):
     g = arc_jacobian(distance, turn)
     scales = (noise.speed * distance, noise.turn_rate * turn)
     q = np.diag([variance(noise.distribution, scale) for scale in scales])
-    position, heading = slip_variances(noise, distance, turn)
+    position, heading = slipped(Slip.of(noise), distance, turn)
     expected = g @ q @ g.T + np.diag([position, position, heading])
     assert np.allclose(odometry(Pose(), motion, assumed).cov, expected, rtol=1e-12)

@@ -10,7 +10,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels, corrected, corrected_with_terms
+from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels, corrected_with_terms
 from sixthsense.slam.estimators import Filter
 from sixthsense.testing import posterior
 from sixthsense.testing.batch import Posterior, batch_posterior, to_robot
@@ -158,7 +158,7 @@ def between_two_walls_without_an_end_the_forward_scale_keeps_its_prior(name: str
     estimator = calibrating(name, PRIOR, at, np.zeros((3, 3)))
     for _ in range(40):
         reported = Pose(0.25, 0.0, -0.5 * at.theta)
-        at = at @ noisy(Odometry(corrected(reported, true), cov), rng)
+        at = at @ noisy(Odometry(corrected_with_terms(reported, true, np.zeros(3))[0], cov), rng)
         motion, terms = corrected_with_terms(reported, estimate_of(estimator).values, np.zeros(3))
         estimator.predict(Odometry(motion, cov, terms))
         observations = {}

@@ -8,7 +8,8 @@ import pytest
 from sixthsense.config import MotionNoise, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import polar_observation
-from sixthsense.core.motion import rk4, slip_variances
+from sixthsense.core.motion import rk4
+from sixthsense.core.odometry_kernels import Slip, slipped
 from sixthsense.core.sensor import Sensor
 from sixthsense.core.source import Tick
 from sixthsense.slam.slam import Slam
@@ -43,7 +44,7 @@ def camera_log(rng, duration_s, camera=CAMERA, delay_s=DELAY_S, curve_loss_m=CUR
         late_s = k * PERIOD_S - delay_s
         speed, turn_rate = command(late_s) if late_s > -1e-9 else (0.0, 0.0)
         true = rk4(true, speed - curve_loss_m * abs(turn_rate), turn_rate, PERIOD_S)
-        of_place, of_heading = slip_variances(SLIP, speed * PERIOD_S, turn_rate * PERIOD_S)
+        of_place, of_heading = slipped(Slip.of(SLIP), speed * PERIOD_S, turn_rate * PERIOD_S)
         true = true @ Pose(*(rng.standard_normal(3) * np.sqrt([of_place, of_place, of_heading])).tolist())
 
 
