@@ -103,6 +103,10 @@ def run_ticks(
 class TicksHook(Protocol):
     """A hook of the loop that takes ticks without a scan as arrays."""
 
+    def __call__(self, tick: Tick, trace: Trace) -> None:
+        """Take in a tick."""
+        ...
+
     def passed(self, ticks: ControlTicks, trace: Trace) -> None:
         """Take in the ticks between two scans, which are all in the trace."""
         ...
@@ -175,7 +179,7 @@ class BetweenScans:
 
     def _begin(self, stamp_ns: int) -> tuple[State, Fixed, Rows] | None:
         driving = self._world.between_scans()
-        if driving is None or not len(driving.draws):
+        if driving is None:
             return None
         count, drive = len(driving.draws), self._world.drive
         if self._deadline is not None:

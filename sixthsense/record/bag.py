@@ -7,7 +7,7 @@ import dataclasses
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Tick
+from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
 from sixthsense.record.trace import Trace
@@ -101,12 +101,21 @@ class BagWriter:
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Record one tick and the trace's new estimates and plans."""
-        try:
+        with self._failing():
             self._record(tick, trace)
-            if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
-                self._flush()
-        except OSError as error:
-            self._fail(error)
+            self._record_new(tick.stamp_ns, trace)
+
+    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
+        """Record ticks between two scans, and the new plans, which are made in the last of them."""
+        stamps_ns, mount = ticks.stamps_ns.tolist(), trace.config.laser.mount
+        with self._failing():
+            self._begin(stamps_ns[0], mount)
+            for stamp_ns, by_wheels, truth in zip(
+                stamps_ns, ticks.odometry.tolist(), ticks.truths.tolist(), strict=True
+            ):
+                self._write_pose("/odom", stamp_ns, by_wheels, self._odometry_form)
+                self._write_pose("/truth", stamp_ns, truth, self._truth_form)
+            self._record_new(stamps_ns[-1], trace)
 
     def close(self) -> None:
         """Write the bag's summary and its metadata."""
@@ -117,6 +126,13 @@ class BagWriter:
         except OSError as error:
             with contextlib.suppress(OSError):
                 self._stream.close()
+            self._fail(error)
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
             self._fail(error)
 
     def _fail(self, error: OSError) -> None:
@@ -132,16 +148,15 @@ class BagWriter:
 
     def _record(self, tick: Tick, trace: Trace) -> None:
         stamp, make = tick.stamp_ns, self._messages
-        if not self._counts:
-            self._first_ns = stamp
-            self._write("/tf_static", stamp, make.transform(stamp, ROBOT, LASER, Pose(*trace.config.laser.mount)))
-        self._last_ns = stamp
+        self._begin(stamp, trace.config.laser.mount)
         if tick.increment_cov is None:
-            self._write_pose("/odom", stamp, tick.odometry, self._odometry_form)
+            self._write_pose(
+                "/odom", stamp, (tick.odometry.x, tick.odometry.y, tick.odometry.theta), self._odometry_form
+            )
         else:
             self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov))
         if tick.truth is not None:
-            self._write_pose("/truth", stamp, tick.truth, self._truth_form)
+            self._write_pose("/truth", stamp, (tick.truth.x, tick.truth.y, tick.truth.theta), self._truth_form)
         if tick.scan is not None:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.observations is not None:
@@ -149,12 +164,24 @@ class BagWriter:
                 self._names[OBSERVATIONS] = CLOUD
                 self._channels[OBSERVATIONS] = self._register(OBSERVATIONS, CLOUD)
             self._write(OBSERVATIONS, stamp, make.cloud(stamp, tick.observations))
+
+    def _begin(self, stamp_ns: int, mount: tuple[float, float, float]) -> None:
+        """The first message of all, where the laser is."""
+        if not self._counts:
+            self._first_ns = stamp_ns
+            self._write("/tf_static", stamp_ns, self._messages.transform(stamp_ns, ROBOT, LASER, Pose(*mount)))
+
+    def _record_new(self, stamp: int, trace: Trace) -> None:
+        """Record what the trace has gained with a tick, and end the chunk if it is time."""
+        make, self._last_ns = self._messages, stamp
         for estimate in trace.key_estimates[self._keyframes :]:
             self._write("/estimate", stamp, make.estimate(stamp, estimate.pose, estimate.pose_cov))
         self._keyframes = len(trace.key_estimates)
         for path in trace.plans[self._plans :]:
             self._write("/plan", stamp, make.path(stamp, path))
         self._plans = len(trace.plans)
+        if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
+            self._flush()
 
     def _register(self, topic: str, name: str) -> int:
         definition = self._messages.store.generate_msgdef(name, ros_version=2)[0]
@@ -169,10 +196,11 @@ class BagWriter:
         self._counts[topic] += 1
         self._pending += len(data)
 
-    def _write_pose(self, topic: str, stamp_ns: int, pose: Pose, form: MessageForm) -> None:
-        """Write a pose of a tick, of which there are many, without making the message's dozen objects."""
-        z, w = quaternion(pose.theta)
-        self._add(topic, stamp_ns, form.fill(*seconds_and_nanoseconds(stamp_ns), (pose.x, pose.y, z, w)))
+    def _write_pose(self, topic: str, stamp_ns: int, pose: Sequence[float], form: MessageForm) -> None:
+        """Write a tick's pose, x, y and heading; of so many, without making the message's dozen objects."""
+        x, y, theta = pose
+        z, w = quaternion(theta)
+        self._add(topic, stamp_ns, form.fill(*seconds_and_nanoseconds(stamp_ns), (x, y, z, w)))
 
     def _make_form(self, topic: str, message: Any, pose: Any) -> MessageForm:
         """The form of a message of which `pose`, a part of it, changes."""

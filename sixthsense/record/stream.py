@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.source import Tick
+from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.record.trace import Trace
 from sixthsense.sources.scene import Scene
 
@@ -64,6 +64,11 @@ class RecordWriter:
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Write what the trace has gained, if it is time."""
         self._trace = trace
+        if time.monotonic() - self._flushed >= _PERIOD_S:
+            self.flush()
+
+    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
+        """Write what the trace has gained with ticks without a scan, if it is time."""
         if time.monotonic() - self._flushed >= _PERIOD_S:
             self.flush()
 

@@ -88,9 +88,9 @@ class World:
 
     def between_scans(self) -> Driving | None:
         """What a kernel needs for the ticks before the next scan; None where people walk, who move in each tick."""
-        if self._walkers is not None or self._collided or self._ticks == 0:
-            return None
         left = -self._ticks % self._config.laser.period_ticks
+        if self._walkers is not None or self._collided or not left:
+            return None
         return Driving(
             (self._truth.x, self._truth.y, self._truth.theta),
             (self._odometry.x, self._odometry.y, self._odometry.theta),

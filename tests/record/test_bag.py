@@ -120,3 +120,17 @@ def test_an_interrupted_run_has_a_whole_bag(tmp_path):
         run(CONFIG, stop)
     log = read_run(tmp_path, CONFIG.laser)
     assert not log.cut_short and log.ticks[-1].stamp_ns == 2_000_000_000
+
+
+def test_ticks_that_are_written_at_once_are_the_messages_of_ticks_one_by_one(recorded, tmp_path: Path):
+    with BagWriter(tmp_path) as bag:
+        run(CONFIG, bag)
+    assert messages(tmp_path) == messages(recorded[0])
+
+
+def messages(folder: Path) -> list[tuple[str, int, int, bytes]]:
+    from mcap.reader import make_reader
+
+    with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
+        read = make_reader(stream).iter_messages(log_time_order=False)
+        return [(channel.topic, each.log_time, each.sequence, each.data) for _, channel, each in read]
