@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 from sixthsense.config import Config
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.figures.run import Run
 from sixthsense.running.progress import LiveStatus, Progress, each, seen_area
 
 if TYPE_CHECKING:
+    from sixthsense.figures.run import Run
     from sixthsense.live.session import Session
     from sixthsense.loop import OnTick
     from sixthsense.record.folder import RunFolder
@@ -132,6 +132,8 @@ def _watched(
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
             hooks = [record, bag, *hooks]
         trace = go(each(*hooks))
+    from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end
+
     trace.name = name
     run = Run(name, trace, folder=None if folder is None else folder.out)
     if folder is not None:

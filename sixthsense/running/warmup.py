@@ -16,7 +16,6 @@ from sixthsense.core import kernel_cache
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.source import Command
-from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.exploration_navigator import ExplorationNavigator
 from sixthsense.navigation.follower import Follower
@@ -47,10 +46,11 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
     """
     if kernel_cache.note:
         say(f"note: {kernel_cache.note}")
-    if not is_compiled():
+    is_first = not is_compiled()
+    if is_first:
         say(COMPILING)
     if config is None or not of_log or config.front_end != "scan-matching":
-        _warm_up_once()
+        _warm_up_once(is_first)
     if config is not None and "scan-matching" in (config.front_end, config.association.proposed_by):
         _warm_up_scans_once()
 
@@ -65,8 +65,12 @@ def is_compiled() -> bool:
 
 
 @functools.cache
-def _warm_up_once() -> None:
-    warm_up()
+def _warm_up_once(is_first: bool) -> None:
+    """The first time all of it, since a compilation is announced; else a run loads what measures it at its end."""
+    if is_first:
+        warm_up()
+    else:
+        _warm_up_drive()
 
 
 @functools.cache
@@ -76,15 +80,21 @@ def _warm_up_scans_once() -> None:
 
 def warm_up() -> None:
     """Compile the hot loops, or load them compiled, so that the first keyframe is as quick as the rest."""
-    config = Config(max_time=3.0)
+    from sixthsense.evaluation.measure import measure  # here, since a run that begins need not wait for it
+
+    measure(_warm_up_drive())
+
+
+def _warm_up_drive() -> Trace:
+    """The hot loops of a run, without those that measure it at its end; a run of 3 s."""
+    gc.freeze()  # the collections to come need not walk what the imports before have made
+    config, rng = Config(max_time=3.0), np.random.default_rng(0)
     scene = Scene("room", WALLS, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    rng = np.random.default_rng(0)
     follower = Follower(config.follow, config.robot)
     planner = make_planner("astar")
     driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
     trace = Trace(config, scene, 0.2)
     recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), Pilot(driver, Guard(config, 0.2)), trace)
-    measure(trace)
     assert trace.grid is not None
     space = trace.grid.free_space()
     for _ in range(2):  # the second is a replan
@@ -101,6 +111,7 @@ def warm_up() -> None:
     mapper.grid.compose([mapper.grid.submap()])
     _warm_up_choice()
     _keep_imports()
+    return trace
 
 
 def _warm_up_choice() -> None:
