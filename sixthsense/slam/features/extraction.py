@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from sixthsense.slam.features.line_fit import LaserSigmas
 from sixthsense.slam.features.lines import FittedLines, LineRules, fit_lines
 from sixthsense.slam.features.partition import Indices, partition
 from sixthsense.slam.features.points import find_points
-from sixthsense.slam.features.split import split
+from sixthsense.slam.features.split import split_pieces
 from sixthsense.slam.features.sweep_noise import add_sweep_noise
 from sixthsense.slam.features.walls import find_walls
 
@@ -59,7 +58,8 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
         math.sqrt(variance(noise.distribution, noise.bearing_rad)),
     )
     offset, rolled = _partitioned(scan, sigmas.range_m, config)
-    spans, piece_of_span = _split_pieces(rolled.points, rolled.pieces, rolled.cyclic, config)
+    epsilon = config.split.epsilon_m if config.split.enabled else math.inf
+    spans, piece_of_span = split_pieces(rolled.points, rolled.pieces, rolled.cyclic, epsilon, config.lines.min_points)
     lines, where, owner = fit_lines(rolled.points, spans, _line_rules(config), sigmas, seed)
     fitted = FittedLines(lines, np.ascontiguousarray(where[:, 1:]), piece_of_span[where[:, 0]], owner)
     mount = scan.T_robot_laser
@@ -74,12 +74,12 @@ def extract(scan: Scan, assumed: AssumedConfig, config: FeaturesConfig, rng: np.
         kinds, bearings = np.full(len(found), Kind.END), rolled.bearings[used]
         observations = _wall_observations(walls, _slices(bearings, of_walls), mount, assumed, config)
     observations += _point_observations(kinds, found, _slices(bearings, of_points), mount, assumed, config)
-    n = len(scan.ranges)
+    beams = np.roll(np.arange(len(scan.ranges)), -offset)
     return Features(
         mount @ _clip(rolled.points, fitted),
         add_sweep_noise(observations, scan),
-        tuple((offset + np.arange(a, b)) % n for a, b in rolled.pieces),
-        tuple((offset + np.arange(a, b)) % n for a, b in spans),
+        tuple(beams[a:b] for a, b in rolled.pieces.tolist()),
+        tuple(beams[a:b] for a, b in spans.tolist()),
     )
 
 
@@ -98,25 +98,6 @@ def _partitioned(scan: Scan, sigma_range: float, config: FeaturesConfig) -> tupl
     reach = np.where(np.isfinite(ranges), ranges, 0.0)
     points = np.column_stack([reach * np.cos(bearings), reach * np.sin(bearings)])
     return offset, RolledScan(points, ranges, bearings, pieces, scan.closed, cyclic)
-
-
-def _split_pieces(points: Array, pieces: Indices, cyclic: bool, config: FeaturesConfig) -> tuple[Indices, Indices]:
-    """Second-level partitions (S, 2), first and past-last return, and (S,) the piece that each is part of.
-
-    A return at which a piece was split may lie on either wall, so it is in neither.
-    """
-    spans: list[tuple[int, int]] = []
-    owners: list[int] = []
-    for p, (first, past) in enumerate(pieces):
-        if past - first < config.lines.min_points:
-            continue
-        ends = split(points, first, past - 1, config.split.epsilon_m) if config.split.enabled else (first, past - 1)
-        for a, b in itertools.pairwise(ends):
-            begin = a if a == first and not cyclic else a + 1
-            end = b + 1 if b == past - 1 and not cyclic else b
-            spans.append((int(begin), int(end)))
-            owners.append(p)
-    return np.array(spans, dtype=np.int64).reshape(-1, 2), np.array(owners, dtype=np.int64)
 
 
 def _line_rules(config: FeaturesConfig) -> LineRules:

@@ -44,3 +44,28 @@ def split(points: Array, first: int, last: int, epsilon: float) -> Indices:
             stack.append((a, index))
             stack.append((index, b))
     return first + np.flatnonzero(is_end)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def split_pieces(
+    points: Array, pieces: Indices, cyclic: bool, epsilon: float, min_points: int
+) -> tuple[Indices, Indices]:
+    """Second-level partitions (S, 2), first and past-last return, and (S,) the piece of (P, 2) that each is part of.
+
+    A return at which a piece was split may lie on either wall, so it is in neither. With `epsilon` infinite nothing is
+    split; a piece of fewer than `min_points` is left out. A `cyclic` piece is the whole scan, whose ends are a split.
+    """
+    most = len(points) + len(pieces)
+    spans, owners, count = np.empty((most, 2), np.int64), np.empty(most, np.int64), 0
+    for p in range(len(pieces)):
+        first, past = pieces[p, 0], pieces[p, 1]
+        if past - first < min_points:
+            continue
+        ends = split(points, first, past - 1, epsilon)
+        for k in range(len(ends) - 1):
+            a, b = ends[k], ends[k + 1]
+            spans[count, 0] = a if a == first and not cyclic else a + 1
+            spans[count, 1] = b + 1 if b == past - 1 and not cyclic else b
+            owners[count] = p
+            count += 1
+    return spans[:count], owners[:count]

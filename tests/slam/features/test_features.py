@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -13,7 +14,7 @@ from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
 from sixthsense.slam.features.partition import partition
-from sixthsense.slam.features.split import split
+from sixthsense.slam.features.split import split, split_pieces
 
 
 def corners():
@@ -83,6 +84,27 @@ def test_splitting_agrees_with_the_recursion_of_the_report():
             points[-1] = points[0]
         expected = reference_split(points, 0, len(points) - 1, 0.5)
         assert split(points, 0, len(points) - 1, 0.5).tolist() == expected
+
+
+def reference_spans(points, pieces, cyclic, epsilon, min_points):
+    """Spans between the ends of each piece, without the returns at which it was split, and the pieces they are of."""
+    spans = []
+    for p, (first, past) in enumerate(pieces.tolist()):
+        ends = reference_split(points, first, past - 1, epsilon) if past - first >= min_points else []
+        for a, b in itertools.pairwise(ends):
+            spans.append((a + (a != first or cyclic), b + (b == past - 1 and not cyclic), p))
+    return spans
+
+
+@pytest.mark.parametrize("epsilon", [0.5, math.inf])
+def test_the_spans_of_all_pieces_are_those_of_one_piece_after_the_other(epsilon):
+    rng = np.random.default_rng(3)
+    for k in range(100):
+        points = np.cumsum(rng.normal(size=(40, 2)), axis=0)
+        pieces = np.array([[0, 40]]) if k % 3 == 0 else np.array([[0, 3], [3, 17], [20, 40]])
+        spans, owners = split_pieces(points, pieces, k % 3 == 0, epsilon, 5)
+        expected = reference_spans(points, pieces, k % 3 == 0, epsilon, 5)
+        assert [(a, b, p) for (a, b), p in zip(spans.tolist(), owners.tolist(), strict=True)] == expected
 
 
 def test_ransac_finds_the_line_among_outliers_and_is_repeatable():
