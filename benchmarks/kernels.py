@@ -1,6 +1,7 @@
 """Speed of the hot loops beside their limits: ray casting, extraction, A*, scan insertion, and the EKF's update.
 
-    python benchmarks/kernels.py    # `make bench`, 5 minutes
+    python benchmarks/kernels.py                # `make bench`, 5 minutes
+    python benchmarks/kernels.py --loop 5a5ab19  # whole runs instead, beside a commit; 10 minutes
 
 Ray casting and A* are compared with references, the EKF's update with one pass over its covariance (`ekf_scaling.py`).
 """
@@ -15,6 +16,7 @@ import numpy as np
 from ekf_scaling import LIMITS as EKF_LIMITS
 from ekf_scaling import scaling_figures
 from harness import Figures, against_limits, alternate, arguments, finish, single_threaded
+from loop_speed import is_commit, loop_table
 from numpy.typing import NDArray
 
 from sixthsense.config import preset
@@ -231,7 +233,14 @@ def astar_figures(size: int = 1000, grids: int = 4, repeats: int = 3) -> Figures
 
 
 def main() -> None:
-    options = arguments(__doc__).parse_args()
+    parser = arguments(__doc__)
+    parser.add_argument("--loop", metavar="REV", help="measure whole runs and their start, beside this commit")
+    options = parser.parse_args()
+    if options.loop is not None:
+        if not is_commit(options.loop):
+            parser.error(f"--loop: found {options.loop}, allowed: a commit of this repository")
+        finish(options, "loop", loop_table(options.loop))
+        return
     with single_threaded():
         figures = raycast_figures() | scan_figures() | astar_figures() | scaling_figures()
     finish(options, "bench", against_limits(figures, LIMITS))
