@@ -91,7 +91,7 @@ class Associator:
 
         slip = None
         if proposed is None:
-            matches, slip = matches_after_slip(at, estimator, estimate)
+            matches, slip = matches_after_slip(at, estimator, estimate, self._config.new_gate)
         else:
             matches = at(proposed, proposed.estimate())
         if slip is not None:  # extents are where the robot is

@@ -35,6 +35,8 @@ class Matches(NamedTuple):
     """against these; None: there are none"""
     pose: Pose
     """that the matches imply"""
+    worth: float
+    """twice the logarithm of how much likelier they are than observations at the gate"""
 
     def nis(self, known: Mapping[LandmarkId, Observation]) -> float:
         """Normalised innovation squared of the matched observations together."""
@@ -68,7 +70,7 @@ def match(
     near = np.flatnonzero(plausible.any(axis=0))
     joint = np.ascontiguousarray(belief.joint_covariance(estimate.ids[near].tolist()))
     if not len(near):
-        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose)
+        return Matches(np.full(m, -1), np.asarray(distances.apart(cfg).all(axis=1)), near, None, estimate.pose, 0.0)
     for j, k in enumerate(near.tolist()):
         own[k].sigma_m = math.sqrt(joint[3 + 2 * j, 3 + 2 * j] + joint[4 + 2 * j, 4 + 2 * j])
     squares = np.array([own[k].shape.square_m2(excess) for k in near.tolist()])
@@ -86,7 +88,8 @@ def match(
     if np.count_nonzero(is_matched) > contradicting:
         is_apart |= is_beside
     landmark = np.where(is_matched, estimate.ids[near][found], -1)
-    return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here)
+    worth = innovations.worth(found, cfg.match_gate)
+    return Matches(landmark, is_far & is_apart, estimate.ids[near], innovations, here, worth)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -39,6 +39,13 @@ class Innovations(NamedTuple):
         x, y, theta = _shift(self.pairs, self.with_pose, matched)
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
 
+    def worth(self, matched: Indices, gate: float) -> float:
+        """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
+        rows = np.flatnonzero(matched >= 0)
+        cols = matched[rows]
+        joint = _joint(self.pairs.predicted, cols, self.pairs.noise[rows, cols])
+        return gate * len(rows) - float(_nis(self.pairs.values[rows, cols], joint))
+
     def nis(self, observations: Sequence[Observation], landmarks: Indices) -> float:
         """Normalised innovation squared of observations of the `landmarks` (n,), with the correlations between them.
 

@@ -23,6 +23,8 @@ _LEAST = 3
 _SIGMA_M, _STEP_RAD = 0.5, 0.25
 """sigma of the position, and the step of the headings that are tried, whose sigma is half of it"""
 _STEPS = (0, 1, -1, 2, -2)
+_SIGMAS = np.array([_SIGMA_M, _SIGMA_M, max(_STEPS) * _STEP_RAD])
+"""of a slip, m, m and rad"""
 
 
 class Slipped:
@@ -44,18 +46,19 @@ class Slipped:
 
 
 def matches_after_slip(
-    at: Callable[[Belief, Estimate], Matches], belief: Belief, estimate: Estimate
+    at: Callable[[Belief, Estimate], Matches], belief: Belief, estimate: Estimate, price: float
 ) -> tuple[Matches, Odometry | None]:
     """The matches at a belief's pose, or where the robot is after a slip, and the slip; None: it has not slipped.
 
-    `at` gives the matches at a belief with that estimate. Of all headings that are tried that is taken at which most
-    matches.
+    `at` gives the matches at a belief with that estimate. Of all headings that are tried that is taken at which the
+    matches are worth most. They must be worth more than those without a slip by its own squared distance and by
+    `price`, since slips are rare, and three landmarks may lie alike in another place.
     """
     here = at(belief, estimate)
     if len(estimate.ids) < _LEAST or not _says_slip(here):
         return here, None
     cov = np.diag([_SIGMA_M, _SIGMA_M, 0.5 * _STEP_RAD]) ** 2
-    best, by = here, None
+    best, by, most = here, None, here.worth
     for step in _STEPS:
         slip = Odometry(Pose(theta=step * _STEP_RAD), cov)
         found = _after(slip, at, belief)
@@ -63,9 +66,10 @@ def matches_after_slip(
             continue
         slip = Odometry(estimate.pose.inverse() @ found.pose, cov)  # geometry is compared anew where these matches are
         found = _after(slip, at, belief)
-        if by is None or _matched(found) > _matched(best):
-            best, by = found, slip
-    return (best, by) if _tells_place(best) else (here, None)
+        worth = found.worth - float(np.sum((slip.motion.array() / _SIGMAS) ** 2)) - price
+        if worth > most:
+            best, by, most = found, slip, worth
+    return best, by
 
 
 def _after(slip: Odometry, at: Callable[[Belief, Estimate], Matches], belief: Belief) -> Matches:
@@ -78,12 +82,6 @@ def _says_slip(matches: Matches) -> bool:
     shown, matched = len(matches.landmark), _matched(matches)
     neither = shown - matched - int(np.count_nonzero(matches.is_new))
     return shown >= _LEAST and (matched < _LEAST - 1 or 2 * neither > shown)
-
-
-def _tells_place(matches: Matches) -> bool:
-    """Whether most of a scan matches, and enough landmarks to tell where the robot is."""
-    landmarks = np.unique(matches.landmark[matches.landmark >= 0])
-    return len(landmarks) >= _LEAST and 2 * _matched(matches) > len(matches.landmark)
 
 
 def _matched(matches: Matches) -> int:
