@@ -16,6 +16,7 @@ from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
+from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.live.commands import Commands, Stamped
@@ -36,6 +37,7 @@ from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
 from sixthsense.sources.logs.tf_odometry import FramePair
+from sixthsense.sources.logs.two_lasers import found_turns
 
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
@@ -107,7 +109,10 @@ class Session:
         topics = self._topics
         needed = topics.scan if self.config.no_odometry else f"{topics.scan} and {topics.odom}"
         self._say(f"waiting for {needed}{f', to drive by {topics.cmd_vel}' * drive} ...")
-        stamps, self._robot, found = self._first_messages(drive, stamped)
+        scans, self._robot, found = self._first_messages(drive, stamped)
+        stamps = sorted(scans)
+        if turns := found_turns([scans[stamp] for stamp in stamps], self._laser.frame):
+            raise NetworkError(f"{topics.scan}: {turns}")
         if mount is None:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.forget()
@@ -115,7 +120,7 @@ class Session:
         laser = described_laser(scan, laser)
         robot = self.config.robot
         if drive:
-            period_s = 1e-9 * float(np.median(np.diff(np.sort(stamps))))
+            period_s = 1e-9 * float(np.median(np.diff(stamps)))
             robot = dataclasses.replace(robot, control_period_s=max(robot.control_period_s, _RESPONSE_S))
             ticks = max(1, math.ceil(period_s / robot.control_period_s - 0.1))
             laser = dataclasses.replace(laser, period_ticks=ticks)
@@ -177,20 +182,20 @@ class Session:
         self._odometry.take()
         self._scans.take()
 
-    def _first_messages(self, drive: bool, stamped: bool) -> tuple[list[int], RobotPose, bytes]:
-        """Stamps of some scans, the first odometry, and a scan."""
-        stamps: list[int] = []
+    def _first_messages(self, drive: bool, stamped: bool) -> tuple[dict[int, Scan], RobotPose, bytes]:
+        """The latest scans by their stamps, the first odometry, and a scan."""
+        scans: dict[int, Scan] = {}
         odometry: RobotPose | None = RobotPose(0, Pose(), "odom", "") if self.config.no_odometry else None
         last = b""
         hint_s = time.monotonic() + _HINT_S
-        while self._is_robot_missing(drive, stamped) or len(stamps) <= _PERIODS or odometry is None:
+        while self._is_robot_missing(drive, stamped) or len(scans) <= _PERIODS or odometry is None:
             if is_command_ended():
                 raise KeyboardInterrupt
             if time.monotonic() > hint_s:
                 hint_s = math.inf
                 topics = self._topics
                 odom = topics.odom if topics.frames is None else f"{_TF} {topics.frames}"
-                heard = {topics.scan: bool(stamps), odom: odometry is not None}
+                heard = {topics.scan: bool(scans), odom: odometry is not None}
                 missing = [f"nothing on {topic}" for topic, is_heard in heard.items() if not is_heard]
                 missing += [f"nobody who takes {topics.cmd_vel}"] * (drive and not self._commands)
                 if odometry is None and topics.frames is None:
@@ -199,13 +204,14 @@ class Session:
             for is_scan, message in self._received(_WAIT_S):
                 try:
                     if is_scan:
-                        stamp_ns, _ = self._laser.scan(message.data)
-                        stamps, last = sorted({*stamps[-_PERIODS:], stamp_ns}), message.data
+                        stamp_ns, scan = self._laser.scan(message.data)
+                        scans, last = {k: scans[k] for k in sorted(scans)[-_PERIODS:]}, message.data
+                        scans[stamp_ns] = scan
                     else:
                         odometry = odometry or self._reader.odometry(message.data)
                 except ValueError as error:
                     self.notices.unusable("scan" if is_scan else "odometry", error)
-        return stamps, odometry, last
+        return scans, odometry, last
 
     def _is_robot_missing(self, drive: bool, stamped: bool) -> bool:
         """Whether nobody takes the commands of a robot that is to be driven; NetworkError if there is another robot."""

@@ -28,7 +28,7 @@ from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import max_range_of
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.ros_messages import FARTHEST_M, scan
-from sixthsense.sources.logs.two_lasers import take_turns
+from sixthsense.sources.logs.two_lasers import found_turns
 
 
 class BagLog(Log):
@@ -81,11 +81,8 @@ def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_give
             raise LogError(f"{path} scan {number}: {error}") from None
     if not any((s.ranges <= np.float32(s.max_range)).any() for s in scans):
         raise LogError(f"{path}: found no return in {len(scans)} scans, allowed: ranges from range_min to range_max")
-    if take_turns(scans):
-        frame = shown_name(recording.frames.laser)
-        raise LogError(
-            f"{path}: found scans of two lasers in turn, all of frame {frame}, allowed: a frame for each laser"
-        )
+    if turns := found_turns(scans, recording.frames.laser):
+        raise LogError(f"{path}: {turns}")
     for frame, count in recording.other_frames.items():
         recording.remarks.append(
             f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.frames.laser)} "

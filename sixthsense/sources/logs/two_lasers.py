@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
 from sixthsense.core.laser import Scan
 
@@ -17,7 +18,17 @@ _RATIO = 0.25
 _SHARE = 0.8  # of the triples
 
 
-def take_turns(scans: Sequence[Scan]) -> bool:
+def found_turns(scans: Sequence[Scan], frame: str) -> str | None:
+    """What is wrong with scans of one topic and `frame` if they are those of two lasers in turn; None if they are not.
+
+    Robots that stand, too: the next scan would else resemble the first as the second next one does.
+    """
+    if not _take_turns(scans):
+        return None
+    return f"found scans of two lasers in turn, all of frame {shown_name(frame)}, allowed: a frame for each laser"
+
+
+def _take_turns(scans: Sequence[Scan]) -> bool:
     """Whether scans resemble the second next one and not the next one, along the whole log."""
     if len(scans) < _FEWEST:
         return False
