@@ -4,8 +4,8 @@
     SIXTHSENSE_DATA=FOLDER python benchmarks/no_odometry.py --logs aces --seeds 3
 
 A log's row: relations error, mean and largest, the share beyond 0.5 m, and the share of those beyond 3 sigmas of what
-the graph of keyframes says of the relation (for each of its two keyframes relative to the other). A tour's row: ATE and
-NEES over the seeds.
+the graph of keyframes says of the relation (for each of its two keyframes relative to the other) and tracking of the
+two scans, since their keyframes. A tour's row: ATE and NEES over the seeds.
 """
 
 from __future__ import annotations
@@ -37,8 +37,10 @@ def log_row(name: str, data: Path, no_odometry: bool) -> list[str]:
     stamps: list[float] = []
     keys: list[int] = []
     since: list[np.ndarray] = []
+    tracked: dict[float, float] = {}
     with Slam(found.config, found.log.start) as slam:
-        key = -1
+        front_end, key = slam._front_end, -1
+        assert isinstance(front_end, ScanFrontEnd)
         for tick in found.log.ticks:
             step = slam.take(tick)
             key += step.keyframe is not None
@@ -46,16 +48,16 @@ def log_row(name: str, data: Path, no_odometry: bool) -> list[str]:
                 stamps.append(tick.log_stamp_s)
                 keys.append(key)
                 since.append(step.since_keyframe.array())
+                tracked[tick.log_stamp_s] = float(np.linalg.eigvalsh(front_end._since.cov[:2, :2])[-1])
         result = slam.finish()
-        front_end = slam._front_end
-        assert isinstance(front_end, ScanFrontEnd)
         motions = np.array(since) if result.since_key is None else result.since_key
         poses = compose(result.trajectory[np.array(keys)], motions)
         off_m, _ = relations_error(np.array(stamps), poses, found.relations.stamps, found.relations.poses)
         far = np.flatnonzero(off_m > 0.5)
         scans = {stamp: k for stamp, k in zip(stamps, keys, strict=True)}
-        ends = [[scans[min(scans, key=lambda s: abs(s - at))] for at in found.relations.stamps[k]] for k in far]
-        sigmas = [front_end.loop_closures.sigmas(b)[0][a] for a, b in ends]
+        ends = [[min(scans, key=lambda s: abs(s - at)) for at in found.relations.stamps[k]] for k in far]
+        of_keys = [front_end.loop_closures.sigmas(scans[b])[0][scans[a]] for a, b in ends]
+        sigmas = [np.sqrt(s**2 + tracked[a] + tracked[b]) for s, (a, b) in zip(of_keys, ends, strict=True)]
     beyond = float(np.mean(off_m[far] > 3.0 * np.array(sigmas))) if len(far) else 0.0
     mode = "scans alone" if no_odometry else "odometry"
     share = len(far) / len(off_m)

@@ -8,6 +8,7 @@ tracking filter performance for manned maneuvering targets". Scan matching measu
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -15,27 +16,35 @@ from sixthsense.core.geometry import Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, compose_jacobians
 
 _SIGMAS = np.array([1.0, 1.0, 1.0])  # m/s, m/s, rad/s: somebody who walks, and looks around
-_TAUS_S = np.array([4.0, 4.0, 1.0])  # correlation times: one goes on for some steps, and turns for a moment
-_USUAL, _LEAST_WEIGHT = 4.0, 0.02  # sigmas of the stamps' jitter up to which a period is as usual; weight of the newest
+_TAUS_S = np.array([40.0, 40.0, 1.0])  # correlation times: one goes on for a while, and turns for a moment
+_STAMPS, _APART = 64, 16  # stamps that tell the period, and scans within which a delay is made up for
 
 
 class ScanClock:
-    """The time between scans: a laser's period is steadier than its stamps, which only tell where scans are missing."""
+    """The time between scans: a laser's period is steadier than its stamps, which are late where a computer was busy.
+
+    A stamp that is late is made up for by the next ones; one after a gap is not. A gap is what is later than any delay
+    that was made up for so far.
+    """
 
     def __init__(self) -> None:
-        self._count, self._mean_s, self._square = 0, 0.0, 0.0
+        self._stamps_s: deque[float] = deque([0.0], maxlen=_STAMPS)
+        """of the last scans, since the first one"""
+        self._longest_s = 0.0
+        """the longest delay that was made up for"""
 
     def period(self, stated_s: float) -> float:
         """The time since the scan before, seconds, of that which the stamps state."""
-        off_s = stated_s - self._mean_s
-        limit_s = _USUAL * math.sqrt(self._square)
-        if self._count > 1.0 / _LEAST_WEIGHT and abs(off_s) > max(limit_s, self._mean_s):
-            return max(stated_s, self._mean_s)
-        self._count += 1
-        weight = max(1.0 / self._count, _LEAST_WEIGHT)
-        self._mean_s += weight * off_s
-        self._square += weight * (off_s * off_s - self._square) if self._count > 1 else 0.0
-        return self._mean_s
+        self._stamps_s.append(self._stamps_s[-1] + stated_s)
+        stamps = np.array(self._stamps_s)
+        apart = min(_APART, len(stamps) - 1)
+        # The median bears a gap, and delays that are made up for.
+        usual_s = float(np.median(stamps[apart:] - stamps[:-apart])) / apart
+        before = stamps[-apart - 1 : -1]
+        late_s = stamps[-1] - (before + usual_s * np.arange(apart, 0, -1))
+        is_gap = apart == _APART and late_s.max() > max(self._longest_s, usual_s)
+        self._longest_s = max(self._longest_s, -float(late_s.min()))
+        return max(stated_s, usual_s) if is_gap else usual_s
 
 
 class LastVelocity:
@@ -122,13 +131,16 @@ class LastVelocity:
     def lasting(self, since: Odometry) -> Odometry:
         """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.
 
-        A velocity that no scan tells is wrong by the same for its correlation time tau. Motions over a time T, each
-        wrong by T times such a velocity, add up to the variance of the whole way, 2 tau T times the velocity's, if each
-        counts as independent with 2 tau / T times its own.
+        A velocity that was last told a time t ago is wrong by a random walk since then, and by the same in neighbouring
+        motions, each over a time T: with the rate q of its variance the whole way has the variance q t^3 / 3. Motions
+        that count as independent add up to that if each counts with t / T times its own, T^2 q t. What is left of the
+        variance V^2 at standstill tells t, of which the correlation time on either side counts.
         """
         if not self._since_key_s:
             return since
-        factors = np.sqrt(1.0 + 2.0 * _TAUS_S / self._since_key_s)
+        told = np.maximum(1.0 - np.diag(self._cov) / _SIGMAS**2, math.exp(-4.0))
+        age_s = np.maximum(-0.5 * _TAUS_S * np.log(told), 0.0)
+        factors = np.sqrt(1.0 + age_s / self._since_key_s)
         return Odometry(since.motion, since.cov * np.outer(factors, factors))
 
     def at_keyframe(self) -> None:
