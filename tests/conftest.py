@@ -1,6 +1,7 @@
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 import sixthsense as ss
@@ -8,6 +9,11 @@ from sixthsense.running.warmup import warm_up
 
 # Before NumPy is imported: the matrices of the tests are small, and each worker of xdist has one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+
+# The first example of a test may compile a kernel.
+hypothesis.settings.register_profile("kernels", deadline=None)
+hypothesis.settings.load_profile("kernels")
 
 
 @pytest.fixture(scope="session")
