@@ -63,6 +63,11 @@ class ExplorationNavigator:
         return self._paths.plans
 
     @property
+    def tours(self) -> list[Array]:
+        """Every tour by which a view was chosen."""
+        return self._task.tours
+
+    @property
     def plans_below_margin(self) -> int:
         """How many of them keep less than the wanted margin."""
         return self._paths.plans_below_margin

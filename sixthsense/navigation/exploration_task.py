@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,3 +30,5 @@ class ExplorationTask:
     config: Config
     rng: np.random.Generator
     """for the random method"""
+    tours: list[Array] = field(default_factory=list)
+    """way points (N, 2) of each tour by which a view was chosen: robot, views, home; world frame"""

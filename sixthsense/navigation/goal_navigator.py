@@ -28,6 +28,7 @@ class GoalNavigator:
         is_tour = config.task == "tour"
         self.timeout_outcome = "tour ended" if is_tour else "out of time"
         self.left: list[UnseenPlace] = []
+        self.tours: list[Array] = []
         self._paths = PathPlanner(planner, config)
         self._last_outcome: Outcome = "tour ended" if is_tour else "goal reached"
         repeats = is_tour and config.max_time is not None

@@ -33,6 +33,11 @@ class Navigator(Protocol):
         ...
 
     @property
+    def tours(self) -> list[Array]:
+        """Way points (N, 2) of each tour of an exploration: robot, views, home; always the same list."""
+        ...
+
+    @property
     def plans_below_margin(self) -> int | None:
         """How many of them keep less than the wanted margin; None if the navigator plans nothing."""
         ...
@@ -72,6 +77,7 @@ class ReplayNavigator:
         self.outcome: Outcome | None = None
         self.timeout_outcome = "log ended"
         self.plans: list[Array] = []
+        self.tours: list[Array] = []
         self.plans_below_margin: int | None = None
         self.plans_by_astar: int | None = None
         self.left: list[UnseenPlace] = []

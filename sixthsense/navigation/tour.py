@@ -82,10 +82,10 @@ class TileWays:
         return np.asarray(np.maximum(lengths, straight))
 
 
-def first_view(ways: TileWays, here: Cell, views: Cells, home: Cell) -> int:
-    """The index of the view that a short tour from `here` through the nearest of `views` (N, 2) and home goes to first.
+def view_order(ways: TileWays, here: Cell, views: Cells, home: Cell) -> Cells:
+    """(K,) the indices of those of `views` (N, 2) that a short tour from `here` to home stops at, in its order.
 
-    One view in a tile is a stop.
+    One view in a tile is a stop, of the nearest ones.
     """
     away = ways.lengths(here, views)
     nearest = np.argsort(away, kind="stable")
@@ -97,16 +97,17 @@ def first_view(ways: TileWays, here: Cell, views: Cells, home: Cell) -> int:
     homewards = ways.lengths(home, views[stops])
     if np.isfinite(homewards).all():  # else the tour is open
         lengths[-1, 1:-1] = lengths[1:-1, -1] = homewards
-    return int(stops[first_stop(lengths) - 1])
+    return np.asarray(stops[stop_order(lengths) - 1])
 
 
-def first_stop(lengths: Array) -> int:
-    """Which of the stops 1 to n - 2 is visited first on a tour from 0 through all to n - 1.
+def stop_order(lengths: Array) -> Cells:
+    """(n - 2,) the stops 1 to n - 2 in the order of a tour from 0 through all to n - 1.
 
-    `lengths` are (n, n), inf where no way is known. Of the first stop of a short tour and the nearest ones, it is the
-    one with the least way to it, which counts a little more, plus the best tour found from there; the lowest of equals.
+    `lengths` are (n, n), inf where no way is known. Of the first stop of a short tour and the nearest ones, that is
+    first with the least way to it, which counts a little more, plus the best tour found from there; the lowest of
+    equals.
     """
-    return int(_first_stop(np.minimum(lengths, _NO_WAY)))
+    return np.asarray(_stop_order(np.minimum(lengths, _NO_WAY)))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -196,16 +197,16 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _first_stop(lengths: Array) -> int:
+def _stop_order(lengths: Array) -> Cells:
     tour = short_tour(lengths)
     nearest = np.argsort(lengths[0, 1:-1])[:_OPTIONS] + 1
-    best, least = int(tour[1]), np.inf
+    best, least = tour[1:-1].copy(), np.inf
     for stop in np.unique(np.append(nearest, tour[1])):
         rest = np.append(stop, tour[1:][tour[1:] != stop])
         shorten(lengths, rest)
         cost = (1.0 + _LEG) * lengths[0, stop] + tour_length(lengths, rest)
         if cost < least - _LESS:
-            best, least = int(stop), cost
+            best, least = rest[:-1].copy(), cost
     return best
 
 

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -17,7 +17,7 @@ from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier
 from sixthsense.navigation.known_views import KnownViews, View
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions
-from sixthsense.navigation.tour import TileWays, first_view
+from sixthsense.navigation.tour import TileWays, view_order
 from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
 from sixthsense.slam.mapping.freespace import Bools
@@ -38,6 +38,8 @@ class Target:
     """the cell to see them from"""
     dear: bool = False
     """whether only ways over dear cells lead to the viewpoint"""
+    tour: Cells = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    """(K, 2) the stops of the tour that begins with it; empty for one that no tour has chosen"""
 
     def is_seen(self, grid: Grid) -> bool:
         """Whether little of it is still unknown."""
@@ -133,8 +135,9 @@ class ViewPlanner:
         if not found:
             return None
         views, here = np.array([cell for _, cell, _ in found]), view.cell(self.pose.position)
-        k = first_view(self.ways, here, views, view.cell(self.home))
-        return self.target_of(candidates.wanted, found[k][0], found[k][1])
+        order = view_order(self.ways, here, views, view.cell(self.home))
+        target = self.target_of(candidates.wanted, *found[order[0]][:2])
+        return replace(target, tour=views[order] + np.array(view.first))
 
     def sample_random(self, candidates: Candidates, rng: np.random.Generator) -> Target | None:
         """The target nearest to a random cell of the largest unseen area with a visible cluster (the report's idea)."""

@@ -18,7 +18,7 @@ class Recorder:
     def __init__(self, trace: Trace, slam: Slam, pilot: Steersman) -> None:
         """Record into `trace`, which shows the plans and the map from now on."""
         self._trace, self._slam, self._pilot = trace, slam, pilot
-        trace.plans, trace.grid = pilot.navigator.plans, slam.grid
+        trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
         trace.live = Live(slam.estimator, slam.associator.records, slam.associator)
         self._began = time.perf_counter()
 

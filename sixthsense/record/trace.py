@@ -85,6 +85,8 @@ class Trace:
     """wall time of the loop"""
     plans: list[Array] = field(default_factory=list)
     """planned paths"""
+    tours: list[Array] = field(default_factory=list)
+    """(N, 2) robot, views and home of each tour by which an exploration chose a view; not written to the folder"""
     plans_below_margin: int | None = None
     """number of plans with less than the desired margin to obstacles; None for a log"""
     plans_by_astar: int | None = None

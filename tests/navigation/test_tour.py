@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch import geodesic_distances
-from sixthsense.navigation.tour import TileWays, first_stop, first_view, short_tour, tour_length
+from sixthsense.navigation.tour import TileWays, short_tour, stop_order, tour_length, view_order
 from sixthsense.slam.mapping.freespace import Bools
 
 
@@ -33,18 +33,18 @@ def test_a_tour_visits_each_stop_once_and_is_nearly_the_shortest(seed: int) -> N
 def test_what_lies_on_the_way_home_is_left_for_the_way_home() -> None:
     # The robot stands at 0, home is at the left, and a stop to either side: the right one is first.
     lengths = between(np.array([(0.0, 0.0), (-4.0, 0.0), (5.0, 0.0), (-20.0, 0.0)]))
-    assert first_stop(lengths) == 2
+    assert stop_order(lengths).tolist() == [2, 1]
 
 
 def test_stops_that_no_way_leads_to_come_last() -> None:
     lengths = between(np.array([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (0.0, 1.0)]))
     lengths[1, :] = lengths[:, 1] = np.inf
-    assert first_stop(lengths) == 2
+    assert stop_order(lengths).tolist() == [2, 1]
 
 
 def test_the_only_view_is_the_first() -> None:
     free = np.ones((12, 12), dtype=np.bool_)
-    assert first_view(ways_over(free), (2, 2), np.array([(9, 9)]), (2, 2)) == 0
+    assert view_order(ways_over(free), (2, 2), np.array([(9, 9)]), (2, 2)).tolist() == [0]
 
 
 @pytest.mark.parametrize("seed", range(5))
