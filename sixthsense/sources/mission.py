@@ -8,6 +8,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.sources.connected import connected
 from sixthsense.sources.scene import Scene, SceneError, check_placement
 from sixthsense.sources.walkers import walkers_of
 
@@ -17,8 +18,9 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
 
     An exploration has no goals.
 
-    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, and for
-    a start outside region and building from which the laser reaches no wall; and for more walkers than fit in.
+    Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
+    goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
+    more walkers than fit in.
     """
     start = Pose(*config.start) if config.start is not None else scene.start
     goal = config.goal if config.goal is not None else scene.goal
@@ -41,6 +43,7 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
         _check_building_in_reach(scene, start, config.laser.max_range)
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     radius_m = config.robot.radius or scene.radius
+    _check_ways(scene, start, goals, radius_m, "goal" if config.task == "goal" else "tour")
     walkers_of(scene, config, start, radius_m)  # whether there is room for them
     return start, goals, radius_m
 
@@ -50,6 +53,16 @@ def with_people(scene: Scene, config: Config) -> Config:
     if config.people is None and (scene.walkers or config.world.walkers):
         return dataclasses.replace(config, people=True)
     return config
+
+
+def _check_ways(scene: Scene, start: Pose, goals: Array, radius_m: float, field: str) -> None:
+    """Raise SceneError for a goal that no way leads to from the start, as in a shaft without a door."""
+    if not len(goals):
+        return
+    for (x, y), is_connected in zip(goals, connected(scene.solid, start.position, goals, radius_m), strict=True):
+        if not is_connected:
+            found = f"{field}: found ({x:g}, {y:g}), which no way leads to from the start ({start.x:g}, {start.y:g})"
+            raise SceneError(f"{found}, allowed: a place that a robot of radius {radius_m:g} m can drive to")
 
 
 def _check_building_in_reach(scene: Scene, start: Pose, range_m: float) -> None:
