@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -92,15 +92,15 @@ def animate(
     config = load_config(Path(folder) / "config.toml")
     log = read_run(folder, config.laser)
     file.parent.mkdir(parents=True, exist_ok=True)
-    drawing = _MapDrawing(finished, title, _WIDTH_IN[file.suffix.lower()])
+    drawing = _MapDrawing(finished, title, _WIDTH_IN[file.suffix.lower()], has_tours=bool(log.tours))
     due = set(np.unique(np.linspace(0, len(finished.stamps_ns) - 1, max(frames, 2)).round().astype(int)).tolist())
     with _opened_film(drawing.figure, file) as writer:
 
         def show(tick: Tick, trace: Trace) -> None:
             if (tick.scan is None and tick.observations is None) or len(trace.stamps_ns) - 1 not in due:
                 return
-            k = int(np.searchsorted(log.plan_stamps_ns, tick.stamp_ns, side="right"))
-            drawing.show(tick, trace, log.plans[k - 1] if k else np.zeros((0, 2)))
+            plan = _latest(log.plans, log.plan_stamps_ns, tick.stamp_ns)
+            drawing.show(tick, trace, plan, _latest(log.tours, log.tour_stamps_ns, tick.stamp_ns))
             writer.grab_frame()
             on_frame()
 
@@ -155,7 +155,7 @@ class _ImageWriter(PillowWriter):
 class _MapDrawing:
     """A map figure whose artists are moved from frame to frame."""
 
-    def __init__(self, finished: Trace, title: str, width_in: float) -> None:
+    def __init__(self, finished: Trace, title: str, width_in: float, has_tours: bool) -> None:
         """Draw what stays the same, and empty artists for what moves."""
         self._config = finished.config
         self._has_truth = bool(finished.truths)
@@ -169,7 +169,7 @@ class _MapDrawing:
         if scene is not None:
             draw_segments(ax, scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=1)
         self._add_map(ax)
-        self._add_scan(ax, has_plans=bool(finished.plans))
+        self._add_scan(ax, bool(finished.plans), has_tours)
         self._add_robot(ax, finished.radius_m)
         self._caption = ax.set_title(" ", loc="left", fontsize=10)
         label_plane(ax)
@@ -201,12 +201,15 @@ class _MapDrawing:
         ax.add_collection(self._ellipses)
         (self._points,) = ax.plot([], [], **_DOT, markersize=2.6, color=LANDMARK, label="landmarks, 95 %", zorder=6)
 
-    def _add_scan(self, ax: Any, has_plans: bool) -> None:
+    def _add_scan(self, ax: Any, has_plans: bool, has_tours: bool) -> None:
         (self._returns,) = ax.plot([], [], **_DOT, markersize=2.2, color=ODOMETRY, label="laser returns", zorder=5)
         if self._region is not None:
             (self._frontiers,) = ax.plot([], [], **_DOT, markersize=2.2, color=TRUTH, label="frontiers", zorder=3)
         if has_plans:
             (self._plan,) = ax.plot([], [], **_LINE, linewidth=1.6, color=PLAN, label="planned path", zorder=5)
+        if has_tours:
+            style = {"linestyle": ":", "marker": "o", "markersize": 3.0, "linewidth": 1.0, "color": PLAN}
+            (self._tour,) = ax.plot([], [], label="tour of views", zorder=5, **style)
 
     def _add_robot(self, ax: Any, radius_m: float) -> None:
         from matplotlib.patches import Circle
@@ -220,8 +223,8 @@ class _MapDrawing:
         self._robot = Circle((0.0, 0.0), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.4, zorder=9)
         ax.add_patch(self._robot)
 
-    def show(self, tick: Tick, trace: Trace, plan: Array) -> None:
-        """Move the artists to the trace's newest tick and the plan (N, 2), world frame, valid then."""
+    def show(self, tick: Tick, trace: Trace, plan: Array, tour: Array) -> None:
+        """Move the artists to the trace's newest tick, with the plan and tour (N, 2) of then, world frame."""
         live = trace.live
         assert live is not None and trace.grid is not None
         estimate, pose = trace.key_estimates[-1] if trace.key_estimates else None, Pose.from_array(trace.estimates[-1])
@@ -244,6 +247,8 @@ class _MapDrawing:
             self._frontiers.set_data(*frontiers.T)
         if len(plan):
             self._plan.set_data(*plan.T)
+        if len(tour):
+            self._tour.set_data(*np.vstack([pose.position, tour[1:]]).T)
         if self._has_truth:
             self._true_path.set_data(*np.array(trace.truths)[:, :2].T)
         if self._tracks:
@@ -257,6 +262,12 @@ class _MapDrawing:
         if estimate is not None:
             parts.append(f"{len(estimate.ids)} landmarks")
         self._caption.set_text(" · ".join(parts))
+
+
+def _latest(paths: Sequence[Array], stamps_ns: Sequence[int], stamp_ns: int) -> Array:
+    """The last of the paths that were made by then; (0, 2) before the first."""
+    k = int(np.searchsorted(stamps_ns, stamp_ns, side="right"))
+    return paths[k - 1] if k else np.zeros((0, 2))
 
 
 def _limits(finished: Trace) -> tuple[Array, Array]:

@@ -32,6 +32,8 @@ TOPICS = {
     "/plan": "nav_msgs/msg/Path",
 }
 """recorded topics and their types, in the order of one tick"""
+TOUR = "/tour"
+"""additional topic of an exploration: robot, views and home of each tour by which a view was chosen, as a path"""
 OBSERVATIONS = "/observations"
 """additional topic of a log with known landmark identities: observations, robot's frame"""
 
@@ -83,7 +85,7 @@ class BagWriter:
         self._scan_form: tuple[tuple[Any, ...], ArrayForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
-        self._pending = self._keyframes = self._plans = 0
+        self._pending = self._keyframes = self._plans = self._tours = 0
         self._flushed = -math.inf  # the first tick is flushed at once
         self._failed = False
         self._before_flush = before_flush
@@ -160,9 +162,7 @@ class BagWriter:
         if tick.scan is not None:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.observations is not None:
-            if OBSERVATIONS not in self._channels:
-                self._names[OBSERVATIONS] = CLOUD
-                self._channels[OBSERVATIONS] = self._register(OBSERVATIONS, CLOUD)
+            self._add_topic(OBSERVATIONS, CLOUD)
             self._write(OBSERVATIONS, stamp, make.cloud(stamp, tick.observations))
 
     def _begin(self, stamp_ns: int, mount: tuple[float, float, float]) -> None:
@@ -180,8 +180,18 @@ class BagWriter:
         for path in trace.plans[self._plans :]:
             self._write("/plan", stamp, make.path(stamp, path))
         self._plans = len(trace.plans)
+        for tour in trace.tours[self._tours :]:
+            self._add_topic(TOUR, TOPICS["/plan"])
+            self._write(TOUR, stamp, make.path(stamp, tour))
+        self._tours = len(trace.tours)
         if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
             self._flush()
+
+    def _add_topic(self, topic: str, name: str) -> None:
+        """Register a topic that not every bag has, at its first message."""
+        if topic not in self._channels:
+            self._names[topic] = name
+            self._channels[topic] = self._register(topic, name)
 
     def _register(self, topic: str, name: str) -> int:
         definition = self._messages.store.generate_msgdef(name, ros_version=2)[0]

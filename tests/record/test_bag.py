@@ -134,3 +134,13 @@ def messages(folder: Path) -> list[tuple[str, int, int, bytes]]:
     with (folder / "bag" / "bag_0.mcap").open("rb") as stream:
         read = make_reader(stream).iter_messages(log_time_order=False)
         return [(channel.topic, each.log_time, each.sequence, each.data) for _, channel, each in read]
+
+
+def test_the_tours_of_an_exploration_are_in_its_bag(tmp_path):
+    config = preset(task="explore", scene="rectangle", max_time=20.0, laser={"max_range": 2.0})
+    with BagWriter(tmp_path) as bag:
+        trace = run(config, bag)
+    log = read_run(tmp_path, config.laser)
+    assert len(log.tours) == len(log.tour_stamps_ns) == len(trace.tours) > 0
+    assert all(np.array_equal(a, b) for a, b in zip(log.tours, trace.tours, strict=True))
+    assert all(np.allclose(tour[-1], trace.estimates[0][:2]) for tour in log.tours)  # home

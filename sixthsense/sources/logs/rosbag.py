@@ -38,6 +38,10 @@ class BagLog(Log):
     """Planned paths, (N, 2) each; only in the bag of a run."""
     plan_stamps_ns: tuple[int, ...] = ()
     """Record time of each plan."""
+    tours: tuple[Array, ...] = ()
+    """Tours of an exploration, (N, 2) each; only in the bag of a run."""
+    tour_stamps_ns: tuple[int, ...] = ()
+    """Record time of each tour."""
     estimates: tuple[tuple[int, Pose, Array], ...] = ()
     """Record time, pose and its covariance (3, 3) at each keyframe; only in the bag of a run."""
     cut_short: bool = False

@@ -29,6 +29,7 @@ _TYPES = {
     "/scan": LASER_SCAN,
     "/estimate": ESTIMATE,
     "/plan": PLAN,
+    "/tour": PLAN,
     "/observations": CLOUD,
     "/sightings": CLOUD,  # the name in older bags
 }
@@ -37,14 +38,14 @@ _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
-    """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses and plans.
+    """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses, plans and tours.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
     its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or an observation.
     """
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
-    plans: list[tuple[int, Array]] = []
+    paths: dict[str, list[tuple[int, Array]]] = {"/plan": [], "/tour": []}
     estimates: list[tuple[int, Pose, Array]] = []
     reader = _Chunks(file)
     place = Pose(*laser.mount)
@@ -56,9 +57,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
                 if not last_ns < record_ns <= LARGEST_STAMP_NS:
                     raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
                 ticks.append(Tick(record_ns, pose, increment_cov=read_increment_covariance(message)))
-            elif topic == "/plan":
+            elif topic in paths:
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
-                plans.append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
+                paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
             elif topic == "/estimate":
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
                 estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
@@ -80,7 +81,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
     log = BagLog(ticks, laser)
-    log.plan_stamps_ns, log.plans = tuple(stamp for stamp, _ in plans), tuple(plan for _, plan in plans)
+    (log.plan_stamps_ns, log.plans), (log.tour_stamps_ns, log.tours) = (
+        (tuple(stamp for stamp, _ in found), tuple(path for _, path in found)) for found in paths.values()
+    )
     log.estimates, log.cut_short = tuple(estimates), reader.cut_short
     return log
 
