@@ -164,7 +164,8 @@ def _whole(runs: Sequence[Figures]) -> tuple[str, bool]:
 def _large(is_asked: bool, runs: Sequence[Figures]) -> tuple[str, bool]:
     (row,) = runs
     ratio = row["travel_m"] / row["reference_m"]
-    shown = f"{row['outcome']}, coverage {row['coverage']:.4f}, travel {ratio:.2f}, ATE {row['ate_m']:.3f} m, "
+    travel = "not compared" if math.isnan(ratio) else f"{ratio:.2f}"
+    shown = f"{row['outcome']}, coverage {row['coverage']:.4f}, travel {travel}, ATE {row['ate_m']:.3f} m, "
     is_whole = row["collisions"] == 0 and (not is_asked or (row["coverage"] >= 0.998 and ratio <= 1.2))
     return f"{shown}NEES {row['nees']:.1f}, {row['collisions']} touches", is_whole and "explored" in row["outcome"]
 

@@ -115,8 +115,15 @@ def logs_text(rows: Mapping[str, Any]) -> str:
 
 def result_text(found: Mapping[str, Any]) -> str:
     """The tables that a command has kept, the command, and where it ran."""
-    parts = [f"    {found['command']}", *(markdown(lines, found["text"]) for lines in found["tables"])]
+    kept = [_with_limits(lines) for lines in found["tables"]]
+    parts = [f"    {found['command']}", *(markdown(lines, found["text"]) for lines in kept)]
     return "\n\n".join([*parts, f"Code: `{found['commit']}` on {found['machine']}."])
+
+
+def _with_limits(lines: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
+    """Of a table of what is asked, the rows of which something is; the command prints the others, too."""
+    asked = [lines[0].index(name) for name in ("asked", "limit") if name in lines[0]]
+    return [row for row in lines if not asked or row[asked[0]]]
 
 
 def texts() -> dict[str, str]:

@@ -208,7 +208,7 @@ class _MapDrawing:
         if has_plans:
             (self._plan,) = ax.plot([], [], **_LINE, linewidth=1.6, color=PLAN, label="planned path", zorder=5)
         if has_tours:
-            style = {"linestyle": ":", "marker": "o", "markersize": 3.0, "linewidth": 1.0, "color": PLAN}
+            style = {"marker": "o", "markersize": 2.6, "linewidth": 0.6, "color": PLAN}
             (self._tour,) = ax.plot([], [], label="tour of views", zorder=5, **style)
 
     def _add_robot(self, ax: Any, radius_m: float) -> None:

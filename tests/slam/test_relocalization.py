@@ -160,7 +160,7 @@ def test_a_lost_robot_finds_its_place_and_drives_its_task_and_so_does_the_replay
 
 def test_a_lost_robot_in_another_building_ends_in_one_line(first):
     other = np.concatenate([outline((-3, -3), (9, -3), (9, 7.5), (-3, 7.5)), box(2, 2, 2, 1)])
-    scene = dataclasses.replace(scene_of(other, Pose()), region=(-3.0, -3.0, 9.0, 7.5))
+    scene = dataclasses.replace(scene_of(other, Pose()), region=(-3.0, -3.0, 9.0, 7.5), tour=((4.2, 0.8), (0.8, 0.8)))
     config = preset(scene="rectangle", task="tour", max_time=10.0, seed=2)
     with pytest.raises(PriorMapError, match=r"^lost: found no place of first that alone fits what was seen on \d+ m"):
         loop.run(config, scene=scene, prior=PriorStart(first, is_lost=True))
