@@ -121,8 +121,9 @@ class Exploration:
         self.state, self._turning = "viewing", False
         self._target = self._next_target(pose) or self._target_outside(pose) or self._dear_target(pose) or NO_TARGET
         if self._target is not NO_TARGET:
-            stops = (self._target.tour[:, ::-1] + 0.5) * self._view.cell_m
-            self._task.tours.append(np.vstack([pose.position, stops, self._task.home]))
+            if len(self._target.tour):
+                stops = (self._target.tour[:, ::-1] + 0.5) * self._view.cell_m
+                self._task.tours.append(np.vstack([pose.position, stops, self._task.home]))
             row, col = self._target.viewpoint
             self.driver.head_for(self._view.point(row - self._view.frame.top, col - self._view.frame.left), pose)
             return

@@ -144,3 +144,9 @@ def test_the_tours_of_an_exploration_are_in_its_bag(tmp_path):
     assert len(log.tours) == len(log.tour_stamps_ns) == len(trace.tours) > 0
     assert all(np.array_equal(a, b) for a, b in zip(log.tours, trace.tours, strict=True))
     assert all(np.allclose(tour[-1], trace.estimates[0][:2]) for tour in log.tours)  # home
+
+
+def test_views_that_no_tour_has_chosen_make_no_tour():
+    config = preset(task="explore", scene="rectangle", max_time=20.0, explore={"method": "random"})
+    trace = run(config)
+    assert trace.plans and not trace.tours
