@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 from harness import CACHE, kept, pooled
 from tables import mean_and_error
 
+from sixthsense.running.warmup import warm_up, warm_up_scans
+
 Figures = dict[str, Any]
 Found = Mapping[str, Figures]
 """figures by the key of their case"""
@@ -73,6 +75,12 @@ def line(what: str, asked: str, runs: Sequence[Figures | None], judge_runs: Judg
             return Line(what, asked, found["failed"], "NO")
     shown, is_met = judge_runs(known)
     return Line(what, asked, shown, "yes" if is_met else "NO")
+
+
+def warm() -> None:
+    """Compile the hot loops, once in each process."""
+    warm_up()
+    warm_up_scans()
 
 
 def within(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:

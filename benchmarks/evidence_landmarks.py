@@ -19,23 +19,31 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
-from asked import Case, Figures, Found, Line, line, measure, selected, within
+from asked import Case, Figures, Found, Line, line, measure, selected, warm, within
 from explored_worlds import places_at_hand
 from generated_worlds import FAMILIES
-from harness import PACKAGE, arguments, check_at_least, code_commit, data_path, finish, print_table, replay_errors, run
+from harness import (
+    PACKAGE,
+    arguments,
+    check_at_least,
+    code_commit,
+    data_path,
+    finish,
+    print_table,
+    replay_errors,
+    run,
+    run_by_processor,
+)
 from tours import Row, judge, make_row, nees_of, tour
 from worlds import make_row as make_world_row
 from worlds import maps_at_hand
 
 from sixthsense.config import preset
-from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.replay_input import of_log, open_recorded
 
 CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
@@ -86,8 +94,7 @@ def figures_of(case: Case) -> Figures:
         (place,) = (place for place in places_at_hand() if Path(place.scene).stem == name)
         return _figures(judge(run(dataclasses.replace(base, scene=place.scene, start=place.start)).trace))
     if case.kind == "smoother":
-        with mock.patch.object(time, "perf_counter", time.thread_time):  # what the stages' stopwatch reads
-            made = run(dataclasses.replace(base, scene=name, estimator="isam2", task="tour", max_time=LONG_S))
+        made = run_by_processor(dataclasses.replace(base, scene=name, estimator="isam2", task="tour", max_time=LONG_S))
         ms = made.trace.stopwatch.keyframe_ms()
         tenth = len(ms) // 10
         return {"last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean())}
@@ -145,12 +152,6 @@ def _nees(low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
 def _no_wrong_match(runs: Sequence[Figures]) -> tuple[str, bool]:
     wrong, count = sum(found["wrong"] for found in runs), sum(found["observations"] for found in runs)
     return f"{wrong} of {count:,}", wrong == 0
-
-
-def warm() -> None:
-    """Compile the hot loops, once in each process."""
-    warm_up()
-    warm_up_scans()
 
 
 def main() -> int:

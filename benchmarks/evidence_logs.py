@@ -30,7 +30,7 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from asked import Case, Figures, Found, Line, line, measure, selected
+from asked import Case, Figures, Found, Line, line, measure, selected, warm
 from damaged_logs import DAMAGES, damaged
 from harness import (
     PACKAGE,
@@ -50,7 +50,6 @@ from tables import LOGS, mean_and_error, write_pages
 from tours import judge, nees_of, short_drive
 
 from sixthsense.config import merge, preset
-from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.replay_input import of_log, open_recorded
 
 CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
@@ -214,12 +213,6 @@ def _command_lines(found: Found) -> Iterator[Line]:
 
 def _figure(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
     return f"{runs[0][name]:.2f}", low <= runs[0][name] <= high
-
-
-def warm() -> None:
-    """Compile the hot loops, once in each process."""
-    warm_up()
-    warm_up_scans()
 
 
 def seeds_of(found: Found) -> list[int]:

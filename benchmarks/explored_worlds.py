@@ -21,11 +21,20 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-from unittest import mock
 
 import numpy as np
 from asked import Case, Figures, Found, Line, line, measure, selected
-from harness import PACKAGE, arguments, check_at_least, code_commit, data_path, finish, pooled, print_table, run
+from harness import (
+    PACKAGE,
+    arguments,
+    check_at_least,
+    code_commit,
+    data_path,
+    finish,
+    pooled,
+    print_table,
+    run_by_processor,
+)
 from nearest_frontier import nearest_frontier_travel
 from worlds import maps_at_hand, world
 
@@ -102,8 +111,7 @@ def figures_of(case: Case) -> Figures:
 def explored(config: Config) -> Figures:
     """Explore, and compare the travel; times are processor times."""
     began = time.process_time()
-    with mock.patch.object(time, "perf_counter", time.thread_time):  # what the stages' stopwatch reads
-        found = run(config)
+    found = run_by_processor(config)
     spent_s = time.process_time() - began
     metrics, rows = found.metrics, found.trace.stopwatch.rows[1:]
     plan_ms = [row.get("plan", 0.0) for row in rows]

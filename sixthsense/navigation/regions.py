@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.navigation.gridsearch.bucket_queue import appended
+from sixthsense.navigation.gridsearch.union_find import join, root_of
 from sixthsense.slam.mapping.freespace import Bools
 
 Cells = NDArray[np.int64]
@@ -185,39 +186,23 @@ def joined(cells: Cells) -> NDArray[np.int64]:
     for i in range(len(cells)):
         r, c = cells[i]
         if i > 0 and cells[i - 1, 0] == r and cells[i - 1, 1] == c - 1:
-            _join(root, i - 1, i)
+            join(root, i - 1, i)
         while cells[above, 0] < r - 1 or (cells[above, 0] == r - 1 and cells[above, 1] < c - 1):
             above += 1
         j = above
         while cells[j, 0] == r - 1 and cells[j, 1] <= c + 1:
-            _join(root, j, i)
+            join(root, j, i)
             j += 1
     part = np.empty(len(cells), dtype=np.int64)
     parts = 0
     for i in range(len(cells)):
-        first = _root(root, i)
+        first = root_of(root, i)
         if first == i:
             part[i] = parts
             parts += 1
         else:
             part[i] = part[first]
     return part
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _root(root: Nodes, i: int) -> int:
-    """The first cell of a part, with the way to it made shorter."""
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _join(root: Nodes, i: int, j: int) -> None:
-    """Make one part of those of two cells."""
-    a, b = _root(root, i), _root(root, j)
-    root[max(a, b)] = min(a, b)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.navigation.gridsearch.distances import may_step
+from sixthsense.navigation.gridsearch.union_find import Numbers, join, root_of
 from sixthsense.slam.mapping.freespace import Bools
 
 SQUARE = 64
@@ -20,7 +21,6 @@ TILE = 8
 
 Parts = NDArray[np.uint16]
 """(H, W) of each cell the number of its part within its square, from 1; 0: not passable."""
-Numbers = NDArray[np.int64]
 
 
 class Reached:
@@ -105,25 +105,15 @@ def _reached_parts(parts: Parts, first: Numbers, count: int, blocked: Bools, row
                 for to_c in range(max(c - 1, 0), min(c + 2, width)):
                     if parts[to_r, to_c] > 0 and may_step(blocked, r, c, to_r, to_c):
                         there = first[to_r // SQUARE, to_c // SQUARE] + parts[to_r, to_c] - 1
-                        a, b = _root(root, here), _root(root, there)
-                        root[max(a, b)] = min(a, b)
+                        join(root, here, there)
     reached = np.zeros(count, dtype=np.bool_)
     for r in range(max(row - 1, 0), min(row + 2, height)):
         for c in range(max(col - 1, 0), min(col + 2, width)):
             if parts[r, c] > 0 and may_step(blocked, row, col, r, c):
-                reached[_root(root, first[r // SQUARE, c // SQUARE] + parts[r, c] - 1)] = True
+                reached[root_of(root, first[r // SQUARE, c // SQUARE] + parts[r, c] - 1)] = True
     for part in range(count):
-        reached[part] = reached[_root(root, part)]
+        reached[part] = reached[root_of(root, part)]
     return reached
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _root(root: Numbers, i: int) -> int:
-    """The first of the parts that are joined with a part; makes the way to it shorter."""
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
 
 
 @numba.njit(cache=True, error_model="numpy")
