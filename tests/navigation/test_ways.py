@@ -30,8 +30,9 @@ def plain_costs(prices: Prices, start: tuple[int, int]) -> Array:
                 r, c = row + down, col + across
                 if not (0 <= r < prices.shape[0] and 0 <= c < prices.shape[1]) or (r, c) == (row, col):
                     continue
-                if prices[r, c] and (not down * across or (prices[row, c] and prices[r, col])):
-                    heapq.heappush(queue, (cost + (7 if down and across else 5) * int(prices[r, c]), r, c))
+                passed = prices[[row, r, r], [c, col, c]] if down * across else prices[r, [c]]
+                if passed.all():
+                    heapq.heappush(queue, (cost + (7 if down and across else 5) * int(passed.max()), r, c))
     return costs
 
 
@@ -45,7 +46,10 @@ def test_costs_are_those_of_a_plain_search_and_ways_cost_what_they_say(seed: int
         way = cheapest_way(prices, costs, row, col)
         assert way[0].tolist() == [5, 7] and way[-1].tolist() == [row, col]
         steps = np.abs(np.diff(way, axis=0)).sum(axis=1)
-        assert costs[row, col] == np.sum(np.where(steps == 2, 7, 5) * prices[tuple(way[1:].T)].astype(int))
+        (r, c), (to_r, to_c) = way[:-1].T, way[1:].T
+        passed = np.max([prices[to_r, to_c], prices[r, to_c], prices[to_r, c]], axis=0, where=(steps == 2), initial=0)
+        dearest = np.maximum(passed, prices[to_r, to_c]).astype(int)
+        assert costs[row, col] == np.sum(np.where(steps == 2, 7, 5) * dearest)
     assert len(cheapest_way(prices, costs, *np.argwhere(costs < 0)[0].tolist())) == 0
 
 

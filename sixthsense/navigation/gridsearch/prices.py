@@ -23,7 +23,7 @@ Costs = NDArray[np.int32]
 def costs_from(prices: Prices, row: int, col: int) -> Costs:
     """The costs of the ways from a cell.
 
-    Steps lead to the eight neighbours and cut no corner of a cell without price.
+    Steps lead to the eight neighbours, cut no corner of a cell without price, and pay for the corners of dear ones.
     """
     height, width = prices.shape
     costs = np.full((height, width), -1, dtype=np.int32)
@@ -74,6 +74,5 @@ def _step(prices: Prices, row: int, col: int, to_row: int, to_col: int) -> int:
         return 0
     if to_row == row or to_col == col:
         return STRAIGHT * int(prices[to_row, to_col])
-    if prices[row, to_col] == 0 or prices[to_row, col] == 0:
-        return 0
-    return DIAGONAL * int(prices[to_row, to_col])
+    a, b, to = int(prices[row, to_col]), int(prices[to_row, col]), int(prices[to_row, to_col])
+    return DIAGONAL * max(a, b, to) if min(a, b, to) > 0 else 0
