@@ -6,13 +6,14 @@ import math
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.visibility import line_of_sight
 from sixthsense.slam.mapping.freespace import Bools
 
-_DIRECTIONS = 8192
-"""in which a search tells shadows apart"""
+_DIRECTIONS, _RANGES = 1 << 24, 1024
+"""that a search tells apart, and of which it remembers at most so many ranges"""
 Cell = tuple[int, int]
 """Row and column."""
 
@@ -57,66 +58,149 @@ def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int,
     """The flat index of the nearest allowed cell from which a cell is visible within `reach`; -1 if none.
 
     Squares around the cell are searched outwards until no cell further out can be nearer; of several that are as near,
-    that of the smallest square, then the first. Cells in the shadow of an obstacle of a smaller square are left out.
+    that of the smallest square, then the first. Of each only the directions are searched that no obstacle of a smaller
+    square hides, so that the work is that of the visible cells.
     """
-    height, width = allowed.shape
-    shadow = np.zeros(_DIRECTIONS, dtype=np.bool_)
+    width = allowed.shape[1]
+    if allowed[row, col]:
+        return int(row * width + col)
+    ranges, count = np.empty((_RANGES, 2), dtype=np.int64), 1  # of directions that are open, in their order
+    ranges[0] = 0, _DIRECTIONS
     hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
     best, found = reach + 1e-9, -1
-    for ring in range(int(reach) + 1):
-        if ring > best:
+    for ring in range(1, int(reach) + 1):
+        if ring > best or count == 0:
             break
-        count, of_smaller = 0, found
-        for side in range(4 if ring > 0 else 1):
-            # Rows above and below, then the columns between them.
-            is_row = side < 2
-            at = (row if is_row else col) + (ring if side % 2 else -ring)
-            if not 0 <= at < (height if is_row else width):
-                continue
-            along = max(col - ring, 0) if is_row else max(row - ring + 1, 0)
-            past = min(col + ring + 1, width) if is_row else min(row + ring, height)
-            while along < past:
-                r, c = (at, along) if is_row else (along, at)
-                if not tiles[r // TILE, c // TILE]:
-                    along = (along // TILE + 1) * TILE
-                    continue
-                along += 1
-                if not (allowed[r, c] or obstacles[r, c]) or shadow[int(_direction(r - row, c - col))]:
-                    continue
-                if obstacles[r, c] and ring > 0:
-                    hiding[count] = r - row, c - col
-                    count += 1
-                if allowed[r, c]:
-                    away, index = math.hypot(r - row, c - col), r * width + c
-                    first_of_equals = away == best and found != of_smaller and index < found
-                    if (away < best or first_of_equals) and line_of_sight(obstacles, r, c, row, col):
-                        best, found = away, index
+        hidden, of_smaller, around = 0, found, 8 * ring
         for k in range(count):
-            _cast_shadow(shadow, hiding[k, 0], hiding[k, 1])
+            at, past = -(-ranges[k, 0] * around // _DIRECTIONS), -(-ranges[k, 1] * around // _DIRECTIONS)
+            while at < past:
+                side = at // (2 * ring)
+                end = min(past, 2 * ring * (side + 1))
+                is_row, fixed, moving, step = _side(row, col, ring, side, at - 2 * ring * side)
+                first, left = _within(allowed.shape, is_row, fixed, moving, step, end - at)
+                at, moving = end, moving + step * first
+                while left > 0:
+                    r, c = (fixed, moving) if is_row else (moving, fixed)
+                    cells = 1
+                    if not tiles[r // TILE, c // TILE]:
+                        cells = TILE - moving % TILE if step > 0 else moving % TILE + 1
+                    left, moving = left - cells, moving + step * cells
+                    if obstacles[r, c]:
+                        hiding[hidden] = r - row, c - col
+                        hidden += 1
+                    if allowed[r, c]:
+                        away, index = math.hypot(r - row, c - col), r * width + c
+                        first_of_equals = away == best and found != of_smaller and index < found
+                        if (away < best or first_of_equals) and line_of_sight(obstacles, r, c, row, col):
+                            best, found = away, index
+        for k in range(hidden):
+            count = _hide(ranges, count, obstacles, row, col, hiding[k, 0], hiding[k, 1])
     return found
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _direction(rows: float, cols: float) -> float:
-    """Direction of an offset as a number from 0 up to `_DIRECTIONS`, which ascends with the angle."""
-    length = abs(rows) + abs(cols)
-    if length == 0.0:
-        return 0.0
-    turn = rows / length if cols >= 0.0 else 2.0 - rows / length  # -1 to 3
-    return min((turn + 1.0) * (_DIRECTIONS / 4.0), _DIRECTIONS - 1e-9)
+def _side(row: int, col: int, ring: int, side: int, along: int) -> tuple[bool, int, int, int]:
+    """Whether one side of the square `ring` cells around a cell is a row, which, and where and how it goes on.
+
+    The sides follow one another from the first corner, along the first row, down the last column, and back.
+    """
+    is_row, forward = side % 2 == 0, side < 2
+    fixed = (row if is_row else col) + (ring if side in (1, 2) else -ring)
+    moving = (col if is_row else row) + (along - ring if forward else ring - along)
+    return is_row, fixed, moving, 1 if forward else -1
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cast_shadow(shadow: Bools, rows: int, cols: int) -> None:
-    """Mark the directions in which the cell at an offset, not that of the viewer, hides all cells behind it.
+def _within(shape: tuple[int, int], is_row: bool, fixed: int, moving: int, step: int, cells: int) -> tuple[int, int]:
+    """The first of some cells of a row or column that lies in the grid, and how many do."""
+    across, along = (shape[0], shape[1]) if is_row else (shape[1], shape[0])
+    if not 0 <= fixed < across:
+        return 0, 0
+    first = max(-moving if step > 0 else moving - along + 1, 0)
+    past = min(cells, along - moving if step > 0 else moving + 1)
+    return first, past - first
 
-    Only whole steps of direction strictly between its corners count. The cell across the first direction hides none.
+
+@numba.njit(cache=True, error_model="numpy")
+def _hide(ranges: NDArray[np.int64], count: int, obstacles: Bools, row: int, col: int, rows: int, cols: int) -> int:
+    """Take what an obstacle at an offset hides from the ranges of directions; how many ranges are left.
+
+    With each of its neighbours it hides what is between the two as well: no line of sight passes there.
     """
-    if cols == 0 and rows < 0:
-        return
-    low, high = float(_DIRECTIONS), 0.0
+    centre = _direction(rows, cols)
+    low, high = _extent(rows, cols, centre)
+    ring, (height, width) = max(abs(rows), abs(cols)), obstacles.shape
+    for r in range(max(rows - 1, -ring, -row), min(rows + 2, ring + 1, height - row)):
+        for c in range(max(cols - 1, -ring, -col), min(cols + 2, ring + 1, width - col)):
+            if obstacles[row + r, col + c] and max(abs(r), abs(c)) > 0:  # but not the cell itself
+                low_too, high_too = _extent(r, c, centre)
+                # Whole steps of direction strictly between the two.
+                first = math.floor(min(low, low_too)) + 1
+                past = math.floor(max(high, high_too))
+                count = _without(ranges, count, max(first, 0), min(past, _DIRECTIONS))
+                if first < 0:
+                    count = _without(ranges, count, first + _DIRECTIONS, _DIRECTIONS)
+                if past > _DIRECTIONS:
+                    count = _without(ranges, count, 0, past - _DIRECTIONS)
+    return count
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _extent(rows: int, cols: int, centre: float) -> tuple[float, float]:
+    """The least and the greatest direction of the corners of the cell at an offset, counted on from one near it."""
+    low, high = math.inf, -math.inf
     for k in range(4):
         corner = _direction(rows + (0.5 if k < 2 else -0.5), cols + (0.5 if k % 2 else -0.5))
+        if abs(corner - centre) > 0.5 * _DIRECTIONS:
+            corner -= math.copysign(_DIRECTIONS, corner - centre)
         low, high = min(low, corner), max(high, corner)
-    for k in range(int(low) + 1, int(high)):
-        shadow[k] = True
+    return low, high
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _direction(rows: float, cols: float) -> float:
+    """Direction of an offset as a number from 0 up to `_DIRECTIONS`: how far it lies along the square about (0, 0)."""
+    ring = max(abs(rows), abs(cols))
+    if -rows == ring and cols < ring:
+        along = cols + ring
+    elif cols == ring and rows < ring:
+        along = rows + 3.0 * ring
+    elif rows == ring and cols > -ring:
+        along = 5.0 * ring - cols
+    else:
+        along = 7.0 * ring - rows
+    return along * (_DIRECTIONS / (8.0 * ring))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _without(ranges: NDArray[np.int64], count: int, low: int, past: int) -> int:
+    """Take the directions from `low` up to `past` from the ranges; how many are left."""
+    if low >= past:
+        return count
+    k = 0
+    while k < count:
+        first, end = ranges[k, 0], ranges[k, 1]
+        if first >= past:
+            break
+        if end <= low:
+            k += 1
+        elif first < low and end > past:
+            if count == _RANGES:
+                break
+            for i in range(count, k + 1, -1):
+                ranges[i, 0], ranges[i, 1] = ranges[i - 1, 0], ranges[i - 1, 1]
+            ranges[k, 1] = low
+            ranges[k + 1, 0], ranges[k + 1, 1] = past, end
+            return count + 1
+        elif first < low:
+            ranges[k, 1] = low
+            k += 1
+        elif end > past:
+            ranges[k, 0] = past
+            break
+        else:
+            count -= 1
+            for i in range(k, count):
+                ranges[i, 0], ranges[i, 1] = ranges[i + 1, 0], ranges[i + 1, 1]
+    return count
