@@ -69,13 +69,13 @@ class Exploration:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
         self._map = self._driving_map(grid, estimate)
-        self._view.ways.moved(pose.position)
+        has_come_through = self._view.ways.moved(pose.position)
         self.driver.update_map(self._map, pose)
         self._history.add(pose, estimate.pose_cov)
         if self.state == "viewing":
             self._go_on(grid, pose)
-        elif self.state == "closing a loop" and self._history.is_certain:
-            self._choose_view(pose)
+        elif has_come_through or (self.state == "closing a loop" and self._history.is_certain):
+            self._choose_view(pose)  # a robot that was shut in on its way home has other views on this side
         elif not self.driver.path_is_free(pose):
             self.driver.plan(pose)
 

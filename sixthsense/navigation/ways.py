@@ -78,11 +78,12 @@ class Ways:
         if len(dear):
             self._untried.append(OpenWay(way[dear[0] : dear[-1] + 2], bool((prices == _DRIVEN).any())))
 
-    def moved(self, position: Array) -> None:
-        """Take in where the robot is, (2,): a way stays open if it has come to its end."""
+    def moved(self, position: Array) -> bool:
+        """Take in where the robot is, (2,): a way stays open if it has come to its end; whether it has to one."""
         passed = [math.dist(position, (way.cells[-1, ::-1] + 0.5) * self._cell_m) <= _PASSED_M for way in self._untried]
         self._passed += [way for way, through in zip(self._untried, passed, strict=True) if through]
         self._untried = [way for way, through in zip(self._untried, passed, strict=True) if not through]
+        return any(passed)
 
     def close_untried(self) -> list[OpenWay]:
         """Close the ways that the robot has not come through, after a few tries for good; those that were closed."""
