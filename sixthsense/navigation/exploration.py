@@ -270,12 +270,12 @@ class Exploration:
     def _may_wait(self) -> bool:
         """Count a wait for people to go; whether any are expected and patience is left.
 
-        A robot that waits as long again as it has explored at most doubles its time.
+        A robot that waits, turning, for as many keyframes as it has explored at most doubles their number.
         """
         self._forget_if_new()
         self._waits += 1
-        is_patient = self._waits <= PATIENT_TURNS or self._looks <= 2 * self._looks_until_new
-        return bool(self._task.config.people) and is_patient
+        turns_as_long = self._looks_until_new * self._task.config.keyframes.turn_rad / (2.0 * math.pi)
+        return bool(self._task.config.people) and self._waits <= max(PATIENT_TURNS, turns_as_long)
 
     def _forget_if_new(self) -> None:
         """Count blocked paths and waits from nothing if more has been seen since the last one."""
