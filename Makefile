@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= 1
 
-.PHONY: run test test-all notebooks check kernels bench evidence evidence-logs guard pictures pictures-check docs clean
+.PHONY: run test test-all coverage notebooks check kernels bench evidence evidence-logs guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -20,6 +20,11 @@ test: $(VENV)/installed  ## what CI runs
 
 test-all: $(VENV)/installed  ## the slow statistics too
 	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+coverage: $(VENV)/installed  ## which share of the branches of each room the tests take
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal --cov=sixthsense --cov-branch --cov-report=
+	@for room in sixthsense/*/; do \
+		printf '%-26s' "$$room"; $(BIN)/python -m coverage report --include="$$room*" --format=total || true; done
 
 notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritten
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks
