@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from laws.observability import heading_variances, nullity, observability_gramian
 
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.batch import to_robot
 from sixthsense.testing.estimation import CONSISTENT, START, START_COV, joint_state, make, noisy, step
+from sixthsense.testing.observability import heading_variances, nullity, observability_gramian
 from sixthsense.testing.posterior import BOTH
 
 FILTERS = [name for name in ESTIMATORS if name != "isam2"]
