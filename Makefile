@@ -23,8 +23,8 @@ test-all: $(VENV)/installed  ## the slow statistics too
 
 coverage: $(VENV)/installed  ## which share of the branches of each room the tests take
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist worksteal --cov=sixthsense --cov-branch --cov-report=
-	@for room in sixthsense/*/; do \
-		printf '%-26s' "$$room"; $(BIN)/python -m coverage report --include="$$room*" --format=total || true; done
+	@for room in $(dir $(wildcard sixthsense/*/__init__.py)); do \
+		printf '%-26s' "$$room"; $(BIN)/python -m coverage report --include="$$room*" --format=total; done
 
 notebooks: $(VENV)/installed  ## run every notebook, as CI does; none is rewritten
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --nbmake --nbmake-timeout=120 -n 2 notebooks

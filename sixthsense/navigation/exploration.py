@@ -75,8 +75,10 @@ class Exploration:
         self._history.add(pose, estimate.pose_cov)
         if self.state == "viewing":
             self._go_on(grid, pose)
-        elif has_come_through or (self.state == "closing a loop" and self._history.is_certain):
-            self._choose_view(pose)  # a robot that was shut in on its way home has other views on this side
+        elif self.state == "closing a loop" and self._history.is_certain:
+            self._choose_view(pose)
+        elif self.state == "going home" and has_come_through:
+            self._choose_view(pose)  # there may be views on this side of where it was shut in
         elif not self.driver.path_is_free(pose):
             self.driver.plan(pose)
 

@@ -273,6 +273,19 @@ def test_without_a_path_home_the_robot_goes_back_as_it_came_and_then_gives_up() 
     assert exploration.outcome == "goal unreachable"
 
 
+@pytest.mark.parametrize(("state", "then"), [("going home", "viewing"), ("closing a loop", "closing a loop")])
+def test_who_has_come_through_dear_cells_on_the_way_home_looks_for_views_again(state: State, then: State) -> None:
+    stage = Stage(NARROW_DOOR)
+    stage.look(START)
+    exploration = stage.exploration
+    exploration.state, exploration._target = state, NO_TARGET
+    exploration.driver.head_for(START.position, START)
+    assert stage.look(START, sigma_m=0.08) == state  # more is unseen, but it has come through nothing
+    here = np.floor(START.position[::-1] / stage.config.grid.cell_m).astype(np.int64)
+    exploration._view.ways.open(np.array([here, here]), np.array([10, 1], dtype=np.uint8))
+    assert stage.look(START, sigma_m=0.08) == then
+
+
 def test_where_people_are_expected_the_robot_waits_before_it_leaves_a_place_unseen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
