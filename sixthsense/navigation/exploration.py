@@ -60,7 +60,7 @@ class Exploration:
         self._ways_home = 0  # over dear cells, that were tried
         self._stuck = False  # since the last arrival
         self._blocked_paths = self._waits = 0  # since the robot has seen anything new
-        self._seen_m2, self._looks, self._looks_until_new = 0.0, 0, 0
+        self._seen_m2 = 0.0
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._driving_map(grid, estimate)
         self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
@@ -68,7 +68,6 @@ class Exploration:
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
-        self._looks += 1
         self._map = self._driving_map(grid, estimate)
         has_come_through = self._view.ways.moved(pose.position)
         self.driver.update_map(self._map, pose)
@@ -97,7 +96,7 @@ class Exploration:
 
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """React to an event of the drive; whether the exploration is over."""
-        if event == "stuck" and self._stuck and not self._may_wait():
+        if event == "stuck" and self._stuck:
             self.outcome = "stuck"
         elif self.state == "closing a loop":
             self._choose_view(pose)
@@ -270,20 +269,16 @@ class Exploration:
         return self._view.cell(pose.position if free is None else free)
 
     def _may_wait(self) -> bool:
-        """Count a wait for people to go; whether any are expected and patience is left.
-
-        A robot that waits, turning, for as many keyframes as it has explored at most doubles their number.
-        """
+        """Count a wait for people to go; whether any are expected and patience is left."""
         self._forget_if_new()
         self._waits += 1
-        turns_as_long = self._looks_until_new * self._task.config.keyframes.turn_rad / (2.0 * math.pi)
-        return bool(self._task.config.people) and self._waits <= max(PATIENT_TURNS, turns_as_long)
+        return bool(self._task.config.people) and self._waits <= PATIENT_TURNS
 
     def _forget_if_new(self) -> None:
         """Count blocked paths and waits from nothing if more has been seen since the last one."""
         seen_m2 = self._map.grid.seen_area_m2
         if seen_m2 > self._seen_m2 + _NEW_M2:
-            self._blocked_paths, self._waits, self._looks_until_new = 0, 0, self._looks
+            self._blocked_paths = self._waits = 0
         self._seen_m2 = max(seen_m2, self._seen_m2)
 
     def _open_way(self, way: Cells, prices: Prices, pose: Pose) -> None:
