@@ -46,6 +46,15 @@ def turned_covariance(cov: Array, angle: float) -> Array:
     return 0.5 * (turned + turned.T)
 
 
+def root_information(cov: Array) -> Array:
+    """(..., n, n) W of covariances (..., n, n), with W^T W = cov^-1: it whitens errors.
+
+    Of the covariance's Cholesky factor: where one direction is known to millimetres and another not at all, rounding
+    makes the inverse of the covariance itself indefinite.
+    """
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(cov)))
+
+
 def check_covariance(name: str, value: Array) -> Array:
     """The (3, 3) covariance of a pose or a motion as float64; ValueError naming it if it is invalid."""
     cov = np.asarray(value, dtype=np.float64)

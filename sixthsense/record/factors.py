@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
@@ -121,9 +122,9 @@ def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -
     lines += [f"VERTEX_XY {first + j} {_row(xy)}" for j, xy in enumerate(graph.landmarks)]
     upper = np.triu_indices(3)
     for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
-        lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
+        lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(_information(cov)[upper])}")
     for (k, j), motion, cov in zip(*links, strict=True):
-        lines.append(f"EDGE_SE2 {k} {j} {_row(motion)} {_row(np.linalg.inv(cov)[upper])}")
+        lines.append(f"EDGE_SE2 {k} {j} {_row(motion)} {_row(_information(cov)[upper])}")
     rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), polar, cov in rows:
         lines.append(f"BR {k} {first + j} {_row(polar)} {_row(np.sqrt(np.diag(cov)))}")
@@ -132,6 +133,11 @@ def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -
     with whole(folder / "graph.npz") as file:
         of_links = {f"link_{name}": values for name, values in links._asdict().items()}
         np.savez(file, **{name: getattr(graph, name) for name in FactorGraph.__slots__}, **of_links)
+
+
+def _information(cov: Array) -> Array:
+    root = root_information(cov)
+    return root.T @ root
 
 
 def _row(values: Array) -> str:

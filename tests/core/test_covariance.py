@@ -7,7 +7,7 @@ import pytest
 
 from sixthsense.config import AssumedConfig, MotionNoise
 from sixthsense.core.arc import arc, arc_jacobian
-from sixthsense.core.covariance import composed_covariance, transformed, turned_covariance
+from sixthsense.core.covariance import composed_covariance, root_information, transformed, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, variance
 from sixthsense.core.odometry_kernels import Slip, slipped
@@ -18,6 +18,17 @@ RNG = np.random.default_rng(0)
 def covariance() -> Array:
     factor = RNG.normal(size=(3, 3))
     return factor @ factor.T
+
+
+def test_a_root_is_accurate_where_one_direction_is_known_and_another_is_not():
+    variances = np.array([1e-6, 1e-5, 1e4])
+    for _ in range(20):
+        axes = np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+        covs = np.array([(axes * variances) @ axes.T, covariance()])
+        root = root_information(covs)
+        whitened = root[0] @ (axes * np.sqrt(variances))
+        assert np.allclose(whitened.T @ whitened, np.eye(3), atol=1e-4)
+        assert np.allclose(root[1].T @ root[1], np.linalg.inv(covs[1]))
 
 
 def test_a_covariance_is_transformed_by_the_jacobian():

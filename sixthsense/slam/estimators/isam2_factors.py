@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from sixthsense.config import ISAM2Config
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators.base import Link
@@ -35,9 +36,12 @@ def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
 
 
 def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
-    """The noise with a covariance (n, n)."""
-    # By default GTSAM takes a covariance whose off-diagonals are below 1e-9 for a diagonal one.
-    return gtsam.noiseModel.Gaussian.Covariance(cov, False)
+    """The noise with a covariance (n, n).
+
+    GTSAM itself factors the inverse of a covariance: where rounding has made that indefinite, the result is a
+    constraint that nothing has measured.
+    """
+    return gtsam.noiseModel.Gaussian.SqrtInformation(root_information(cov), False)
 
 
 def loss_of(config: ISAM2Config) -> Loss | None:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import Link, Smoother
@@ -244,7 +245,7 @@ class ScanGraph:
     def _squares(self, ends: NDArray[np.int64], relative: Array, covs: Array) -> Array:
         off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
-        return np.asarray(np.einsum("ni,nij,nj->n", off, np.linalg.inv(covs), off))
+        return np.asarray(((root_information(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
 
     def robot_links(self) -> PoseLinks:
         """All links, between poses of the robot."""

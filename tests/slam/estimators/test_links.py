@@ -2,10 +2,13 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from laws.links import LAWS
 
-from sixthsense.slam.estimators import ESTIMATORS, Filter, Smoother, register_estimator
+from sixthsense.core.geometry import Pose
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators import ESTIMATORS, Filter, Link, Smoother, register_estimator
 from sixthsense.slam.estimators.isam2 import ISAM2
 from sixthsense.testing.estimation import CONVERGED, make
 
@@ -21,6 +24,24 @@ def test_of_the_shipped_estimators_all_are_filters_and_one_is_a_smoother():
 @pytest.mark.parametrize("name", SMOOTHERS)
 def test_links_keep_the_laws(name, law):
     law.check(name)
+
+
+@pytest.mark.parametrize("name", SMOOTHERS)
+def test_a_link_says_nothing_of_a_direction_that_it_has_not_observed(name):
+    """As along a corridor: millimetres across, and a kilometre along."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        smoother = make(name, Pose(), 1e-12 * np.eye(3))
+        smoother.update({})
+        smoother.predict(Odometry(Pose(1.0, 0.2, 0.3), 0.01**2 * np.eye(3)))
+        smoother.update({})
+        before = smoother.estimate().pose_cov
+        link = Odometry(Pose(1.01, 0.2, 0.3), (axes * np.array([0.003, 0.008, 1000.0]) ** 2) @ axes.T)
+        smoother.link([Link(0, 1, link)])
+        unseen = axes[:, 2]
+        along = [unseen @ np.linalg.inv(cov) @ unseen for cov in (before, smoother.estimate().pose_cov)]
+        assert along[1] == pytest.approx(along[0], rel=0.05)
 
 
 class Forgetful(ISAM2):
