@@ -12,26 +12,28 @@ from __future__ import annotations
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import HESSIAN, SPREAD, SUMS, SURFACE_M, Loss, add_one_way, matrix
 from sixthsense.slam.scans.links import FEW_RETURNS
 from sixthsense.slam.scans.scan_store import Returns
 
-_OWN_LOSS = Loss(SURFACE_M, 1.0)
-
 
 def private_covariance(returns: Returns, key: int, sigma_m: float) -> Array:
-    """(3, 3) of the private error of a scan's apparent pose, axes of its laser: 2 sigma^2 H^-1.
+    """(3, 3) of the private error of a scan's apparent pose, axes of its laser: H^-1 N H^-1.
 
-    H is the Hessian of the scan's returns on their own lines, and `sigma_m` the laser's. The factor is that of a
-    return's noise and of the line's that it is compared with. Along a direction that the scan does not observe the
-    apparent pose says nothing, and there is no such error: what the odometry says there is in the graph.
+    H is the Hessian of the distances of the scan's returns from their lines by the pose, less what the noise of the
+    normals feigns, and N its gradient's covariance, where a range has the laser's noise `sigma_m`: across a wall that
+    is as much of it as the beam meets the wall head-on. Along a direction that the scan does not observe the apparent
+    pose says nothing, and there is no such error: what the odometry says there is in the graph.
     """
-    sums = np.zeros(SUMS)
-    add_one_way(returns, key, key, np.zeros(3), _OWN_LOSS, sums)
-    weights, axes = np.linalg.eigh(returns.bearings.stride * (matrix(sums, HESSIAN) - matrix(sums, SPREAD)))
+    x, y, ranges = returns.points[key].astype(np.float64).T
+    nx, ny, variance = returns.normals[key].astype(np.float64).T
+    has_line = (ranges > 0.0) & ((nx != 0.0) | (ny != 0.0))
+    across = np.stack([nx, ny, x * ny - y * nx])[:, has_line]
+    along = np.stack([-ny, nx, x * nx + y * ny])[:, has_line]
+    cosine = along[2] / ranges[has_line]
+    weights, axes = np.linalg.eigh(across @ across.T - (along * variance[has_line]) @ along.T)
     observed = weights > FEW_RETURNS
-    variances = np.where(observed, 2.0 * sigma_m**2 / np.where(observed, weights, 1.0), 0.0)
-    return np.asarray((axes * variances) @ axes.T)
+    inverse = (axes * np.where(observed, 1.0 / np.where(observed, weights, 1.0), 0.0)) @ axes.T
+    return np.asarray(sigma_m**2 * inverse @ ((across * cosine**2) @ across.T) @ inverse)
 
 
 def reported(cov: Array, pose: Array, own: Array, first: Array, start: Array) -> Array:

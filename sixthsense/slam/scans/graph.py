@@ -218,7 +218,8 @@ class ScanGraph:
         """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
 
         The a posteriori variance of unit weight of a least-squares adjustment: the sum of the whitened residuals'
-        squares, of links and odometry, over the redundancy. It is 1 where residuals are as large as stated, and where
+        squares, of links and odometry, over the redundancy. The links of a keyframe to one pass count once in that:
+        what its apparent pose does not take up is an error of the same returns in all of them. The factor is 1 where
         the track has broken or the robot was carried.
         """
         if self.first or self.count < 2:
@@ -234,7 +235,8 @@ class ScanGraph:
         poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys])
         covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys])
         squares = float(self._squares(ends, poses, covs).sum())
-        return (squares + _FACTOR_PRIOR) / (3.0 * len(links) + _FACTOR_PRIOR)
+        passes = {(link.source, link.group == RECENT_GROUP) for link in links}
+        return (squares + _FACTOR_PRIOR) / (3.0 * len(passes) + _FACTOR_PRIOR)
 
     def squares(self, links: Sequence[KeyframeLink]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""

@@ -210,6 +210,21 @@ def test_private_errors_are_those_of_the_laser_and_vanish_with_its_noise():
     assert np.allclose(two, 4.0 * one) and np.linalg.eigvalsh(one)[0] > 0.0 and not none.any()
 
 
+@LASERS
+def test_private_errors_are_what_two_scans_of_one_view_are_off_by(laser):
+    squared, rng = [], np.random.default_rng(3)
+    for _ in range(100):
+        a = Pose(rng.uniform(-1, 0.5), rng.uniform(-1, 1), rng.uniform(-3, 3))
+        returns, true = pair(laser, rng, a, a @ Pose(*rng.normal(0, [0.05, 0.05, 0.05])))
+        found = align_pairs(returns, np.array([0]), np.array([1]), true[None], NEAR_GATE_M)
+        first, second = (private_covariance(returns, k, 0.01) for k in (0, 1))
+        off = found.poses[0] - true
+        cov = reported(np.zeros((3, 3)), found.poses[0], second, first, np.zeros(3))
+        squared.append(off @ np.linalg.solve(cov, off))
+    # A few returns at edges and on other lines are the rest.
+    assert chi2.ppf(0.001, 300) < np.sum(squared) < 1.5 * chi2.ppf(0.999, 300)
+
+
 def test_the_first_scans_error_turns_all_that_follows():
     first = np.diag([0.0, 0.0, 0.01**2])
     far = reported(np.zeros((3, 3)), np.array([0.0, 10.0, 1.0]), np.zeros((3, 3)), first, np.zeros(3))
