@@ -34,8 +34,8 @@ M_PER_RAD = 0.5  # what a turn counts as a distance
 AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
 _ARCS = 2  # of a keyframe to old ones: further links hardly make it more certain
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
-_FACTOR_KEYS, _FACTOR_LINKS = 200, 2000  # keyframes and links at the end that the variance factor is estimated from
-_FACTOR_PRIOR = 30.0  # degrees of freedom of a prior factor of 1
+_FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
+_FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
 _JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
@@ -217,10 +217,11 @@ class ScanGraph:
     def variance_factor(self) -> float:
         """What the graph's covariances are to be multiplied with, by the residuals of the last keyframes.
 
-        The a posteriori variance of unit weight of a least-squares adjustment: the sum of the whitened residuals'
-        squares, of links and odometry, over the redundancy. The links of a keyframe to one pass count once in that:
-        what its apparent pose does not take up is an error of the same returns in all of them. The factor is 1 where
-        the track has broken or the robot was carried.
+        The a posteriori variance of unit weight of a least-squares adjustment: the sum of the squares of the links'
+        whitened residuals over the redundancy, that of links less that of poses. The links of a keyframe to one pass
+        count once in it: what apparent poses do not take up is an error of the same returns in all of them (a design
+        effect as of samples in clusters; Kish, "Survey Sampling", 1965). The factor is 1 where the track has broken or
+        the robot was carried.
         """
         if self.first or self.count < 2:
             return 1.0  # the covariance of a motion that nothing has measured is as stated
@@ -229,14 +230,11 @@ class ScanGraph:
         return self._factor
 
     def _estimated_factor(self) -> float:
-        keys = np.arange(max(1, self.count - _FACTOR_KEYS), self.count)
         links = list(itertools.islice(reversed(self.links.values()), _FACTOR_LINKS))
-        ends = np.array([(link.target, link.source) for link in links] + [(k - 1, k) for k in keys])
-        poses = np.array([link.pose for link in links] + [self._motions[k].motion.array() for k in keys])
-        covs = np.array([link.cov for link in links] + [self._motions[k].cov for k in keys])
-        squares = float(self._squares(ends, poses, covs).sum())
         passes = {(link.source, link.group == RECENT_GROUP) for link in links}
-        return (squares + _FACTOR_PRIOR) / (3.0 * len(passes) + _FACTOR_PRIOR)
+        keys = {link.source for link in links}
+        redundancy = 3.0 * len(passes) * (1.0 - len(keys) / max(len(links), 1))
+        return (float(self.squares(links).sum()) + _FACTOR_PRIOR) / (redundancy + _FACTOR_PRIOR)
 
     def squares(self, links: Sequence[KeyframeLink]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""
