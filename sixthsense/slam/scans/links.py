@@ -37,7 +37,7 @@ _FLOOR_M = 3e-4
 FEW_RETURNS = 3.0
 """returns' worth of information that wrong partners may feign"""
 _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a matrix's entries in its upper triangle
-_UNOBSERVED = 100.0  # sigma, m or rad, where scans say nothing: many links together must not say more than the motion
+_UNOBSERVED = 1000.0  # sigma, m or rad, where scans say nothing: many links together must not say more than the motion
 
 
 @dataclass(frozen=True, slots=True)
