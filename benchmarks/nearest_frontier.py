@@ -18,7 +18,8 @@ from worlds import occupied
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.coverage import visible_area
-from sixthsense.navigation.gridsearch import geodesic_distances, shortest_path
+from sixthsense.navigation.gridsearch import Costs, costs_from, shortest_path
+from sixthsense.navigation.gridsearch.prices import STRAIGHT
 from sixthsense.navigation.viewpoints import Viewpoints
 from sixthsense.navigation.visibility import mark_visible
 from sixthsense.sources.mission import mission
@@ -26,6 +27,7 @@ from sixthsense.sources.scene import load_scene
 
 CELL_M = 0.1
 Mask = NDArray[np.bool_]
+Cell = tuple[int, int]
 
 
 def nearest_frontier_travel(config: Config, share: float) -> float:
@@ -44,12 +46,10 @@ def nearest_frontier_travel(config: Config, share: float) -> float:
     while view.share < share:
         known = passable & (view.seen | ~area.mask)
         known[here] = True
-        lengths = geodesic_distances(known, ~known, *here)
-        goal, wanted = view.nearest(lengths)
+        goal, wanted = view.nearest(costs_from(known.astype(np.uint8), *here))
         if goal is None:
             return math.nan
-        cells, _, _ = shortest_path(~known, here, goal)
-        steps = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(cells, axis=0).T))])
+        cells, steps = _way(known, here, goal)
         looks = np.unique(np.append(np.searchsorted(steps, np.arange(stride, steps[-1], stride)), len(cells) - 1))
         for k in looks:
             view.look((int(cells[k, 0]), int(cells[k, 1])))
@@ -59,7 +59,13 @@ def nearest_frontier_travel(config: Config, share: float) -> float:
         here = int(cells[k, 0]), int(cells[k, 1])
         if k == len(cells) - 1 and not view.seen[wanted]:
             view.given_up[wanted] = True
-    return (travelled + float(geodesic_distances(passable, ~passable, *here)[home])) * area.cell_m
+    return (travelled + float(_way(passable, here, home)[1][-1])) * area.cell_m
+
+
+def _way(passable: Mask, here: Cell, goal: Cell) -> tuple[NDArray[np.int64], Array]:
+    """The cells (N, 2) of the shortest path, and the lengths (N,) until there, in cells."""
+    cells, _, _ = shortest_path(~passable, here, goal)
+    return cells, np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(cells, axis=0).T))])
 
 
 class _View:
@@ -76,19 +82,19 @@ class _View:
     def share(self) -> float:
         return float(np.count_nonzero(self.seen) / self._cells)
 
-    def look(self, cell: tuple[int, int]) -> None:
+    def look(self, cell: Cell) -> None:
         mark_visible(self.seen, self._solid, self._area, *cell, self._reach)
 
-    def nearest(self, lengths: Array) -> tuple[tuple[int, int] | None, tuple[int, int]]:
+    def nearest(self, costs: Costs) -> tuple[Cell | None, Cell]:
         """The cell to drive to, and the unseen cell beside seen ones that is visible from there."""
         frontier = np.argwhere(self._area & ~self.seen & ~self.given_up & binary_dilation(self.seen, np.ones((3, 3))))
-        reachable = np.isfinite(lengths)
+        reachable = costs >= 0
         viewpoints = Viewpoints(reachable, self._solid, 0.95 * self._reach)
         away, places = distance_transform_edt(~reachable, return_indices=True)
         if len(frontier):
             rows, cols = frontier.T
-            costs = lengths[places[0, rows, cols], places[1, rows, cols]] + away[rows, cols]
-            for row, col in frontier[np.argsort(costs, kind="stable")].tolist():
+            lengths = costs[places[0, rows, cols], places[1, rows, cols]] / STRAIGHT + away[rows, cols]
+            for row, col in frontier[np.argsort(lengths, kind="stable")].tolist():
                 found = viewpoints.nearest((row, col))
                 if found is not None:
                     return found, (row, col)

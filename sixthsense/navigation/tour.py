@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch.bucket_queue import pop, push
+from sixthsense.navigation.gridsearch.cost_tree import MOVES
 from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT
 from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_ROWS, _COLS = (0, 0, -1, 1, -1, -1, 1, 1), (-1, 1, 0, 0, -1, 1, -1, 1)  # to the neighbours, across edges first
 _RING = 8  # buckets of the search: more than the longest step
 _STOPS = 30  # so many views are visited by a tour, those with the shortest ways
 _NO_WAY = 1e6  # cells; more than any way, and a number that can be added
@@ -137,7 +137,7 @@ def _link(
         for c in range(cols[0] + 1, cols[1] + 1):
             link = 0
             for k in range(8):
-                dr, dc = _ROWS[k], _COLS[k]
+                dr, dc = MOVES[k]
                 below, left = r + min(dr, 0), c + min(dc, 0)
                 if dr == 0:
                     is_link = across[r, left]
@@ -187,7 +187,7 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
         missing -= wanted[r, c]
         for k in range(8):
             if links[r, c] >> k & 1:
-                to_r, to_c = r + _ROWS[k], c + _COLS[k]
+                to_r, to_c = r + MOVES[k][0], c + MOVES[k][1]
                 there = at + (STRAIGHT if k < 4 else DIAGONAL)
                 if 0 <= steps[to_r, to_c] <= there:
                     continue

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from test_gridsearch import plain_costs
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.navigation.frontier import close_gaps
-from sixthsense.navigation.gridsearch import far_from, reached_cells
+from sixthsense.navigation.gridsearch import far_from
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells, spread
 from sixthsense.navigation.tour import TileWays
@@ -57,7 +58,7 @@ def test_a_view_that_follows_a_map_is_the_view_of_the_map_as_it_is(seed: int) ->
             each.draw_views(here)
         for name in MASKS:
             assert np.array_equal(getattr(view, name), getattr(fresh, name)), name
-        assert np.array_equal(view.reached, reached_cells(view.passable, np.array(view.blocked), *here))
+        assert np.array_equal(view.reached, np.isfinite(plain_costs(view.passable, np.array(view.blocked), *here)))
         assert np.array_equal(view.tile_ways._links, fresh.tile_ways._links)
         if k < 28 and view.wanted.any():
             found = np.argwhere(view.wanted)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import geodesic_distances
+from sixthsense.navigation.gridsearch import costs_from
+from sixthsense.navigation.gridsearch.prices import STRAIGHT
 from sixthsense.navigation.tour import TileWays, short_tour, stop_order, tour_length, view_order
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -57,7 +58,8 @@ def test_ways_over_tiles_are_nearly_those_over_cells(seed: int) -> None:
         free[row : row + 7, door : door + 8] = True
     cells = np.argwhere(free)[rng.integers(np.count_nonzero(free), size=6)]
     lengths = ways_over(free).matrix(cells)
-    exact = np.array([geodesic_distances(free, ~free, *cell)[tuple(cells.T)] for cell in cells.tolist()])
+    prices = free.astype(np.uint8)
+    exact = np.array([costs_from(prices, *cell)[tuple(cells.T)] for cell in cells.tolist()]) / STRAIGHT
     assert (np.abs(lengths - exact) <= 0.15 * exact + 12.0).all()
 
 

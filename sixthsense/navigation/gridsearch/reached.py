@@ -10,7 +10,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.distances import may_step
 from sixthsense.navigation.gridsearch.union_find import Numbers, join, root_of
 from sixthsense.slam.mapping.freespace import Bools
 
@@ -146,3 +145,33 @@ def _mark(
                     if cells[row, col] != is_reached:
                         cells[row, col] = is_reached
                         changed[row // TILE, col // TILE] = True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def may_step(blocked: Bools, row: int, col: int, to_row: int, to_col: int) -> bool:
+    """Whether a step to a neighbour cuts no corner of `blocked` (H, W)."""
+    return bool(to_row == row or to_col == col or not (blocked[row, to_col] or blocked[to_row, col]))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def far_from(marked: Bools, reach: int) -> Bools:
+    """(H, W) the cells more than `reach` rows or columns away from every marked cell."""
+    height, width = marked.shape
+    far = np.ones((height, width), dtype=np.bool_)
+    until = np.full(width, -1)  # the last row that a marked cell of each column reaches
+    for row in range(height + reach):
+        if row < height:
+            for col in range(width):
+                if marked[row, col]:
+                    until[col] = row + reach
+        # The row `reach` before this one has met all marked cells that reach it.
+        target = row - reach
+        if target < 0:
+            continue
+        last = -1  # the last column that a marked cell reaches in the target's row
+        for col in range(width + reach):
+            if col < width and until[col] >= target:
+                last = col + reach
+            if col >= reach and last >= col - reach:
+                far[target, col - reach] = False
+    return far

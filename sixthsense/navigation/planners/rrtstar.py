@@ -13,7 +13,7 @@ from ompl import base, geometric, util
 
 from sixthsense.config import RRTStarConfig
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch import reached_cells
+from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import TOUCH, FreeSpace, as_point, line_touches
 
@@ -45,7 +45,8 @@ class RRTStar:
         elif space.line_is_free(first, last):
             between = np.array([first, last])
         else:
-            reached = reached_cells(~space.blocked, np.array(space.blocked), *space.cell_of(start_world))
+            free = (~space.blocked).astype(np.uint8)
+            reached = costs_from(free, *space.cell_of(start_world)) >= 0
             cells = np.flatnonzero(reached)
             if not reached[space.cell_of(goal_world)]:
                 return Plan.without_path("no path", 0, time.perf_counter() - began)

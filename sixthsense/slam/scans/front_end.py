@@ -126,7 +126,7 @@ class ScanFrontEnd:
         motion = self._since if tracked is None else self._motion(tracked)
         self._predict(motion)
         predicted = self._estimator.estimate()
-        key = self._update(tracked, motion)
+        key = self._update(tracked)
         self._link(key)
         self._close_loops(key)
         estimate = self._stand_at_keyframe()
@@ -255,14 +255,14 @@ class ScanFrontEnd:
         is_far = distance >= limits.distance_m or turn >= limits.turn_rad
         return is_far and not self._since.is_standstill()
 
-    def _updated(self, tracked: Tracked | None, motion: Odometry) -> int:
+    def _updated(self, tracked: Tracked | None) -> int:
         """Keep the newest scan as keyframe, and add its pose; its index."""
         self._estimator.update({})
         key = self._store.keep()
         guess = self._mount.laser_poses(self._estimator.poses_at([key])[0]) if tracked is None else tracked.pose
         if self._is_carried:
             self._graph.first, self._is_carried = key, False
-        self._graph.add(guess, self._mount, self._mount.laser_odometry(motion))
+        self._graph.add(guess, self._mount)
         if self._prior is not None:
             self.loop_closures.moved(key, tracked, self._prior.information)
         return key

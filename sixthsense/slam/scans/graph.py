@@ -80,8 +80,6 @@ class ScanGraph:
         """number of keyframes when all poses were read"""
         self._factor: float | None = None
         """the variance factor, once it was asked for after all poses were read"""
-        self._motions: list[Odometry] = []
-        """of the laser to each keyframe, by odometry"""
         self._links: Counter[int] = Counter()
         """number of links of each keyframe to earlier ones"""
         self._waiting: list[tuple[Alignments, int]] = []
@@ -97,14 +95,13 @@ class ScanGraph:
         """(K,) which keyframes are in the estimator's graph; a view. The poses of others follow their neighbours'."""
         return self._is_kept[: self.count]
 
-    def add(self, pose: Array, mount: Mount, motion: Odometry) -> None:
-        """Add the newest keyframe at `pose` (3,), `T_world_laser`; `motion` of the laser is that of the odometry."""
+    def add(self, pose: Array, mount: Mount) -> None:
+        """Add the newest keyframe at `pose` (3,), `T_world_laser`."""
         if self.count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
             self._is_kept = np.concatenate([self._is_kept, np.ones_like(self._is_kept)])
             self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
         self._rows[self.count], self.mount = pose, mount
-        self._motions.append(motion)
         points = self.store.returns.points[self.count]
         self._centres[self.count, :2] = points[:, :2].sum(axis=0) / max(np.count_nonzero(points[:, 2]), 1)
         self.count += 1
