@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -12,9 +12,15 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import NearWalls, cast_among
 
+if TYPE_CHECKING:
+    from sixthsense.record.trace import Trace
+
 Mask = NDArray[np.bool_]
+Scans = NDArray[np.int32]
+"""(H, W) the first scan that saw each cell, -1 for none"""
 
 _BEAMS = 720
 _MOST_CELLS = 4_000_000
@@ -61,9 +67,12 @@ def _clearances(walls: Array, x0: float, y0: float, cell: float, reach: float, c
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, seen: Mask) -> None:
-    """Set the cells of `seen` on the beams (N,) from (x, y); all lengths in cells (Amanatides and Woo 1987)."""
-    height, width = seen.shape
+def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, scan: int, first: Scans) -> None:
+    """Set the cells of `first` below 0 on the beams (N,) from (x, y) to `scan`; lengths in cells.
+
+    Amanatides and Woo 1987.
+    """
+    height, width = first.shape
     first_col, first_row = math.floor(x), math.floor(y)
     for i in range(lengths.shape[0]):
         col, row = first_col, first_row
@@ -74,8 +83,8 @@ def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, seen: Mask
         next_x = (col + 1 - x if cos[i] > 0.0 else x - col) * per_x if cos[i] != 0.0 else np.inf
         next_y = (row + 1 - y if sin[i] > 0.0 else y - row) * per_y if sin[i] != 0.0 else np.inf
         for _ in range(steps + 1):
-            if 0 <= row < height and 0 <= col < width:
-                seen[row, col] = True
+            if 0 <= row < height and 0 <= col < width and first[row, col] < 0:
+                first[row, col] = scan
             if next_x < next_y:
                 col += step_x
                 next_x += per_x
@@ -113,31 +122,28 @@ def visible_area(
     origin: Array = low - (np.ceil((low - bottom) / cell_m) + 1.0) * cell_m
     width, height = np.ceil((top - origin) / cell_m).astype(np.int64) + 1
     # A disc smaller than a cell must not pass from one cell to the next through a wall between their centres.
-    touching = (
-        point_segment_distance(np.asarray(start, dtype=np.float64), walls).min() < radius if len(walls) else False
-    )
-    radius = max(radius, 0.51 * cell_m)
+    disc = max(radius, 0.51 * cell_m)
     clearances = np.full((height, width), np.inf)
     flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
-    _clearances(flat, origin[0], origin[1], cell_m, max(radius, cell_m) + cell_m, clearances)
+    _clearances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
     x = origin[0] + (np.arange(width) + 0.5) * cell_m
     y = origin[1] + (np.arange(height) + 0.5) * cell_m
 
-    reachable = _connected(clearances >= radius, (np.asarray(start) - origin) / cell_m)
-    if reachable is None and not touching:
-        reachable = np.zeros((height, width), dtype=np.bool_)  # the free space around the start is smaller than a cell
-    if reachable is None:
+    # The free space around the start may be smaller than a cell, so that none is reachable.
+    reachable = _connected(clearances >= disc, (np.asarray(start) - origin) / cell_m)
+    touched = point_segment_distance(np.asarray(start, dtype=np.float64), walls) < radius
+    if touched.any() and not reachable.any():
         raise ValueError(f"start: found ({start[0]:g}, {start[1]:g}), allowed: a place where the robot touches no wall")
     reachable &= (np.maximum(np.maximum(low[1] - y, y - high[1]), 0.0) <= laser_range)[:, None]
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
-    seen = np.zeros((height, width), dtype=np.bool_)
+    first = np.full((height, width), -1, dtype=np.int32)
     bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
     near_walls = NearWalls(walls, laser_range)
     for row, col in _viewpoints(reachable, max(1, round(lattice_m / cell_m))):
-        _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, seen)
+        _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, 0, first)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
-    mask = seen & inside & (clearances >= cell_m)
+    mask = (first >= 0) & inside & (clearances >= cell_m)
     mask.flags.writeable = False
     return VisibleArea(mask, (float(origin[0]), float(origin[1])), cell_m)
 
@@ -149,87 +155,67 @@ def coverage(
     mount: tuple[float, float, float],
     max_range: float,
     walls: Array,
-) -> float:
-    """The share, 0 to 1, of the visible area's cells on a beam of any scan; NaN if the area is empty.
+) -> Array:
+    """(S,) the share, 0 to 1, of the visible area's cells on a beam of any scan so far; NaN if the area is empty.
 
     `poses` (S, 3) true poses of the robot at its scans, `bearings` (N,) of the beams in the laser's frame, evenly
     spaced, `mount` the laser's pose on the robot, `walls` (M, 2, 2), metres and radians. The beams are cast again,
     without noise. Scans from the pose of the previous scan are skipped.
     """
     if not area.mask.any():
-        return math.nan
-    seen = np.zeros(area.mask.shape, dtype=np.bool_)
-    for _ in _swept(area, poses, bearings, mount, max_range, walls, seen):
-        pass
-    return float(np.count_nonzero(seen & area.mask) / np.count_nonzero(area.mask))
-
-
-def coverage_over_time(
-    area: VisibleArea,
-    poses: Array,
-    bearings: Array,
-    mount: tuple[float, float, float],
-    max_range: float,
-    walls: Array,
-) -> Array:
-    """(S,) `coverage` after each scan, with the same arguments; NaN if the area is empty."""
-    shares = np.full(len(poses), math.nan)
-    if not area.mask.any():
-        return shares
-    seen = np.zeros(area.mask.shape, dtype=np.bool_)
-    total, share = np.count_nonzero(area.mask), 0.0
-    for k, is_new in enumerate(_swept(area, poses, bearings, mount, max_range, walls, seen)):
-        if is_new:
-            share = np.count_nonzero(seen & area.mask) / total
-        shares[k] = share
-    return shares
-
-
-def _swept(
-    area: VisibleArea,
-    poses: Array,
-    bearings: Array,
-    mount: tuple[float, float, float],
-    max_range: float,
-    walls: Array,
-    seen: Mask,
-) -> Iterator[bool]:
-    """Mark the cells on each scan's beams in `seen`, one scan per step; yield False for a repeated pose."""
-    T_robot_laser = Pose(*mount)
+        return np.full(len(poses), math.nan)
+    first = np.full(area.mask.shape, -1, dtype=np.int32)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
-    origin = np.array(area.origin)
-    near_walls = NearWalls(walls, max_range)
-    last: Pose | None = None
-    for row in poses:
-        pose = Pose.from_array(row)
+    near_walls, last = NearWalls(walls, max_range), None
+    for k, pose in enumerate(map(Pose.from_array, poses)):
         if last is not None:
-            moved = math.hypot(pose.x - last.x, pose.y - last.y)
-            turned = abs((last.inverse() @ pose).theta)
+            moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
-                yield False
                 continue
         last = pose
-        _sweep(pose @ T_robot_laser, bearings, near_walls, max_range, origin, area.cell_m, seen)
-        yield True
+        _sweep(pose @ Pose(*mount), bearings, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
+    known = first[area.mask]
+    return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
+
+
+def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
+    """The area that is visible to the robot of a run, and its `coverage` after each scan.
+
+    The trace must have truth and a scene.
+    """
+    assert trace.scene is not None
+    laser, walls = trace.config.laser, trace.scene.walls
+    poses = np.array(trace.truths).reshape(-1, 3)
+    start = (float(poses[0, 0]), float(poses[0, 1]))
+    region = trace.config.region or trace.scene.region
+    area = visible_area(walls, region, start, trace.radius_m, laser.max_range)
+    return area, coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
 
 
 def _sweep(
-    T_world_laser: Pose, bearings: Array, walls: NearWalls, max_range: float, origin: Array, cell_m: float, seen: Mask
+    T_world_laser: Pose,
+    bearings: Array,
+    walls: NearWalls,
+    max_range: float,
+    origin: Array,
+    cell_m: float,
+    scan: int,
+    first: Scans,
 ) -> None:
-    """Mark the cells on a scan's beams in `seen`."""
+    """Mark the cells on a scan's beams in `first`."""
     near = walls.at(T_world_laser.x, T_world_laser.y)
     lengths = np.minimum(cast_among(T_world_laser, bearings, near, max_range), max_range) / cell_m
     angles = bearings + T_world_laser.theta
     x, y = (T_world_laser.position - origin) / cell_m
-    _mark(x, y, np.cos(angles), np.sin(angles), lengths, seen)
+    _mark(x, y, np.cos(angles), np.sin(angles), lengths, scan, first)
 
 
-def _connected(passable: Mask, start: Array) -> Mask | None:
-    """The component of `passable` at `start` (x, y in cells); None if the start is not in it or next to it."""
+def _connected(passable: Mask, start: Array) -> Mask:
+    """The component of `passable` at `start` (x, y in cells), empty if that is not next to any."""
     rows, cols = np.nonzero(passable)
     distances = np.hypot(cols + 0.5 - start[0], rows + 0.5 - start[1])
     if len(distances) == 0 or distances.min() > 1.5:
-        return None
+        return np.zeros_like(passable)
     labels, _ = ndimage.label(passable)
     nearest = np.argmin(distances)
     return np.asarray(labels == labels[rows[nearest], cols[nearest]])

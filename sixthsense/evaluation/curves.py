@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,6 +11,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.record.trace import Trace
+from sixthsense.slam.estimators import Estimate
 
 Over = Literal["time", "distance"]
 """what a curve is drawn over"""
@@ -39,15 +41,18 @@ def curves(trace: Trace) -> Curves | None:
     """The errors along a run; None without truth at its keyframes."""
     if not trace.key_truths:
         return None
-    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates])
+    poses, covs = key_poses(trace.key_estimates)
     error = poses - np.array(trace.key_truths)
-    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates])
     first = metrics.full_rank_from(covs)
-    nees = np.full(len(poses), np.nan)
-    if first < len(poses):
-        nees[first:] = metrics.nees_world(error[first:], covs[first:])
+    nees = np.concatenate([np.full(first, np.nan), metrics.nees_world(error[first:], covs[first:])])
     position, heading = np.hypot(error[:, 0], error[:, 1]), np.abs(wrap_angle(error[:, 2]))
     return Curves(key_times(trace), key_distances(trace), position, heading, nees)
+
+
+def key_poses(estimates: Sequence[Estimate]) -> tuple[Array, Array]:
+    """(K, 3) poses of estimates and (K, 3, 3) their covariances, world frame."""
+    poses = np.array([estimate.pose.array() for estimate in estimates]).reshape(-1, 3)
+    return poses, np.array([estimate.pose_cov for estimate in estimates]).reshape(-1, 3, 3)
 
 
 def key_times(trace: Trace) -> Array:

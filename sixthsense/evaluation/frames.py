@@ -8,7 +8,7 @@ import numpy as np
 
 from sixthsense.config.extras import pandas
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.curves import curves, key_distances, key_times
+from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_times
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -36,10 +36,10 @@ class Trajectory:
         if not trace.key_stamps_ns:
             return pandas().DataFrame(index=pandas().Index([], name="stamp_ns"))
         columns = {"time_s": key_times(trace), "distance_m": key_distances(trace)}
-        columns |= _columns(np.array([estimate.pose.array() for estimate in trace.key_estimates]), "{}")
-        variances = np.array([np.diag(estimate.pose_cov) for estimate in trace.key_estimates])
-        columns |= _columns(np.sqrt(np.maximum(variances, 0.0)), "sigma_{}")
-        if len(trace.trajectory) == len(variances):  # not of a killed run
+        poses, covs = key_poses(trace.key_estimates)
+        columns |= _columns(poses, "{}")
+        columns |= _columns(np.sqrt(np.maximum(np.einsum("kii->ki", covs), 0.0)), "sigma_{}")
+        if len(trace.trajectory) == len(poses):  # not of a killed run
             columns |= _columns(trace.trajectory, "{}_final")
         errors = curves(trace)
         if errors is not None:

@@ -33,29 +33,6 @@ class Matches:
     left_out: tuple[Match, ...]
     """not judged, since the fit does not distinguish the walls concerned"""
 
-    @property
-    def wrong_per_1000(self) -> float:
-        """Wrong matches per thousand observations; 0 without observations."""
-        return self._per_1000(self.wrong)
-
-    @property
-    def spanning_per_1000(self) -> float:
-        """Spanning observations per thousand; 0 without observations."""
-        return self._per_1000(self.spanning)
-
-    @property
-    def unexplained_per_1000(self) -> float:
-        """Unexplained observations per thousand; 0 without observations."""
-        return self._per_1000(self.unexplained)
-
-    @property
-    def left_out_per_1000(self) -> float:
-        """Observations that were not judged, per thousand; 0 without observations."""
-        return self._per_1000(self.left_out)
-
-    def _per_1000(self, matches: tuple[Match, ...]) -> float:
-        return 1e3 * len(matches) / max(self.observations, 1)
-
 
 def judge_matches(
     associations: Sequence[Mapping[LandmarkId, Observation]], truths: Array, scene: TrueLandmarks, laser: TrueLaser

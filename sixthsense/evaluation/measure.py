@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
-from sixthsense.evaluation.coverage import coverage, visible_area
+from sixthsense.evaluation.coverage import coverage_of
+from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.effective import EFFECTIVE, effective_number, whitened_errors
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
-from sixthsense.evaluation.results import Metrics
+from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
-
-_WHEELS = (
-    *("forward_scale_error", "turn_scale_error", "drift_rad_per_m", "latency_s", "curve_loss_m_per_rad"),
-    *("forward_scale_sigma", "turn_scale_sigma", "drift_sigma_rad_per_m", "latency_sigma_s"),
-    "curve_loss_sigma_m_per_rad",
-)
-
-_SENSOR = (
-    *("yaw_rad", "forward_m", "bearing_scale_error"),
-    *("yaw_sigma_rad", "forward_sigma_m", "bearing_scale_sigma"),
-)
+    from sixthsense.slam.estimators import Estimate
 
 
 def measure(trace: Trace) -> Metrics:
@@ -42,7 +33,8 @@ def measure(trace: Trace) -> Metrics:
         out |= _goal_error(trace) | _home_error(trace)
         out |= _errors(trace)
         if trace.scene is not None:
-            out |= _coverage(trace, trace.scene)
+            share = float(coverage_of(trace)[1][-1])
+            out |= {"coverage": share} if np.isfinite(share) else {}
             out |= _landmark_nees(trace, trace.scene)
     out |= _consistency(trace)
     out |= _relations(trace)
@@ -53,10 +45,10 @@ def measure(trace: Trace) -> Metrics:
         out["walls_merged"] = trace.walls_merged
     if trace.loop_closures is not None:
         out |= {f"loop_closures_{name}": count for name, count in trace.loop_closures._asdict().items()}
-    if trace.wheels is not None:
-        out |= {f"wheel_{key}": value for key, value in zip(_WHEELS, trace.wheels.ravel().tolist(), strict=True)}
-    if trace.sensor is not None:
-        out |= {f"sensor_{key}": value for key, value in zip(_SENSOR, trace.sensor.ravel().tolist(), strict=True)}
+    for name, parameters in (("wheel_", trace.wheels), ("sensor_", trace.sensor)):
+        if parameters is not None:  # (2, n), values and sigmas
+            keys = sorted((key for key in QUANTITIES if key.startswith(name)), key=lambda key: "sigma" in key)
+            out |= zip(keys, parameters.ravel().tolist(), strict=True)
     if trace.outcome.startswith("explored"):
         out["places_left"] = len(trace.left)
         out["area_left_m2"] = sum(place.area_m2 for place in trace.left)
@@ -97,16 +89,6 @@ def _home_error(trace: Trace) -> dict[str, float]:
     if not ended or trace.config.task != "explore" or trace.last_position is None:
         return {}
     return {"home_error_m": float(np.hypot(*(trace.last_position - trace.truths[0][:2])))}
-
-
-def _coverage(trace: Trace, scene: Scene) -> dict[str, float]:
-    laser = trace.config.laser
-    region = trace.config.region or scene.region
-    start = (float(trace.truths[0][0]), float(trace.truths[0][1]))
-    area = visible_area(scene.walls, region, start, trace.radius_m, laser.max_range)
-    poses = np.array(trace.truths)
-    share = coverage(area, poses, beam_bearings(laser), laser.mount, laser.max_range, scene.walls)
-    return {"coverage": share} if np.isfinite(share) else {}
 
 
 def _relations(trace: Trace) -> dict[str, float]:
@@ -163,18 +145,17 @@ def _consistency(trace: Trace) -> dict[str, float]:
     """NEES of the pose after each update and of its prediction before it; NIS and discarded observations."""
     out: dict[str, float] = {}
     if trace.key_truths:
-        truth = np.array(trace.key_truths)
-        poses = np.array([e.pose.array() for e in trace.key_estimates])
-        covs = np.array([e.pose_cov for e in trace.key_estimates])
-        first = metrics.full_rank_from(covs)
-        if first < len(poses):
-            nees = metrics.nees_world(poses[first:] - truth[first:], covs[first:])
+        poses, truth, covs = _defined(trace.key_estimates, trace)
+        if len(poses):
+            error = poses - truth
+            nees = metrics.nees_world(error, covs)
             out["pose_nees_world_mean"] = float(np.mean(nees))
-            out[EFFECTIVE] = effective_number([nees], [whitened_errors(poses[first:] - truth[first:], covs[first:])])
+            out[EFFECTIVE] = effective_number([nees], [whitened_errors(error, covs)])
             out["pose_nees_in_band"] = metrics.share_in_band(nees, metrics.nees_band(1))
-            invariant = metrics.nees_invariant(poses[first:], truth[first:], covs[first:])
-            out["pose_nees_invariant_mean"] = float(np.mean(invariant))
-        out |= _prediction_nees(trace, truth)
+            out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs)))
+        poses, truth, covs = _defined(trace.key_predicted, trace)
+        if len(poses):
+            out["prediction_nees_world_mean"] = float(np.mean(metrics.nees_world(poses - truth, covs)))
     dof = sum(a.dof for a in trace.associations)
     if dof:
         out["nis_mean_per_dof"] = sum(a.nis for a in trace.associations) / dof
@@ -183,14 +164,11 @@ def _consistency(trace: Trace) -> dict[str, float]:
     return out
 
 
-def _prediction_nees(trace: Trace, truth: Array) -> dict[str, float]:
-    """NEES of the predicted pose just before each update, from the first full-rank covariance on."""
-    poses = np.array([e.pose.array() for e in trace.key_predicted])
-    covs = np.array([e.pose_cov for e in trace.key_predicted])
+def _defined(estimates: Sequence[Estimate], trace: Trace) -> tuple[Array, Array, Array]:
+    """Poses (N, 3) at keyframes, the truth and the covariances (N, 3, 3), from the first one of full rank on."""
+    poses, covs = key_poses(estimates)
     first = metrics.full_rank_from(covs)
-    if first == len(poses):
-        return {}
-    return {"prediction_nees_world_mean": float(np.mean(metrics.nees_world((poses - truth)[first:], covs[first:])))}
+    return poses[first:], np.array(trace.key_truths)[first:], covs[first:]
 
 
 def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:

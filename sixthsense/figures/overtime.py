@@ -10,9 +10,8 @@ import numpy as np
 
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import wrap_angle
-from sixthsense.core.laser import beam_bearings
 from sixthsense.evaluation import metrics
-from sixthsense.evaluation.coverage import coverage_over_time, visible_area
+from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import Over, key_distances, key_times
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
 from sixthsense.record.stopwatch import STAGES
@@ -137,13 +136,7 @@ def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | Non
 
     The trace must have truth and a scene.
     """
-    assert trace.scene is not None
-    laser, walls = trace.config.laser, trace.scene.walls
-    region = trace.config.region or trace.scene.region
-    poses = np.array(trace.truths).reshape(-1, 3)
-    start = (float(poses[0, 0]), float(poses[0, 1]))
-    area = visible_area(walls, region, start, trace.radius_m, laser.max_range)
-    share = coverage_over_time(area, poses, beam_bearings(laser), laser.mount, laser.max_range, walls)
+    area, share = coverage_of(trace)
     summary = f"{area.square_metres:.0f} m² visible"
     label = summary if label is None else f"{label}: {summary}"
     t = 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)

@@ -32,7 +32,7 @@ TWO_ROOMS = segments(*box(0, 0, 6, 4), [(3, 0), (3, 2)], [(3, 2 + DOOR_M), (3, 4
 def test_an_empty_room_is_covered_from_one_pose() -> None:
     area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
     assert area.square_metres == pytest.approx((6 - 0.1) * (4 - 0.1), rel=0.01)
-    assert coverage(area, np.array([[3.0, 2.0, 0.3]]), CIRCLE, CENTRED, 10.0, ROOM) == 1.0
+    assert coverage(area, np.array([[3.0, 2.0, 0.3]]), CIRCLE, CENTRED, 10.0, ROOM) == [1.0]
 
 
 def test_cells_within_a_cell_of_a_wall_do_not_count() -> None:
@@ -49,7 +49,7 @@ def test_a_room_behind_a_wall_does_not_count() -> None:
     area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.2, 20.0)
     assert area.square_metres == pytest.approx((4 - 0.1) * (4 - 0.1), rel=0.01)
     assert not at(area, 5, 2)
-    assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == 1.0
+    assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == [1.0]
 
 
 def test_a_pose_that_sees_half_covers_half() -> None:
@@ -58,7 +58,7 @@ def test_a_pose_that_sees_half_covers_half() -> None:
     assert area.square_metres == pytest.approx(5.8 * 3.9, rel=0.02)
     dense = np.arange(2880) * (2 * math.pi / 2880)
     # Close to the dividing wall's foot, the right half is hidden but for a sliver above the wall's end.
-    share = coverage(area, np.array([[2.9, 0.2, 0.0]]), dense, CENTRED, 20.0, walls)
+    (share,) = coverage(area, np.array([[2.9, 0.2, 0.0]]), dense, CENTRED, 20.0, walls)
     sliver = 0.5 * 1.0 * (0.1 / 2.8)  # a triangle a metre high, the gap above the wall
     assert share == pytest.approx((2.9 * 3.9 + sliver) / area.square_metres, abs=0.015)
 
@@ -69,9 +69,9 @@ def test_the_laser_sees_no_farther_than_its_range_and_its_field_of_view() -> Non
     area = visible_area(walls, region, (10, 10), 0.2, 4.0, cell_m=0.1)
     dense = np.arange(1440) * (2 * math.pi / 1440)
     pose = np.array([[10.0, 10.0, 1.0]])
-    disc = coverage(area, pose, dense, CENTRED, 4.0, walls) * area.square_metres
+    disc = coverage(area, pose, dense, CENTRED, 4.0, walls)[-1] * area.square_metres
     assert disc == pytest.approx(math.pi * 16, rel=0.04)
-    half = coverage(area, pose, dense[:720], CENTRED, 4.0, walls) * area.square_metres
+    half = coverage(area, pose, dense[:720], CENTRED, 4.0, walls)[-1] * area.square_metres
     assert half == pytest.approx(0.5 * math.pi * 16, rel=0.05)
 
 
@@ -79,7 +79,8 @@ def test_more_scans_never_cover_less() -> None:
     area = visible_area(TWO_ROOMS, (0, 0, 6, 4), (1, 1), 0.3, 10.0)
     rng = np.random.default_rng(0)
     poses = np.column_stack([rng.uniform(0.3, 5.7, 30), rng.uniform(0.3, 3.7, 30), rng.uniform(-3, 3, 30)])
-    shares = [coverage(area, poses[:n], CIRCLE[:180], CENTRED, 10.0, TWO_ROOMS) for n in range(1, 31)]
+    shares = coverage(area, poses, CIRCLE[:180], CENTRED, 10.0, TWO_ROOMS)
+    assert shares[:7].tolist() == coverage(area, poses[:7], CIRCLE[:180], CENTRED, 10.0, TWO_ROOMS).tolist()
     assert np.all(np.diff(shares) >= 0.0)
     assert shares[-1] > 0.95
 
@@ -102,11 +103,13 @@ def test_a_beam_marks_exactly_the_cells_it_crosses() -> None:
         angle = rng.uniform(-math.pi, math.pi) if seed % 3 else (seed % 4) * math.pi / 2
         length = rng.uniform(0.0, 15.0)
         cos, sin = np.round([math.cos(angle), math.sin(angle)], 15)
-        seen = np.zeros((10, 8), dtype=np.bool_)
-        _mark(x, y, np.array([cos]), np.array([sin]), np.array([length]), seen)
+        first = np.full((10, 8), -1, dtype=np.int32)
+        first[4] = 3  # the row was seen before
+        _mark(x, y, np.array([cos]), np.array([sin]), np.array([length]), 5, first)
         expected = crossed_cells(x, y, x + length * cos, y + length * sin)
         inside = {(r, c) for r, c in expected if 0 <= r < 10 and 0 <= c < 8}
-        assert {(int(r), int(c)) for r, c in np.argwhere(seen)} == inside
+        assert {(int(r), int(c)) for r, c in np.argwhere(first == 5)} == {cell for cell in inside if cell[0] != 4}
+        assert (first[4] == 3).all()
 
 
 def test_the_clearance_of_a_cell_is_its_centres_distance_to_the_nearest_wall() -> None:
