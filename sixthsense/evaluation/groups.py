@@ -145,16 +145,14 @@ def labelled(name: str, value: Any) -> str:
 
 def fields_of(name: str, config: Config) -> Fields:
     """All fields of a configuration by dotted names, and the `name` of the run."""
-    found: dict[str, Any] = {RUN: name}
+    return {RUN: name} | flat(as_table(config))
 
-    def walk(table: Mapping[str, Any], path: str) -> None:
-        for key, value in table.items():
-            if isinstance(value, Mapping):
-                walk(value, f"{path}{key}.")
-            else:
-                found[f"{path}{key}"] = value
 
-    walk(as_table(config), "")
+def flat(table: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """The settings of a nested table by dotted names."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= flat(value, f"{path}{key}.") if isinstance(value, Mapping) else {path + key: value}
     return found
 
 

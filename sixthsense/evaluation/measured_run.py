@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown, shown_name
 from sixthsense.config.suggestion import did_you_mean
+from sixthsense.evaluation.curves import curves
 from sixthsense.evaluation.frames import Landmarks, Trajectory
-from sixthsense.evaluation.measure import measure
+from sixthsense.evaluation.groups import Sample
+from sixthsense.evaluation.measure import measure, relative_errors
 from sixthsense.evaluation.results import Metrics
 from sixthsense.record.load import RecordPart, load_record
 from sixthsense.record.trace import Trace
@@ -73,6 +75,19 @@ class MeasuredRun:
     def landmarks(self) -> Landmarks:
         """The landmarks of the final map; `landmarks.frame()` is their table."""
         return Landmarks(self.trace)
+
+    def sample(self, name: str) -> Sample:
+        """The run under a name, as one of several that are compared.
+
+        The relative pose errors of a run of an earlier version are measured from its record.
+        """
+
+        def measured() -> dict[str, Any]:
+            known = dict(self.metrics)
+            lacks = self.trace.truths and "rpe_trans_m_1m" not in known
+            return known | (relative_errors(self.trace) if lacks else {})
+
+        return Sample(name, self.trace.config, measured, lambda: curves(self.trace))
 
     @property
     def title(self) -> str:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 from sixthsense.config.extras import pandas
 from sixthsense.config.removed import note_renamed
 from sixthsense.config.suggestion import did_you_mean
-from sixthsense.evaluation import tables
 from sixthsense.evaluation.effective import EFFECTIVE
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
-from sixthsense.evaluation.tables import digits, text_table
+from sixthsense.evaluation.tables import digits, html_table, text_table
 from sixthsense.record.stopwatch import STAGES
 
 if TYPE_CHECKING:
@@ -31,33 +30,6 @@ class Quantity:
     """one short phrase"""
 
 
-_SCANS = (
-    ("scans", "1", "scans processed"),
-    ("keyframes", "1", "scans of these that are keyframes"),
-    ("largest_gap_s", "s", "longest time between two successive scans"),
-)
-_WHEELS = (
-    ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
-    ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
-    ("wheel_drift_rad_per_m", "rad/m", "turn that unequal wheels add per metre"),
-    ("wheel_latency_s", "s", "age of odometry at its stamp"),
-    ("wheel_forward_scale_sigma", "1", "standard deviation of the estimated wheel_forward_scale_error"),
-    ("wheel_turn_scale_sigma", "1", "standard deviation of the estimated wheel_turn_scale_error"),
-    ("wheel_drift_sigma_rad_per_m", "rad/m", "standard deviation of the estimated wheel_drift_rad_per_m"),
-    ("wheel_latency_sigma_s", "s", "standard deviation of the estimated wheel_latency_s"),
-    ("wheel_curve_loss_m_per_rad", "m/rad", "distance that curves are shorter than reported, as estimated"),
-    ("wheel_curve_loss_sigma_m_per_rad", "m/rad", "standard deviation of the estimated wheel_curve_loss_m_per_rad"),
-)
-_SENSOR = (
-    ("sensor_yaw_rad", "rad", "direction of the sensor beyond the assumed one, as estimated"),
-    ("sensor_forward_m", "m", "place of the sensor along the robot's x axis beyond the assumed one, as estimated"),
-    ("sensor_bearing_scale_error", "1", "true bearings are 1 + this times those the sensor reports, as estimated"),
-    ("sensor_yaw_sigma_rad", "rad", "standard deviation of the estimated sensor_yaw_rad"),
-    ("sensor_forward_sigma_m", "m", "standard deviation of the estimated sensor_forward_m"),
-    ("sensor_bearing_scale_sigma", "1", "standard deviation of the estimated sensor_bearing_scale_error"),
-)
-
-
 _REMARKS = {
     "plans_below_margin": "usual: doors leave less room than the margin",
     "loop_closures_refused": "usual: places that look alike",
@@ -65,80 +37,95 @@ _REMARKS = {
 """why a value that looks alarming is not, in a few words, by key"""
 
 
-_ACCURACY = (
-    ("ate_rmse_m", "m", "RMSE of the causal position"),
-    ("ate_max_m", "m", "maximum error of the causal position"),
-    ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
-    ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
-    *((f"rpe_trans_m_{m}m", "m", f"RMSE of the translation over {m} m of path") for m in RPE_LENGTHS_M),
-    *((f"rpe_rot_deg_{m}m", "°", f"RMSE of the rotation over {m} m of path") for m in RPE_LENGTHS_M),
-    ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
-    ("relations_trans_m_mean", "m", "mean translation error against the relations"),
-    ("relations_trans_m_std", "m", "standard deviation of the translation error"),
-    ("relations_trans_m_max", "m", "largest translation error"),
-    ("relations_rot_deg_mean", "°", "mean rotation error against the relations"),
-    ("relations_rot_deg_std", "°", "standard deviation of the rotation error"),
-)
+_GROUPS = {
+    "Outcome": (
+        ("outcome", "", "why the run ended"),
+        ("collisions", "1", "number of collisions with walls"),
+        ("touches_by_robot", "1", "touches of a person by the robot's fault: it moved in faster than the person"),
+        ("touches_by_walkers", "1", "touches of the robot by a person's fault"),
+        ("goal_error_m", "m", "distance of the true position from the goal at the end"),
+        ("home_error_m", "m", "distance of the true position from the start at the end"),
+        ("coverage", "1", "seen share of the visible area"),
+        ("places_left", "1", "places that remained unseen"),
+        ("area_left_m2", "m²", "total area of these places"),
+    ),
+    "Accuracy": (
+        ("ate_rmse_m", "m", "RMSE of the causal position"),
+        ("ate_max_m", "m", "maximum error of the causal position"),
+        ("dead_reckoning_ate_rmse_m", "m", "RMSE of the position by odometry alone"),
+        ("heading_rmse_rad", "rad", "RMSE of the causal heading"),
+        *((f"rpe_trans_m_{m}m", "m", f"RMSE of the translation over {m} m of path") for m in RPE_LENGTHS_M),
+        *((f"rpe_rot_deg_{m}m", "°", f"RMSE of the rotation over {m} m of path") for m in RPE_LENGTHS_M),
+        ("landmark_rmse_m", "m", "RMSE of corners and wall ends matched to true ones"),
+        ("relations_trans_m_mean", "m", "mean translation error against the relations"),
+        ("relations_trans_m_std", "m", "standard deviation of the translation error"),
+        ("relations_trans_m_max", "m", "largest translation error"),
+        ("relations_rot_deg_mean", "°", "mean rotation error against the relations"),
+        ("relations_rot_deg_std", "°", "standard deviation of the rotation error"),
+    ),
+    "Consistency": (
+        ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
+        ("pose_nees_in_band", "1", "share of keyframes with a pose NEES in its 95 % band; 0.95 is consistent"),
+        (EFFECTIVE, "1", "independent samples that this correlated NEES is worth"),
+        ("prediction_nees_world_mean", "1", "NEES of the pose before each update; 3 is consistent"),
+        ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
+        ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
+        ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
+        ("discarded_share", "1", "share of the observations that the gates discarded"),
+    ),
+    "Wheels": (
+        ("wheel_forward_scale_error", "1", "true distance is (1 + this) times the reported one, as estimated"),
+        ("wheel_turn_scale_error", "1", "true turn is (1 + this) times the reported one, plus the drift"),
+        ("wheel_drift_rad_per_m", "rad/m", "turn that unequal wheels add per metre"),
+        ("wheel_latency_s", "s", "age of odometry at its stamp"),
+        ("wheel_forward_scale_sigma", "1", "standard deviation of the estimated wheel_forward_scale_error"),
+        ("wheel_turn_scale_sigma", "1", "standard deviation of the estimated wheel_turn_scale_error"),
+        ("wheel_drift_sigma_rad_per_m", "rad/m", "standard deviation of the estimated wheel_drift_rad_per_m"),
+        ("wheel_latency_sigma_s", "s", "standard deviation of the estimated wheel_latency_s"),
+        ("wheel_curve_loss_m_per_rad", "m/rad", "distance that curves are shorter than reported, as estimated"),
+        ("wheel_curve_loss_sigma_m_per_rad", "m/rad", "standard deviation of the estimated wheel_curve_loss_m_per_rad"),
+    ),
+    "Sensor": (
+        ("sensor_yaw_rad", "rad", "direction of the sensor beyond the assumed one, as estimated"),
+        ("sensor_forward_m", "m", "place of the sensor along the robot's x axis beyond the assumed one, as estimated"),
+        ("sensor_bearing_scale_error", "1", "true bearings are 1 + this times those the sensor reports, as estimated"),
+        ("sensor_yaw_sigma_rad", "rad", "standard deviation of the estimated sensor_yaw_rad"),
+        ("sensor_forward_sigma_m", "m", "standard deviation of the estimated sensor_forward_m"),
+        ("sensor_bearing_scale_sigma", "1", "standard deviation of the estimated sensor_bearing_scale_error"),
+    ),
+    "Scans": (
+        ("scans", "1", "scans processed"),
+        ("keyframes", "1", "scans of these that are keyframes"),
+        ("largest_gap_s", "s", "longest time between two successive scans"),
+    ),
+    "Map and path": (
+        ("area_seen_m2", "m²", "area of the cells that were seen"),
+        ("landmarks", "1", "landmarks in the map at the end"),
+        ("landmarks_culled", "1", "landmarks removed from the map"),
+        ("walls_merged", "1", "walls merged into older duplicates"),
+        ("loop_closures_found", "1", "old places found again by the shape of the scans"),
+        ("loop_closures_refused", "1", "places that looked right and were refused: ambiguous, or scans disagreed"),
+        ("loop_closures_undone", "1", "loop closures taken back, since later scans contradicted them"),
+        ("path_length_m", "m", "length of the driven path"),
+        ("plans", "1", "planned paths"),
+        ("plans_below_margin", "1", "planned paths with less clearance than configured"),
+        ("plans_by_astar", "1", "paths planned by A* after the configured planner failed"),
+        ("guard_stops", "1", "number of stops by the safety guard"),
+    ),
+    "Time": (
+        ("sim_time_s", "s", "duration by the clock of the source"),
+        ("wall_time_s", "s", "computing time of the loop"),
+        ("realtime_factor", "1", "time of the source divided by computing time"),
+        ("scan_ms_p50", "ms", "processing of a keyframe, median"),
+        ("scan_ms_p99", "ms", "processing of a keyframe, 99th percentile"),
+        ("scan_ms_max", "ms", "processing of a keyframe, maximum"),
+        *((f"stage_ms_mean.{stage}", "ms", f"{stage}, mean per keyframe") for stage in STAGES),
+    ),
+}
+"""key, unit and meaning of each metric, by heading"""
 
-
-def _quantities() -> dict[str, Quantity]:
-    rows = {
-        "Outcome": [
-            ("outcome", "", "why the run ended"),
-            ("collisions", "1", "number of collisions with walls"),
-            ("touches_by_robot", "1", "touches of a person by the robot's fault: it moved in faster than the person"),
-            ("touches_by_walkers", "1", "touches of the robot by a person's fault"),
-            ("goal_error_m", "m", "distance of the true position from the goal at the end"),
-            ("home_error_m", "m", "distance of the true position from the start at the end"),
-            ("coverage", "1", "seen share of the visible area"),
-            ("places_left", "1", "places that remained unseen"),
-            ("area_left_m2", "m²", "total area of these places"),
-        ],
-        "Accuracy": list(_ACCURACY),
-        "Consistency": [
-            ("pose_nees_world_mean", "1", "pose NEES, world coordinates; 3 is consistent"),
-            ("pose_nees_in_band", "1", "share of keyframes with a pose NEES in its 95 % band; 0.95 is consistent"),
-            (EFFECTIVE, "1", "independent samples that this correlated NEES is worth"),
-            ("prediction_nees_world_mean", "1", "NEES of the pose before each update; 3 is consistent"),
-            ("pose_nees_invariant_mean", "1", "pose NEES, right-invariant coordinates; 3 is consistent"),
-            ("landmark_nees_mean", "1", "NEES at the end of the landmarks whose truth is known; 2 is consistent"),
-            ("nis_mean_per_dof", "1", "NIS of the matches per degree of freedom; 1 is consistent"),
-            ("discarded_share", "1", "share of the observations that the gates discarded"),
-        ],
-        "Wheels": list(_WHEELS),
-        "Sensor": list(_SENSOR),
-        "Scans": list(_SCANS),
-        "Map and path": [
-            ("area_seen_m2", "m²", "area of the cells that were seen"),
-            ("landmarks", "1", "landmarks in the map at the end"),
-            ("landmarks_culled", "1", "landmarks removed from the map"),
-            ("walls_merged", "1", "walls merged into older duplicates"),
-            ("loop_closures_found", "1", "old places found again by the shape of the scans"),
-            ("loop_closures_refused", "1", "places that looked right and were refused: ambiguous, or scans disagreed"),
-            ("loop_closures_undone", "1", "loop closures taken back, since later scans contradicted them"),
-            ("path_length_m", "m", "length of the driven path"),
-            ("plans", "1", "planned paths"),
-            ("plans_below_margin", "1", "planned paths with less clearance than configured"),
-            ("plans_by_astar", "1", "paths planned by A* after the configured planner failed"),
-            ("guard_stops", "1", "number of stops by the safety guard"),
-        ],
-        "Time": [
-            ("sim_time_s", "s", "duration by the clock of the source"),
-            ("wall_time_s", "s", "computing time of the loop"),
-            ("realtime_factor", "1", "time of the source divided by computing time"),
-            ("scan_ms_p50", "ms", "processing of a keyframe, median"),
-            ("scan_ms_p99", "ms", "processing of a keyframe, 99th percentile"),
-            ("scan_ms_max", "ms", "processing of a keyframe, maximum"),
-            *((f"stage_ms_mean.{stage}", "ms", f"{stage}, mean per keyframe") for stage in STAGES),
-        ],
-    }
-    return {key: Quantity(group, unit, meaning) for group, keys in rows.items() for key, unit, meaning in keys}
-
-
-QUANTITIES = _quantities()
+QUANTITIES = {key: Quantity(group, unit, meaning) for group, rows in _GROUPS.items() for key, unit, meaning in rows}
 """meaning of every key of `Run.metrics`, in display order"""
-
-_OTHER = Quantity("Other", "", "")
 
 
 class Metrics(dict[str, Any]):
@@ -158,7 +145,7 @@ class Metrics(dict[str, Any]):
 
     def groups(self) -> Iterator[tuple[str, list[str]]]:
         """Each heading that has metrics, with their keys."""
-        ordered = sorted(self, key=_rank)
+        ordered = [key for key in QUANTITIES if key in self] + [key for key in self if key not in QUANTITIES]
         for group in dict.fromkeys(_of(key).group for key in ordered):
             yield group, [key for key in ordered if _of(key).group == group]
 
@@ -172,14 +159,10 @@ class Metrics(dict[str, Any]):
         return pandas().DataFrame(columns, index=index)
 
     def __repr__(self) -> str:
-        rows: list[list[str]] = []
-        for group, keys in self.groups():
-            rows.append([group])
-            rows += [[f"  {key}", f"{digits(self[key])} {_unit(key)}".rstrip(), self._remark(key)] for key in keys]
-        return text_table(rows)
+        def cells(key: str) -> list[str]:
+            return [f"  {key}", f"{digits(self[key])} {unit(key)}".rstrip(), _REMARKS.get(key, "") if self[key] else ""]
 
-    def _remark(self, key: str) -> str:
-        return _REMARKS.get(key, "") if self[key] else ""
+        return text_table(in_groups([self], cells))
 
     def _repr_html_(self) -> str:
         return metrics_table(["metric", "value", "meaning"], [self], lambda key: _of(key).meaning)
@@ -192,26 +175,26 @@ def metrics_table(
 
     `last` gives the text of one more column for each key.
     """
+
+    def cells(key: str) -> list[str]:
+        values = [f"{digits(run[key])} {unit(key)}".rstrip() if key in run else "" for run in runs]
+        return [key, *values, *([] if last is None else [last(key)])]
+
+    return html_table(head, in_groups(runs, cells))
+
+
+def in_groups(runs: Sequence[Mapping[str, Any]], cells: Callable[[str], list[str]]) -> list[list[str]]:
+    """Rows of a table of the metrics that any of `runs` has, each as `cells` of its key, under their headings."""
     rows: list[list[str]] = []
     for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run)).groups():
-        rows.append([group])
-        for key in keys:
-            values = [f"{digits(run[key])} {_unit(key)}".rstrip() if key in run else "" for run in runs]
-            rows.append([key, *values, *([] if last is None else [last(key)])])
-    return tables.html_table(head, rows)
+        rows += [[group], *map(cells, keys)]
+    return rows
+
+
+def unit(key: str) -> str:
+    """The unit of a metric; empty for text and for a number without one."""
+    return _of(key).unit.removesuffix("1")
 
 
 def _of(key: str) -> Quantity:
-    return QUANTITIES.get(key, _OTHER)
-
-
-def _unit(key: str) -> str:
-    unit = _of(key).unit
-    return "" if unit == "1" else unit
-
-
-_RANKS = {key: rank for rank, key in enumerate(QUANTITIES)}
-
-
-def _rank(key: str) -> int:
-    return _RANKS.get(key, len(_RANKS))
+    return QUANTITIES.get(key, Quantity("Other", "", ""))

@@ -4,27 +4,10 @@ from __future__ import annotations
 
 import html
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
-
-@dataclass(frozen=True, slots=True)
-class TableStyle:
-    """HTML attributes of a table's cells, each with a space before it."""
-
-    cell: str = ""
-    """of a cell with words"""
-    number: str = ""
-    """of a cell with a number"""
-    heading: str = ""
-    """of a heading over all columns"""
-
-
 _INLINE = ' style="text-align:left;padding:0 1em 0 0"'
-NOTEBOOK = TableStyle(_INLINE, _INLINE, _INLINE)
-"""with its own CSS, since a notebook has none"""
-PAGE = TableStyle("", ' class="value"', ' class="group"')
-"""with the classes of a page that brings its CSS"""
+"""of every cell in a notebook, which has no CSS"""
 
 
 def digits(value: Any) -> str:
@@ -51,14 +34,16 @@ def text_table(rows: Sequence[Sequence[str]], align: Literal["left", "right"] = 
     return "\n".join(lines)
 
 
-def html_table(
-    head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0, style: TableStyle = NOTEBOOK
-) -> str:
+def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int | None = None) -> str:
     """An HTML table with the column names `head`; every cell is escaped.
 
-    The `numbers` columns after the first hold numbers. A row of one cell is a heading over all columns.
+    A row of one cell is a heading over all columns. The table has its own CSS, for a notebook, or with `numbers`, how
+    many columns after the first hold numbers, the classes "value" and "group" of a page that brings its CSS.
     """
-    attributes = [style.cell, *[style.number] * numbers, *[style.cell] * (len(head) - 1 - numbers)]
+    attributes = [_INLINE] * len(head)
+    if numbers is not None:
+        attributes = ["", *[' class="value"'] * numbers, *[""] * (len(head) - 1 - numbers)]
+    heading = _INLINE if numbers is None else ' class="group"'
 
     def line(tag: str, cells: Sequence[str]) -> str:
         parts = (
@@ -69,7 +54,7 @@ def html_table(
     lines = [line("th", head)]
     for row in rows:
         if len(row) == 1:
-            lines.append(f'<tr><th{style.heading} colspan="{len(head)}">{html.escape(row[0])}</th></tr>')
+            lines.append(f'<tr><th{heading} colspan="{len(head)}">{html.escape(row[0])}</th></tr>')
         else:
             lines.append(line("td", row))
     return "<table>\n" + "\n".join(lines) + "\n</table>"

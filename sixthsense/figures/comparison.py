@@ -13,7 +13,6 @@ from sixthsense.config.section import shown
 from sixthsense.evaluation.groups import LABELS, RUN, Sample, Sampled, differing, fields_of, labelled, usual_grouping
 from sixthsense.evaluation.measured_run import numbered_names
 from sixthsense.evaluation.results import metrics_table
-from sixthsense.evaluation.samples import sample_of
 from sixthsense.evaluation.summary import summary
 from sixthsense.evaluation.tables import digits, html_table, text_table
 from sixthsense.figures.groups import group_figure
@@ -168,7 +167,7 @@ def compare(runs: Iterable[Compared] | Mapping[str, Compared] | Sampled) -> Comp
     names = iter(numbered_names(with_record))
     samples: list[Sample] = []
     for name, one in opened:
-        samples += [sample_of(next(names), one)] if isinstance(one, Run) else one.samples(name)
+        samples += [one.sample(next(names))] if isinstance(one, Run) else one.samples(name)
     if not samples:
         raise ComparisonError("runs: found none, allowed: one or more")
     return Comparison(samples, with_record)

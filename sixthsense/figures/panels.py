@@ -13,7 +13,6 @@ from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, differences, fields_of
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
-from sixthsense.evaluation.samples import sample_of
 from sixthsense.figures import groups
 from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError, check_over
 from sixthsense.figures.navigation import draw_exploration
@@ -227,7 +226,7 @@ def _relative_errors(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: 
 
 def _a_group_each(runs: Sequence[MeasuredRun], names: Sequence[str]) -> list[Group]:
     labels = names if len(runs) > 1 else [""]
-    return [Group(label, (sample_of(label, run),)) for label, run in zip(labels, runs, strict=True)]
+    return [Group(label, (run.sample(label),)) for label, run in zip(labels, runs, strict=True)]
 
 
 _DRAW_BY_KIND: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str], Canvas, Over], bool]] = {

@@ -15,9 +15,10 @@ from sixthsense.config.files import NOTES
 from sixthsense.config.section import as_table
 from sixthsense.config.toml import parse_toml
 from sixthsense.config.version import __version__
+from sixthsense.evaluation.groups import differing, flat
 from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
-from sixthsense.evaluation.results import QUANTITIES, Metrics
-from sixthsense.evaluation.tables import PAGE, digits, html_table
+from sixthsense.evaluation.results import QUANTITIES, in_groups, unit
+from sixthsense.evaluation.tables import digits, html_table
 
 _CAPTIONS = {
     "map": "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.",
@@ -156,19 +157,17 @@ def figure_block(file: Path, caption: str, title: str) -> str:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: int = 0) -> str:
     """A table that scrolls horizontally if it is too wide; `numbers` as in `html_table`."""
-    return f'<div class="wide">{html_table(head, rows, numbers, PAGE)}</div>'
+    return f'<div class="wide">{html_table(head, rows, numbers)}</div>'
 
 
 def metrics_rows(runs: Sequence[Mapping[str, str]]) -> list[list[str]]:
     """Metrics by key, as texts, in groups: a column per run or group of runs, the unit and the meaning."""
-    rows: list[list[str]] = []
-    for group, keys in Metrics(dict.fromkeys(key for run in runs for key in run)).groups():
-        rows.append([group])
-        for key in keys:
-            quantity = QUANTITIES.get(key)
-            unit, meaning = ("", "") if quantity is None else (quantity.unit.removesuffix("1"), quantity.meaning)
-            rows.append([key, *(run.get(key, "") for run in runs), unit, meaning])
-    return rows
+
+    def cells(key: str) -> list[str]:
+        meaning = QUANTITIES[key].meaning if key in QUANTITIES else ""
+        return [key, *(run.get(key, "") for run in runs), unit(key), meaning]
+
+    return in_groups(runs, cells)
 
 
 def _metrics(runs: Sequence[_DescribedRun]) -> str:
@@ -180,22 +179,13 @@ def _metrics(runs: Sequence[_DescribedRun]) -> str:
 
 def _configuration(runs: Sequence[_DescribedRun]) -> str:
     """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
-    settings = [flat_texts(as_table(run.config)) for run in runs]
-    default = flat_texts(as_table(Config()))
-    names = list(dict.fromkeys(name for fields in [*settings, default] for name in fields))
-    others = [default] if len(runs) == 1 else settings[1:]
-    changed = [name for name in names if any(settings[0].get(name) != other.get(name) for other in others)]
-    if len(runs) == 1:
-        rows = [[name, settings[0].get(name, "none"), default.get(name, "none")] for name in changed]
-        parts = [
-            table(["different field", "this run", "default"], rows)
-            if rows
-            else "<p>All fields have their default values.</p>"
-        ]
+    settings, default = [flat_texts(as_table(run.config)) for run in runs], flat_texts(as_table(Config()))
+    if len(runs) > 1:
+        columns, same = [run.name for run in runs], "All runs have the same configuration."
     else:
-        rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in changed]
-        head = ["different field", *(run.name for run in runs)]
-        parts = [table(head, rows) if rows else "<p>All runs have the same configuration.</p>"]
+        settings, columns, same = [*settings, default], ["this run", "default"], "All fields have their default values."
+    rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in differing(settings)]
+    parts = [table(["different field", *columns], rows) if rows else f"<p>{same}</p>"]
     for run in runs:
         of = f" of {escaped(run.name)}" if len(runs) > 1 else ""
         text = escaped(_toml(run))
@@ -209,15 +199,9 @@ def _toml(run: _DescribedRun) -> str:
     return tomli_w.dumps({**as_table(run.config), **run.notes})
 
 
-def flat_texts(table: Mapping[str, Any], path: str = "") -> dict[str, str]:
+def flat_texts(table: Mapping[str, Any]) -> dict[str, str]:
     """Nested settings by dotted names, with values as on the command line."""
-    out: dict[str, str] = {}
-    for name, value in table.items():
-        if isinstance(value, Mapping):
-            out |= flat_texts(value, f"{path}{name}.")
-        else:
-            out[path + name] = _value_text(value)
-    return out
+    return {name: _value_text(value) for name, value in flat(table).items()}
 
 
 def _value_text(value: Any) -> str:
