@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sixthsense.auditing import rotations
 from sixthsense.auditing.poses import AuditError, Frame, Poses, interpolated, is_of_plane
 from sixthsense.core.geometry import Array
-from sixthsense.evaluation.metrics import has_full_rank
+from sixthsense.evaluation.metrics import has_full_rank, squares
 
 Align = Literal["none", "first", "all"]
 Motion = tuple[Array, Array]
@@ -53,8 +53,7 @@ class Errors:
     @property
     def nees(self) -> Array:
         """(N,)."""
-        weighted = np.linalg.solve(self.cov, self.error[:, :, None])[:, :, 0]
-        return np.asarray(np.einsum("ki,ki->k", self.error, weighted))
+        return squares(self.error, self.cov)
 
     def in_axes(self, frame: Frame) -> tuple[Array, Array]:
         """Errors (N, d) and covariances (N, d, d) in the axes of the world or of the body."""

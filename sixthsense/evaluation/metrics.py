@@ -62,7 +62,12 @@ def nees_world(error: Array, cov: Array) -> Array:
     ValueError, if singular). Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     e = np.column_stack([error[:, :2], wrap_angle(error[:, 2])])
-    return np.asarray(np.einsum("ki,ki->k", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
+    return squares(e, cov)
+
+
+def squares(error: Array, cov: Array) -> Array:
+    """(K,) squared Mahalanobis lengths of (K, d) errors with (K, d, d) covariances of full rank."""
+    return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(cov, error[:, :, None])[:, :, 0]))
 
 
 def nees_invariant(estimate: Array, truth: Array, cov_world: Array) -> Array:
@@ -95,8 +100,7 @@ def nees_landmarks(estimate: Array, truth: Array, walls: NDArray[np.bool_], cov:
     `estimate`, `truth` (M, 2) world frame; of those marked in `walls` (M,) the first column is an angle, and its error
     is wrapped; `cov` (M, 2, 2) full rank. Landmarks of one run share errors, so these are not independent samples.
     """
-    e, cov = observation_innovations(estimate, cov, truth, walls)
-    return np.asarray(np.einsum("mi,mi->m", e, np.linalg.solve(cov, e[:, :, None])[:, :, 0]))
+    return squares(*observation_innovations(estimate, cov, truth, walls))
 
 
 def full_rank_from(cov: Array) -> int:
@@ -125,9 +129,8 @@ def nees_band(runs: float, dof: int = 3, confidence: float = 0.95) -> tuple[floa
     runs, 2.36-3.72 for 50. Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
     """
     tail = 0.5 * (1.0 - confidence)
-    return float(chi_square_quantile(tail, dof * runs)) / runs, float(
-        chi_square_quantile(1.0 - tail, dof * runs)
-    ) / runs
+    low, high = (float(chi_square_quantile(share, dof * runs)) / runs for share in (tail, 1.0 - tail))
+    return low, high
 
 
 def share_in_band(nees: Array, band: tuple[float, float]) -> float:

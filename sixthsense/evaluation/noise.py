@@ -18,8 +18,9 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, predict_points
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import STANDSTILL, Odometry, odometry
-from sixthsense.evaluation.metrics import nees_world
+from sixthsense.core.motion import STANDSTILL, odometry
+from sixthsense.evaluation.effective import whitened_errors
+from sixthsense.evaluation.metrics import nees_world, squares
 from sixthsense.slam.features import extract
 
 FEWEST_SAMPLES = 20
@@ -77,9 +78,7 @@ class LandmarkErrors:
     @property
     def nees(self) -> Array:
         """(K,) NEES, 2 on average if the covariances are correct."""
-        return np.asarray(
-            np.einsum("ki,ki->k", self.errors, np.linalg.solve(self.covs, self.errors[..., None])[..., 0])
-        )
+        return squares(self.errors, self.covs)
 
     @property
     def mean_nees(self) -> float:
@@ -114,23 +113,19 @@ class PropagationErrors:
 
     @property
     def whitened(self) -> Array:
-        """(N, 3) whitened errors: L^-1 e with the Cholesky factor L of the covariance."""
-        return np.asarray(np.linalg.solve(np.linalg.cholesky(self.covs), self.errors[..., None])[..., 0])
-
-
-def _compose(track: Sequence[Pose], assumed: AssumedConfig) -> Odometry:
-    """The composed increments of a sample, as in a filter that predicts at every tick."""
-    total = STANDSTILL
-    for before, after in itertools.pairwise(track):
-        total = total.then(odometry(before, after, assumed))
-    return total
+        """(N, 3) errors with the identity as covariance, if the covariances are correct."""
+        return whitened_errors(self.errors, self.covs)
 
 
 def _composed(samples: Sequence[Sample], assumed: AssumedConfig) -> tuple[Array, Array]:
-    """(N, 3) motions and (N, 3, 3) covariances of the samples by odometry."""
-    composed = [_compose(sample.odometry, assumed) for sample in samples]
-    covs = np.array([one.cov for one in composed]) + _UNIT_SQ * np.eye(3)
-    return np.array([one.motion.array() for one in composed]), covs
+    """(N, 3) motions and (N, 3, 3) covariances of the samples by odometry, composed as in a filter at every tick."""
+    motions, covs = np.zeros((len(samples), 3)), np.zeros((len(samples), 3, 3))
+    for k, sample in enumerate(samples):
+        total = STANDSTILL
+        for before, after in itertools.pairwise(sample.odometry):
+            total = total.then(odometry(before, after, assumed))
+        motions[k], covs[k] = total.motion.array(), total.cov
+    return motions, covs + _UNIT_SQ * np.eye(3)
 
 
 def propagation_errors(samples: Sequence[Sample], assumed: AssumedConfig) -> PropagationErrors:
@@ -165,7 +160,7 @@ def fit_motion(
     step = 1e-3
     perturbed = [_composed(samples, merge(noiseless, {name: step}))[0] for name in _SYSTEMATIC]
     jacobian = np.stack([_difference(n, motions) / step for n in perturbed], axis=2)  # (N, 3, 2)
-    errors = _difference(np.array([s.motion.array() for s in samples]), motions)
+    errors = propagation_errors(samples, noiseless).errors
 
     kept = [0, 1]
     scales = np.zeros(len(initial))  # log of the noise parameters relative to their initial values
