@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,19 +23,22 @@ ERRORS = {"position_m": ("position error [m]", 1.0), "heading_rad": ("heading er
 RELATIVE = {"trans_m": "relative translation error [m]", "rot_deg": "relative rotation error [°]"}
 """by part of the metric's key: label of the axis"""
 
-_TITLES = {
-    "error": "Pose error over {over}",
-    "rpe": "Relative pose error by length of path",
-    "nees": "Pose NEES over {over}",
-}
-_SPREAD = {
-    "error": ": median of the runs, and 10 to 90 % of them",
-    "rpe": ": median of the runs, and 10 to 90 % of them",
-    "nees": ", averaged over the runs",
-}
-_KEPT = "campaigns of this version"
-_OVER = {"time": "time", "distance": "distance travelled"}
-_LOW, _HIGH = 10.0, 90.0  # per cent of the runs, limits of the bands
+_QUANTILES = (10.0, 50.0, 90.0)
+"""per cent of the runs: limits of a band, and its median"""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A figure of groups of runs."""
+
+    title: str
+    """with the place of the axis that it is drawn over"""
+    spread: str
+    """of the title, where a group has several runs"""
+    draw: Callable[[Sequence[Group], Canvas, Over], None]
+    """draws the groups that have its data, at least one"""
+    has: Callable[[Group], object]
+    """whether a group has its data"""
 
 
 def style_of(k: int) -> dict[str, Any]:
@@ -50,7 +54,7 @@ def draw_spread(ax: Any, group: Group, quantity: str, over: Over, k: int = 0) ->
     label, scale = ERRORS[quantity]
     found = group.curves()
     places, values = resampled(found, quantity, over)
-    low, middle, high = np.nanpercentile(scale * values, [_LOW, 50.0, _HIGH], axis=0)
+    low, middle, high = np.nanpercentile(scale * values, _QUANTILES, axis=0)
     ax.plot(places, middle, linewidth=1.4, label=_counted(group.name, len(found)), **style_of(k))
     if len(found) > 1:
         ax.fill_between(places, low, high, color=style_of(k)["color"], alpha=0.18, linewidth=0.0)
@@ -106,7 +110,7 @@ def draw_relative_errors(ax: Any, groups: Sequence[Group], part: str) -> None:
     for k, group in enumerate(groups):
         rows = [group.metric(f"rpe_{part}_{length}m") for length in RPE_LENGTHS_M]
         places = np.arange(len(rows)) + (k - 0.5 * (len(groups) - 1)) * apart
-        spread = np.array([np.percentile(row, [_LOW, 50.0, _HIGH]) if len(row) else 3 * [np.nan] for row in rows]).T
+        spread = np.array([np.percentile(row, _QUANTILES) if len(row) else 3 * [np.nan] for row in rows]).T
         runs = max(map(len, rows))
         bars = np.abs(spread[[0, 2]] - spread[1]) if runs > 1 else None
         style = {"marker": "o", "markersize": 4.5, "linewidth": 1.2, "elinewidth": 1.8, "capsize": 3.0}
@@ -119,70 +123,68 @@ def draw_relative_errors(ax: Any, groups: Sequence[Group], part: str) -> None:
 def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], over: Over, ax: Any) -> Picture | None:
     """Draw a figure of the runs in groups by these fields; returns None where it is drawn on the caller's axes.
 
-    Raises FigureError for a name that is not in `GROUP_KINDS` and for runs that lack the figure's data, GroupError for
+    Raises FigureError for a name that is none of these and for runs that lack the figure's data, GroupError for
     a field that there is not.
     """
-    check_over(what, over, GROUP_KINDS)
-    found, canvas = grouped(samples, by), Canvas(what, ax)
-    if not _DRAW_GROUPS[what](found, canvas, over):
-        raise FigureError(f"{what}: found no run whose errors are known, allowed: runs with truth, {_KEPT}")
-    spread = _SPREAD[what] if len(found) < len(samples) else ""
-    title = _TITLES[what].format(over=_OVER[over]) + spread
-    canvas.entitle(title, differences([sample.fields for sample in samples]))
+    check_over(what, over, list(_KINDS))
+    found, canvas, kind = grouped(samples, by), Canvas(what, ax), _KINDS[what]
+    known = [group for group in found if kind.has(group)]
+    if not known:
+        kept = "allowed: runs with truth, campaigns of this version"
+        raise FigureError(f"{what}: found no run whose errors are known, {kept}")
+    kind.draw(known, canvas, over)
+    title = kind.title.format(over="time" if over == "time" else "distance travelled")
+    spread = kind.spread if len(found) < len(samples) else ""
+    canvas.entitle(title + spread, differences([sample.fields for sample in samples]))
     return canvas.picture
 
 
-def errors(groups: Sequence[Group], canvas: Canvas, over: Over) -> bool:
+def draw_errors(groups: Sequence[Group], canvas: Canvas, over: Over) -> None:
     """Position and heading error; on a single Axes the position's."""
-    known = [group for group in groups if group.curves()]
-    if not known:
-        return False
     quantities = list(ERRORS)[:1] if canvas.is_one else list(ERRORS)
     panels = canvas.panels(len(quantities), 1, WIDTH_IN, 7.0, sharex=True)
     for ax, quantity in zip(panels, quantities, strict=True):
-        for k, group in enumerate(known):
+        for k, group in enumerate(groups):
             draw_spread(ax, group, quantity, over, k)
         ax.set_ylim(bottom=0.0)
     if canvas.given is None:
         panels[0].set_xlabel("")
     canvas.label(panels[0])
-    return True
 
 
-def mean_nees(groups: Sequence[Group], canvas: Canvas, over: Over) -> bool:
+def draw_consistency(groups: Sequence[Group], canvas: Canvas, over: Over) -> None:
     """NEES averaged over the runs."""
-    known = [group for group in groups if any(np.isfinite(one.nees).any() for one in group.curves())]
-    if not known:
-        return False
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 5.0)
-    draw_mean_nees(ax, known, over)
+    draw_mean_nees(ax, groups, over)
     canvas.label(ax)
-    return True
 
 
-def relative_errors(groups: Sequence[Group], canvas: Canvas, over: Over = "time") -> bool:
+def draw_relative(groups: Sequence[Group], canvas: Canvas, _: Over) -> None:
     """Relative pose error, translation and rotation; on a single Axes the translation's."""
-    known = [group for group in groups if len(group.metric(f"rpe_trans_m_{RPE_LENGTHS_M[0]}m"))]
-    if not known:
-        return False
     parts = list(RELATIVE)[:1] if canvas.is_one else list(RELATIVE)
     panels = canvas.panels(1, len(parts), WIDTH_IN, 4.6)
     for ax, part in zip(panels, parts, strict=True):
-        draw_relative_errors(ax, known, part)
-    if any(group.name for group in known):
+        draw_relative_errors(ax, groups, part)
+    if any(group.name for group in groups):
         canvas.label_below(panels)
-    return True
+
+
+def has_relative(group: Group) -> bool:
+    """Whether a run of the group has driven far enough for a relative pose error."""
+    return len(group.metric(f"rpe_trans_m_{RPE_LENGTHS_M[0]}m")) > 0
+
+
+def _has_nees(group: Group) -> bool:
+    return any(np.isfinite(one.nees).any() for one in group.curves())
 
 
 def _counted(name: str, runs: int) -> str:
     return f"{name}, {runs} runs" if runs > 1 else name
 
 
-_DRAW_GROUPS: dict[str, Callable[[Sequence[Group], Canvas, Over], bool]] = {
-    "error": errors,
-    "rpe": relative_errors,
-    "nees": mean_nees,
+_MEDIAN = ": median of the runs, and 10 to 90 % of them"
+_KINDS = {
+    "error": _Kind("Pose error over {over}", _MEDIAN, draw_errors, Group.curves),
+    "rpe": _Kind("Relative pose error by length of path", _MEDIAN, draw_relative, has_relative),
+    "nees": _Kind("Pose NEES over {over}", ", averaged over the runs", draw_consistency, _has_nees),
 }
-
-GROUP_KINDS = tuple(_DRAW_GROUPS)
-"""names of the figures of groups"""

@@ -147,14 +147,14 @@ def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | Non
     ax.margins(x=0.0)
 
 
-def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str] | None = None) -> None:
+def draw_stages(ax: Any, runs: Sequence[Mapping[str, Any]], labels: Sequence[str | None] = (None,)) -> None:
     """Draw the mean time of each stage per keyframe, milliseconds, with a bar for each run's metrics."""
     stages = [stage for stage in STAGES if any(f"stage_ms_mean.{stage}" in run for run in runs)]
     height = 0.8 / max(len(runs), 1)
     for k, run in enumerate(runs):
         values = np.array([run.get(f"stage_ms_mean.{stage}", np.nan) for stage in stages], dtype=np.float64)
         places = np.arange(len(stages)) + (k - 0.5 * (len(runs) - 1)) * height
-        words = [] if labels is None else [labels[k]]
+        words = [label for label in labels[k : k + 1] if label]
         if "scan_ms_p50" in run:
             words.append(f"keyframe: median {_ms(run['scan_ms_p50'])} ms, 99 % below {_ms(run['scan_ms_p99'])} ms")
         bars = ax.barh(places, values, height, color=CYCLE[k % len(CYCLE)], label=": ".join(words) or None)

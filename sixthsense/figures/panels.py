@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -22,31 +23,48 @@ from sixthsense.figures.plot import CYCLE, draw_map, map_figure, map_height
 from sixthsense.record.load import RecordPart
 from sixthsense.record.trace import Trace
 
-_TITLES = {
-    "map": "Maps",
-    "rpe": "Relative pose error by length of path",
-    "error": "Pose error at keyframes, with the three-sigma bounds of the estimator",
-    "nees": "Consistency of the pose: normalised estimation error squared",
-    "nis": "Consistency of the matches: normalised innovation squared",
-    "stages": "Computing time per stage",
-    "coverage": "Area seen",
-    "exploration": "Seen area, remaining frontiers, and plans over time",
-}
-_REQUIRED_DATA = {
-    "error": "the truth at keyframes",
-    "rpe": "the truth over at least a metre of path",
-    "nees": "the truth at keyframes",
-    "nis": "matched landmarks",
-    "stages": "stage times",
-    "coverage": "the truth and its scene",
-    "exploration": "an exploration",
-}
-_REQUIRED_PARTS = {"nis": RecordPart.KEYFRAMES, "stages": RecordPart.KEYFRAMES, "exploration": RecordPart.GRID}
-"""part of the record that a figure needs"""
 _CARD_METRICS = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",
     "path_length_m", "sim_time_s", "wall_time_s",
 )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A run in a figure of one or several."""
+
+    run: MeasuredRun
+    label: str | None
+    """its name among several runs"""
+    color: str
+
+    @property
+    def trace(self) -> Trace:
+        return self.run.trace
+
+    @property
+    def group(self) -> Group:
+        """The run as a group of its own."""
+        name = self.label or ""
+        return Group(name, (self.run.sample(name),))
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A figure of one or several runs."""
+
+    title: str
+    """over the figure of several runs"""
+    caption: str
+    """below it on the page of a report"""
+    draw: Callable[[Sequence[_Shown], Canvas, Over], None]
+    """draws the runs that have its data, at least one"""
+    has: Callable[[_Shown], object] = lambda _: True
+    """whether a run has its data"""
+    data: str = ""
+    """what it shows, in words"""
+    part: RecordPart | None = None
+    """of the record that it needs"""
 
 
 def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any = None) -> Picture | None:
@@ -55,14 +73,14 @@ def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any 
     Raises FigureError for a name that is not in `KINDS`, for a figure whose data all runs lack and for axes that do not
     do, and ReportError for another number of runs.
     """
-    check_over(what, over, KINDS)
+    check_over(what, over, list(KINDS))
     canvas = Canvas(what, ax)
     if _drawn(canvas, runs, over):
         return canvas.picture
-    part = _REQUIRED_PARTS.get(what)
+    part = KINDS[what].part
     if part is not None and any(part.value in run.missing for run in runs):
         raise FigureError(f"{what}: found a folder without {part.value}, allowed: ss.replay, which estimates it again")
-    raise FigureError(f"{what}: found a run without {_REQUIRED_DATA[what]}, allowed: a run that has it")
+    raise FigureError(f"{what}: found a run without {KINDS[what].data}, allowed: a run that has it")
 
 
 def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
@@ -75,12 +93,15 @@ def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun], over: Over) -> bool:
     """Draw a figure with its title; returns False if all runs lack its data."""
     if not 1 <= len(runs) <= MAX_RUNS:
         raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
-    names = numbered_names(runs)
-    if not _DRAW_BY_KIND[canvas.what](runs, names, canvas, over):
+    names, kind, several = numbered_names(runs), KINDS[canvas.what], len(runs) > 1
+    shown = [_Shown(run, names[k] if several else None, CYCLE[k % len(CYCLE)]) for k, run in enumerate(runs)]
+    shown = [one for one in shown if kind.has(one)]
+    if not shown:
         return False
-    if len(runs) > 1:
+    kind.draw(shown, canvas, over)
+    if several:
         fields = [fields_of(name, run.trace.config) for name, run in zip(names, runs, strict=True)]
-        canvas.entitle(_TITLES[canvas.what], differences(fields))
+        canvas.entitle(kind.title, differences(fields))
     elif canvas.what not in ("map", "exploration") or canvas.given is not None:
         canvas.entitle(runs[0].title)
     return True
@@ -98,147 +119,135 @@ def card(run: MeasuredRun) -> str:
     )
 
 
-def _with_truth(runs: Sequence[MeasuredRun]) -> list[int]:
-    return [k for k, run in enumerate(runs) if run.trace.key_truths]
-
-
-def _run_color(k: int) -> str:
-    return CYCLE[k % len(CYCLE)]
-
-
-def _maps(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    if len(runs) == 1 and canvas.given is None:
-        canvas.picture = map_figure(runs[0].trace, runs[0].title)
+def _maps(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+    if shown[0].label is None and canvas.given is None:
+        canvas.picture = map_figure(shown[0].trace, shown[0].run.title)
     else:
-        _panel_per_run(runs, names, canvas, draw_map)
-    return True
+        _panel_per_run(shown, canvas, draw_map)
 
 
-def _exploration(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    traces = [run.trace for run in runs]
-    shown = [k for k, t in enumerate(traces) if t.config.task == "explore" and t.plans and t.grid is not None]
-    if shown:
-        _panel_per_run([runs[k] for k in shown], [names[k] for k in shown], canvas, draw_exploration)
-    return bool(shown)
+def _explorations(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+    _panel_per_run(shown, canvas, draw_exploration)
 
 
-def _panel_per_run(
-    runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, draw: Callable[[Any, Trace], None]
-) -> None:
+def _panel_per_run(shown: Sequence[_Shown], canvas: Canvas, draw: Callable[[Any, Trace], None]) -> None:
     """One panel per run, drawn by `draw`, with a common legend."""
-    columns = len(runs) if canvas.given is not None else min(len(runs), 3)
-    rows = -(-len(runs) // columns)
+    columns = len(shown) if canvas.given is not None else min(len(shown), 3)
+    rows = -(-len(shown) // columns)
     width = max(WIDTH_IN, 5.0 * columns)
     panels = canvas.panels(rows, columns, width, width)
-    for ax, run, name in zip(panels, runs, names, strict=False):
-        draw(ax, run.trace)
-        if len(runs) > 1:
-            ax.set_title(f"{name}: {run.outcome}", fontsize=10)
+    for ax, one in zip(panels, shown, strict=False):
+        draw(ax, one.trace)
+        if len(shown) > 1:
+            ax.set_title(f"{one.label}: {one.run.outcome}", fontsize=10)
         elif canvas.given is None:
-            ax.set_title(run.title)  # a title of the axes, not of the figure: equal scales leave a gap between the two
+            ax.set_title(one.run.title)  # of the axes, not of the figure: equal scales leave a gap between the two
     if canvas.picture is None:
         return
-    for ax in panels[len(runs) :]:
+    for ax in panels[len(shown) :]:
         ax.set_axis_off()
-    heights = [map_height(ax, width / columns) for ax in panels[: len(runs)]]
-    canvas.picture.set_size_inches(width, rows * max(heights) + (0.6 if len(runs) > 1 else 0.0))
+    heights = [map_height(ax, width / columns) for ax in panels[: len(shown)]]
+    canvas.picture.set_size_inches(width, rows * max(heights) + (0.6 if len(shown) > 1 else 0.0))
     canvas.label_below(panels)
 
 
-def _errors(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, over: Over) -> bool:
+def _errors(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
     """Errors of x, y and heading with their bounds, a column per run; on a single Axes the position's magnitude."""
-    shown = _with_truth(runs)
-    if not shown:
-        return False
     if canvas.is_one:
-        return groups.errors(_a_group_each(runs, names), canvas, over)
+        groups.draw_errors([one.group for one in shown], canvas, over)
+        return
     width = max(WIDTH_IN, 4.0 * len(shown))
     axes = canvas.panels(len(COMPONENTS), len(shown), width, 8.0, sharex="col", sharey="row")
-    panels = np.array(axes).reshape(len(COMPONENTS), len(shown))
-    for column, k in enumerate(shown):
-        for component, ax in enumerate(panels[:, column]):
-            draw_error(ax, runs[k].trace, component, _run_color(k), over)
+    for one, column in zip(shown, np.array(axes).reshape(len(COMPONENTS), len(shown)).T, strict=True):
+        for component, ax in enumerate(column):
+            draw_error(ax, one.trace, component, one.color, over)
             if canvas.given is None:
                 ax.label_outer()
-        if len(runs) > 1:
-            panels[0, column].legend(loc="upper left", ncols=2, frameon=False)
-            panels[0, column].set_title(names[k], fontsize=10)
+        if one.label is None:
+            canvas.label(column[0])
         else:
-            canvas.label(panels[0, column])
-    return True
+            column[0].legend(loc="upper left", ncols=2, frameon=False)
+            column[0].set_title(one.label, fontsize=10)
 
 
-def _nees(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, over: Over) -> bool:
+def _nees(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
     """In world and in right-invariant coordinates; on a single Axes the former."""
-    shown = _with_truth(runs)
-    if not shown:
-        return False
     panels = canvas.panels(1 if canvas.is_one else 2, 1, WIDTH_IN, 8.0, sharex=True, sharey=True)
     frames: tuple[Literal["world", "invariant"], ...] = ("world", "invariant")
     for ax, frame in zip(panels, frames, strict=False):
-        for k in shown:
-            label = names[k] if len(runs) > 1 else None
-            draw_nees(ax, runs[k].trace, frame, _run_color(k), label, k == shown[0], over)
+        for k, one in enumerate(shown):
+            draw_nees(ax, one.trace, frame, one.color, one.label, k == 0, over)
         canvas.label(ax)
     if canvas.given is None:
         panels[0].set_xlabel("")
-    return True
 
 
-def _nis(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    shown = [k for k, run in enumerate(runs) if any(association.dof for association in run.trace.associations)]
-    if not shown:
-        return False
+def _nis(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+    """One panel per run: the band depends on the number of matched landmarks."""
     panels = canvas.panels(len(shown), 1, WIDTH_IN, 2.0 + 2.4 * len(shown), sharex=True, sharey=True)
-    # One panel per run: the band depends on the number of matched landmarks.
-    for ax, k in zip(panels, shown, strict=True):
-        draw_nis(ax, runs[k].trace, _run_color(k), names[k] if len(runs) > 1 else None)
+    for ax, one in zip(panels, shown, strict=True):
+        draw_nis(ax, one.trace, one.color, one.label)
         canvas.label(ax)
         if canvas.given is None:
             ax.label_outer()
-    return True
 
 
-def _stages(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    shown = [k for k, run in enumerate(runs) if any(key.startswith("stage_ms_mean.") for key in run.metrics)]
-    if not shown:
-        return False
+def _stages(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 4.0 + 0.9 * len(shown))
-    draw_stages(ax, [runs[k].metrics for k in shown], [names[k] for k in shown] if len(runs) > 1 else None)
+    draw_stages(ax, [one.run.metrics for one in shown], [one.label for one in shown])
     canvas.label(ax)
-    return True
 
 
-def _coverage(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    shown = [k for k in _with_truth(runs) if runs[k].trace.scene is not None]
-    if not shown:
-        return False
+def _coverage(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 5.0)
-    for k in shown:
-        draw_coverage(ax, runs[k].trace, _run_color(k), names[k] if len(runs) > 1 else None)
+    for one in shown:
+        draw_coverage(ax, one.trace, one.color, one.label)
     canvas.label(ax)
-    return True
 
 
-def _relative_errors(runs: Sequence[MeasuredRun], names: Sequence[str], canvas: Canvas, _: Over) -> bool:
-    return groups.relative_errors(_a_group_each(runs, names), canvas)
+def _relative_errors(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
+    groups.draw_relative([one.group for one in shown], canvas, over)
 
 
-def _a_group_each(runs: Sequence[MeasuredRun], names: Sequence[str]) -> list[Group]:
-    labels = names if len(runs) > 1 else [""]
-    return [Group(label, (run.sample(label),)) for label, run in zip(labels, runs, strict=True)]
-
-
-_DRAW_BY_KIND: dict[str, Callable[[Sequence[MeasuredRun], Sequence[str], Canvas, Over], bool]] = {
-    "map": _maps,
-    "error": _errors,
-    "rpe": _relative_errors,
-    "nees": _nees,
-    "nis": _nis,
-    "stages": _stages,
-    "coverage": _coverage,
-    "exploration": _exploration,
-}
-
-KINDS = tuple(_DRAW_BY_KIND)
-"""names of the figures"""
+KINDS = {
+    "map": Kind(
+        "Maps", "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.", _maps
+    ),
+    "error": Kind(
+        "Pose error at keyframes, with the three-sigma bounds of the estimator",
+        "Error of the pose at keyframes, and the three-sigma bounds of the estimator.",
+        _errors, lambda one: one.trace.key_truths, "the truth at keyframes",
+    ),
+    "rpe": Kind(
+        "Relative pose error by length of path",
+        "Relative pose error: that of the motion over every piece of path of a length, root mean square.",
+        _relative_errors, lambda one: groups.has_relative(one.group), "the truth over at least a metre of path",
+    ),
+    "nees": Kind(
+        "Consistency of the pose: normalised estimation error squared",
+        "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
+        _nees, lambda one: one.trace.key_truths, "the truth at keyframes",
+    ),
+    "nis": Kind(
+        "Consistency of the matches: normalised innovation squared",
+        "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
+        _nis, lambda one: any(found.dof for found in one.trace.associations), "matched landmarks",
+        RecordPart.KEYFRAMES,
+    ),
+    "stages": Kind(
+        "Computing time per stage", "Computing time of the stages of a keyframe.",
+        _stages, lambda one: any(key.startswith("stage_ms_mean.") for key in one.run.metrics), "stage times",
+        RecordPart.KEYFRAMES,
+    ),
+    "coverage": Kind(
+        "Area seen", "Seen share of the visible area, over time.",
+        _coverage, lambda one: one.trace.key_truths and one.trace.scene, "the truth and its scene",
+    ),
+    "exploration": Kind(
+        "Seen area, remaining frontiers, and plans over time",
+        "Exploration: seen area, remaining frontiers, and planned paths, pale to dark over time.",
+        _explorations, lambda one: one.trace.config.task == "explore" and one.trace.plans and one.trace.grid,
+        "an exploration", RecordPart.GRID,
+    ),
+}  # fmt: skip
+"""the figures by their names"""

@@ -36,15 +36,15 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
     for more than 12 runs.
     """
     out = Path(out)
-    pictures: list[Path] = []
+    pictures: dict[Path, str] = {}
     files: list[Path] = []
-    for kind in KINDS:
-        figure = figure_if_any(kind, runs)
+    for name, kind in KINDS.items():
+        figure = figure_if_any(name, runs)
         if figure is not None:
-            pictures.append(out / f"{kind}.png")
-            save(figure, pictures[-1])
+            pictures[out / f"{name}.png"] = kind.caption
+            save(figure, out / f"{name}.png")
             if form != "png":
-                files.append(out / f"{kind}.{form}")
+                files.append(out / f"{name}.{form}")
                 save_vectors(figure, files[-1])
     if len(runs) > 1:
         files.append(out / "metrics.csv")
@@ -52,7 +52,7 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
             csv.writer(file).writerows(table(runs))
     files.append(out / "report.html")
     files[-1].write_text(page(runs, pictures), encoding="utf-8")
-    return pictures + files
+    return [*pictures, *files]
 
 
 def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:

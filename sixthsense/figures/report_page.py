@@ -20,17 +20,6 @@ from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
 from sixthsense.evaluation.results import QUANTITIES, in_groups, unit
 from sixthsense.evaluation.tables import digits, html_table
 
-_CAPTIONS = {
-    "map": "Map: true walls, detected walls, landmarks with 95 % ellipses, planned and driven paths.",
-    "error": "Error of the pose at keyframes, and the three-sigma bounds of the estimator.",
-    "rpe": "Relative pose error: that of the motion over every piece of path of a length, root mean square.",
-    "nees": "Consistency of the pose: normalised estimation error squared (NEES), 3 on average if consistent.",
-    "nis": "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
-    "stages": "Computing time of the stages of a keyframe.",
-    "coverage": "Seen share of the visible area, over time.",
-    "exploration": "Exploration: seen area, remaining frontiers, and planned paths, pale to dark over time.",
-}
-
 _STYLE = """
 :root { color-scheme: light; }
 * { box-sizing: border-box; }
@@ -62,19 +51,22 @@ summary { cursor: pointer; margin: .6rem 0; }
 """
 
 
-def page(runs: Sequence[MeasuredRun], figures: Sequence[Path]) -> str:
-    """The HTML of a report on one or several runs, with the PNG `figures` embedded; every value is escaped."""
-    described = [_DescribedRun(run, name, len(runs) > 1) for run, name in zip(runs, numbered_names(runs), strict=True)]
-    title = runs[0].title if len(runs) == 1 else f"Runs compared: {', '.join(run.name for run in described)}"
-    first, rest = figures[:1], figures[1:]
-    captioned = {file: _CAPTIONS.get(file.stem, file.stem) for file in figures}
-    sections = {"Metrics": _metrics(described)}
+def page(runs: Sequence[MeasuredRun], figures: Mapping[Path, str]) -> str:
+    """The HTML of a report on one or several runs, with PNG `figures` embedded, by captions; every value is escaped."""
+    names = numbered_names(runs)
+    several = len(runs) > 1
+    title = f"Runs compared: {', '.join(names)}" if several else runs[0].title
+    first, *rest = [figure_block(file, caption, title) for file, caption in figures.items()] or [""]
+    labelled = [(name if several else "", run) for name, run in zip(names, runs, strict=True)]
+    metrics = metrics_rows([{key: digits(value) for key, value in run.metrics.items()} for run in runs])
+    head = ["metric", *(names if several else ["value"]), "unit", "meaning"]
+    sections = {"Metrics": table(head, metrics, len(runs))}
     if rest:
-        sections["Figures"] = "\n".join(figure_block(file, captioned[file], title) for file in rest)
-    sections["Configuration"] = _configuration(described)
-    sections["Reproduction"] = "\n".join(map(_reproduction, described))
-    top = [figure_block(file, captioned[file], title) for file in first]
-    return document(title, [*map(_outcome, described), contents(figures, list(sections)), *top], sections)
+        sections["Figures"] = "\n".join(rest)
+    sections["Configuration"] = _configuration(labelled)
+    sections["Reproduction"] = "\n".join(_reproduction(*one) for one in labelled)
+    outcomes = [_outcome(*one) for one in labelled]
+    return document(title, [*outcomes, contents(list(figures), list(sections)), first], sections)
 
 
 def document(title: str, top: Sequence[str], sections: Mapping[str, str]) -> str:
@@ -97,21 +89,10 @@ def document(title: str, top: Sequence[str], sections: Mapping[str, str]) -> str
 """
 
 
-class _DescribedRun:
-    """The data of a run that the page shows."""
-
-    def __init__(self, run: MeasuredRun, name: str, is_one_of_several: bool) -> None:
-        self.name, self.is_named = name, is_one_of_several
-        self.outcome, self.metrics, self.config, self.folder = run.outcome, run.metrics, run.trace.config, run.folder
-        self.missing = run.missing
-        self.is_killed = run.folder is not None and not (run.folder / "metrics.json").is_file()
-        self.notes = {} if run.folder is None else _notes(run.folder)
-
-
-def _notes(folder: Path) -> dict[str, dict[str, Any]]:
-    """The tables of config.toml that are not settings, such as versions; {} for a missing or invalid file."""
+def _notes(run: MeasuredRun) -> dict[str, dict[str, Any]]:
+    """The tables of config.toml that are not settings, such as versions; {} without a file, or for an invalid one."""
     try:
-        table = parse_toml((folder / "config.toml").read_text(encoding="utf-8-sig"))
+        table = {} if run.folder is None else parse_toml((run.folder / "config.toml").read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return {}
     return {name: table[name] for name in NOTES if isinstance(table.get(name), dict)}
@@ -122,10 +103,10 @@ def escaped(value: Any) -> str:
     return html.escape(str(value))
 
 
-def _outcome(run: _DescribedRun) -> str:
-    name = f"{escaped(run.name)}: " if run.is_named else ""
+def _outcome(label: str, run: MeasuredRun) -> str:
+    name = f"{escaped(label)}: " if label else ""
     line = f'<p class="outcome">{name}<strong>{escaped(run.outcome)}</strong></p>'
-    if run.is_killed:
+    if run.folder is not None and not (run.folder / "metrics.json").is_file():
         line += f'\n<p class="note">{name}the run was stopped before its end. The page shows the record up to then.</p>'
     if run.missing:
         line += f'\n<p class="note">{name}the folder has no record of {escaped("; ".join(run.missing))}.</p>'
@@ -170,33 +151,23 @@ def metrics_rows(runs: Sequence[Mapping[str, str]]) -> list[list[str]]:
     return in_groups(runs, cells)
 
 
-def _metrics(runs: Sequence[_DescribedRun]) -> str:
-    """The metrics in groups, with a column per run."""
-    rows = metrics_rows([{key: digits(value) for key, value in run.metrics.items()} for run in runs])
-    head = ["metric", *([run.name for run in runs] if len(runs) > 1 else ["value"]), "unit", "meaning"]
-    return table(head, rows, len(runs))
-
-
-def _configuration(runs: Sequence[_DescribedRun]) -> str:
+def _configuration(labelled: Sequence[tuple[str, MeasuredRun]]) -> str:
     """The fields that differ from the default, or between several runs, and the complete configurations, folded."""
-    settings, default = [flat_texts(as_table(run.config)) for run in runs], flat_texts(as_table(Config()))
-    if len(runs) > 1:
-        columns, same = [run.name for run in runs], "All runs have the same configuration."
-    else:
-        settings, columns, same = [*settings, default], ["this run", "default"], "All fields have their default values."
-    rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in differing(settings)]
-    parts = [table(["different field", *columns], rows) if rows else f"<p>{same}</p>"]
-    for run in runs:
-        of = f" of {escaped(run.name)}" if len(runs) > 1 else ""
-        text = escaped(_toml(run))
-        parts.append(f"<details><summary>Complete configuration{of} (config.toml)</summary><pre>{text}</pre></details>")
-    return "\n".join(parts)
-
-
-def _toml(run: _DescribedRun) -> str:
     import tomli_w
 
-    return tomli_w.dumps({**as_table(run.config), **run.notes})
+    tables = [as_table(run.trace.config) for _, run in labelled]
+    settings, columns = list(map(flat_texts, tables)), [name for name, _ in labelled]
+    same = "All runs have the same configuration."
+    if len(labelled) == 1:
+        settings.append(flat_texts(as_table(Config())))
+        columns, same = ["this run", "default"], "All fields have their default values."
+    rows = [[name, *(fields.get(name, "none") for fields in settings)] for name in differing(settings)]
+    parts = [table(["different field", *columns], rows) if rows else f"<p>{same}</p>"]
+    for complete, (name, run) in zip(tables, labelled, strict=True):
+        of = f" of {escaped(name)}" if name else ""
+        text = escaped(tomli_w.dumps({**complete, **_notes(run)}))
+        parts.append(f"<details><summary>Complete configuration{of} (config.toml)</summary><pre>{text}</pre></details>")
+    return "\n".join(parts)
 
 
 def flat_texts(table: Mapping[str, Any]) -> dict[str, str]:
@@ -210,12 +181,12 @@ def _value_text(value: Any) -> str:
     return " ".join(map(_value_text, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
-def _reproduction(run: _DescribedRun) -> str:
+def _reproduction(name: str, run: MeasuredRun) -> str:
     """The commands that repeat a run, and the versions that produced it."""
-    parts = [f"<p><strong>{escaped(run.name)}</strong></p>" if run.is_named else ""]
+    parts, notes = [f"<p><strong>{escaped(name)}</strong></p>" if name else ""], _notes(run)
     if run.folder is not None:
         config = shlex.quote(str(run.folder / "config.toml"))
-        replayed = run.notes.get("replayed", {})
+        replayed = notes.get("replayed", {})
         command = f"sixthsense run --config {config}"
         if "log" in replayed:
             more = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in replayed.items() if name != "log")
@@ -223,12 +194,12 @@ def _reproduction(run: _DescribedRun) -> str:
         if "scan" in replayed:
             topics = " ".join(f"--{name} {shlex.quote(str(value))}" for name, value in replayed.items())
             command = f"sixthsense live {topics} --config {config}"
-        with_map = _prior_map_options(run.notes.get("prior_map", {}))
+        with_map = _prior_map_options(notes.get("prior_map", {}))
         command += with_map
         again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
         parts.append(f"<pre>{escaped(command)}</pre>")
         parts.append(f"<p>Or from the recorded sensor data:</p>\n<pre>{escaped(again)}</pre>")
-    versions = run.notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
+    versions = notes.get("versions") or {"sixthsense": __version__, "python": platform.python_version()}
     words = ", ".join(f"{name} {version}" for name, version in versions.items())
     parts.append(f'<p class="quiet">Run by {escaped(words)}.</p>')
     return "\n".join(part for part in parts if part)

@@ -8,6 +8,7 @@ import pytest
 from sixthsense.cli import main
 from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
+from sixthsense.figures.panels import KINDS
 from sixthsense.figures.report import report
 from sixthsense.figures.report_page import page
 from sixthsense.figures.run import Run, load
@@ -98,7 +99,7 @@ def test_every_external_text_is_escaped(tmp_path):
     metrics = {"outcome": nasty, nasty: nasty}
     run = shown(nasty, metrics, noted(tmp_path / nasty, notes), scene=nasty)
     for runs in ([run], [run, shown()]):
-        text = page(runs, [])
+        text = page(runs, {})
         parsed = Page(text)
         assert "b" not in parsed.tags
         assert "<b " not in text
@@ -108,7 +109,7 @@ def test_every_external_text_is_escaped(tmp_path):
 def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
     one = shown("one", {"ate_rmse_m": 0.25, "plans": 3}, seed=1, estimator="isam2")
     two = shown("two", {"ate_rmse_m": 0.5, "outcome": "stuck"}, seed=2, estimator="isam2")
-    text = page([one, two], [])
+    text = page([one, two], {})
     said = Page(text).text
     assert "Runs compared: one, two" in said
     assert "two: stuck" in said
@@ -119,7 +120,7 @@ def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
 
 @pytest.mark.parametrize("form", ["svg"])
 def test_vector_figures_are_the_same_each_time(folder, tmp_path, form, monkeypatch):
-    monkeypatch.setattr("sixthsense.figures.report.KINDS", ("map", "nees"))
+    monkeypatch.setattr("sixthsense.figures.report.KINDS", {name: KINDS[name] for name in ("map", "nees")})
     run = load(folder)
     first = {file.name: file.read_bytes() for file in report([run], tmp_path / "a", form)}
     again = {file.name: file.read_bytes() for file in report([run], tmp_path / "b", form)}
