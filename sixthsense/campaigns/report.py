@@ -21,7 +21,6 @@ from sixthsense.figures.groups import group_figure
 from sixthsense.figures.plot import save
 from sixthsense.figures.report import Form
 from sixthsense.figures.report_page import contents, document, escaped, figure_block, flat_texts, metrics_rows, table
-from sixthsense.figures.vectors import save_vectors
 
 _FIGURES = {
     "error": "Errors of position and heading over time: median of the runs of a group, and the band of 10 to 90 %.",
@@ -93,7 +92,7 @@ def _draw(
         save(picture, file)
         vectors = [] if form == "png" else [file.with_suffix(f".{form}")]
         for one in vectors:
-            save_vectors(picture, one)
+            save(picture, one)
         yield file, vectors, name
 
 

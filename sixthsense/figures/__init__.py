@@ -5,14 +5,22 @@ Each function draws on given axes. `new_axes` makes a figure. `record` runs a co
 
 from __future__ import annotations
 
-from sixthsense.figures.layout import draw_truth, legend, new_axes, window
-from sixthsense.figures.log import draw_walls_at, draw_way
+from sixthsense.figures.canvas import draw_truth, legend, new_axes, slider, window
 from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_region, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
+from sixthsense.figures.plot import draw_walls_at, draw_way
 from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
-from sixthsense.figures.scan import draw_beams, draw_detections, draw_partitions, draw_returns, draw_wall_bands
-from sixthsense.figures.settings import Change, compare_features, draw_change, strays_m
-from sixthsense.figures.sliders import slider
+from sixthsense.figures.scan import (
+    Change,
+    compare_features,
+    draw_beams,
+    draw_change,
+    draw_detections,
+    draw_partitions,
+    draw_returns,
+    draw_wall_bands,
+    strays_m,
+)
 from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
 
 __all__ = [

@@ -1,19 +1,24 @@
-"""Where a figure is drawn: a new picture, or axes that the caller has."""
+"""Where a figure is drawn: a new picture, or axes that the caller has; its legend, its window, its slider."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
 from sixthsense.config.suggestion import allowed_names, nearest
-from sixthsense.figures.picture import Picture
-from sixthsense.figures.plot import new_figure
+from sixthsense.core.geometry import Array
+from sixthsense.figures.plot import draw_segments, label_plane, new_figure
+from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
+
+    from sixthsense.figures.picture import Picture
 
     OnAxes = Axes | Sequence[Axes] | NDArray[Any]
 
@@ -42,8 +47,8 @@ class Canvas:
     def panels(self, rows: int, columns: int, width_in: float, height_in: float, **share: Any) -> list[Any]:
         """The axes of the figure, row by row; FigureError if the caller has given another number of them."""
         if self.given is None:
-            self.picture = new_figure(width_in, height_in)
-            return list(self.picture.subplots(rows, columns, squeeze=False, **share).ravel())
+            self.picture, axes = new_axes(rows, columns, width_in, height_in, **share)
+            return axes
         if len(self.given) != rows * columns:
             raise FigureError(f"ax: found {len(self.given)} axes for {self.what}, allowed: {rows * columns}")
         return self.given
@@ -73,9 +78,8 @@ class Canvas:
         if self.picture is None:
             self.label(panels[0])
             return
-        entries = {name: handle for ax in panels for handle, name in zip(*ax.get_legend_handles_labels(), strict=True)}
-        columns = max(1, min(5, 130 // (max(map(len, entries), default=0) + 8)))
-        self.picture.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False)
+        names = [name for ax in panels for name in ax.get_legend_handles_labels()[1]]
+        legend(self.picture, max(1, min(5, 130 // (max(map(len, names), default=0) + 8))))
 
 
 def check_over(what: str, over: str, kinds: Sequence[str]) -> None:
@@ -93,3 +97,56 @@ def _axes(ax: Any) -> list[Any]:
     if not found or not all(hasattr(one, "get_legend_handles_labels") for one in found):
         raise FigureError(f"ax: found {shown(ax)}, allowed: Axes of matplotlib, one or several")
     return found
+
+
+def new_axes(rows: int, columns: int, width_in: float, height_in: float, **share: Any) -> tuple[Picture, list[Any]]:
+    """A new figure and its axes, row by row; `sharex` and `sharey` as of matplotlib's `subplots`."""
+    figure = new_figure(width_in, height_in)
+    return figure, list(figure.subplots(rows, columns, squeeze=False, **share).ravel())
+
+
+def legend(figure: Any, columns: int = 6) -> Any:
+    """Add one legend for all axes below them, and return the figure."""
+    entries = {
+        label: handle for ax in figure.axes for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(entries.values(), entries, loc="outside lower center", ncols=columns, frameon=False)
+    return figure
+
+
+def draw_truth(ax: Any, scene: Scene, color: str = "#C8C8C8", near: Array | None = None, reach_m: float = 0.0) -> None:
+    """Draw the true walls and show all of them, or a window of `reach_m` around the point `near` (2,)."""
+    draw_segments(ax, scene.walls, colors=color, linewidths=1.4, zorder=0.5, label="true walls")
+    label_plane(ax)
+    low, high = scene.walls.reshape(-1, 2).min(axis=0) - 0.4, scene.walls.reshape(-1, 2).max(axis=0) + 0.4
+    if near is not None:
+        low, high = np.maximum(low, near - reach_m), np.minimum(high, near + reach_m)
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def window(ax: Any, points: Array) -> None:
+    """Show (N, 2) points with a margin of a metre in a window of aspect 4 to 3."""
+    low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
+    centre, half = 0.5 * (low + high), 0.5 * max(high[0] - low[0], (high[1] - low[1]) * 4 / 3)
+    ax.set(xlim=(centre[0] - half, centre[0] + half), ylim=(centre[1] - 0.75 * half, centre[1] + 0.75 * half))
+
+
+def slider(draw: Callable[[Any], Any], values: Sequence[Any], start: Any, label: str) -> None:
+    """Display `draw(start)` below a slider over `values` that draws again; without ipywidgets the picture alone.
+
+    Raises ValueError for a `start` that is none of the values. Needs IPython, as every notebook does.
+    """
+    from IPython import display as showing
+
+    display: Any = showing.display
+    if start not in values:
+        raise ValueError(f"start: found {start!r}, allowed: {', '.join(map(str, values))}")
+    try:
+        from ipywidgets import SelectionSlider
+    except ImportError:
+        display(draw(start))
+        return
+    moved = SelectionSlider(options=list(values), value=start, description=label, continuous_update=False)
+    display(moved)
+    shown = display(draw(start), display_id=True)
+    moved.observe(lambda change: shown.update(draw(change["new"])), names="value")

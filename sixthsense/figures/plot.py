@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +36,7 @@ CHI2_95 = 5.991  # 2 degrees of freedom
 
 _WIDTH_IN, _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 11.0, 1.5, 11.0
 _FRAME_IN = 1.0  # height of title, axis label and legend
+_MOST_MARKS, _MOST_CORNERS = 500, 20_000  # of a vector layer, and of a vector line
 
 
 def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
@@ -73,10 +75,25 @@ def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
     ax.add_collection(LineCollection(list(segments), **style))
 
 
-def walls_found(trace: Trace) -> Array:
-    """(N, 2, 2) detected walls of all keyframes, placed by the final trajectory, world frame."""
-    placed = [Pose.from_array(pose) @ walls for pose, walls in zip(trace.trajectory, trace.walls_found, strict=True)]
+def walls_found(trace: Trace, poses: Sequence[Array] | Array) -> Array:
+    """(N, 2, 2) detected walls of all keyframes, world frame, placed by `poses` (K, 3) of the keyframes."""
+    placed = [Pose.from_array(pose) @ walls for pose, walls in zip(poses, trace.walls_found, strict=True)]
     return np.concatenate([np.zeros((0, 2, 2)), *placed])
+
+
+def draw_way(ax: Any, poses: Array, color: str = ESTIMATE, label: str | None = None, width: float = 0.9) -> None:
+    """Draw the path along positions (N, 2) or poses (N, 3), world frame, metres."""
+    ax.plot(poses[:, 0], poses[:, 1], color=color, linewidth=width, label=label)
+    label_plane(ax)
+
+
+def draw_walls_at(ax: Any, trace: Trace, poses: Array) -> None:
+    """Draw the detected walls of the keyframes, placed by `poses` (S, 3), one for each scan."""
+    # The first scan with a given last keyframe is that keyframe.
+    first = np.unique(trace.last_key, return_index=True)[1]
+    style: dict[str, Any] = {"colors": WALL, "linewidths": 0.5, "alpha": 0.5, "zorder": 1}
+    draw_segments(ax, walls_found(trace, poses[first]), **style)
+    label_plane(ax)
 
 
 def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
@@ -128,7 +145,7 @@ def draw_map(ax: Any, trace: Trace) -> None:
 
     Without walls, as from scan matching, the grid's obstacles are dark, and the path is that of the final poses.
     """
-    found = walls_found(trace)
+    found = walls_found(trace, trace.trajectory)
     draw_grid(ax, trace, 0.7 if len(found) else 0.2)
     if trace.scene is not None:
         draw_segments(ax, trace.scene.walls, colors=WALL, linewidths=2.0, label="true walls", zorder=1)
@@ -193,10 +210,33 @@ def new_figure(width_in: float, height_in: float) -> Picture:
 
 
 def save(figure: Any, file: Path | str) -> None:
-    """Write a figure as a PNG; a missing folder is made."""
-    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    """Write a figure as a bitmap, or as .svg or .pdf with reproducible bytes; a missing folder is made.
+
+    Large layers of vector graphics are rasterised, which keeps the file small.
+    """
+    from matplotlib import rc_context
+
+    file = Path(file)
+    file.parent.mkdir(parents=True, exist_ok=True)
     # Axes of equal aspect leave margins that the layout cannot remove.
-    figure.savefig(file, dpi=130, bbox_inches="tight", pad_inches=0.12)
+    options: dict[str, Any] = {"dpi": 130, "bbox_inches": "tight", "pad_inches": 0.12}
+    if file.suffix in (".svg", ".pdf"):
+        for artist in figure.findobj(_is_large):
+            artist.set_rasterized(True)
+        options |= {"dpi": 200, "metadata": {"Date" if file.suffix == ".svg" else "CreationDate": None}}
+    # Journals require Type 42 fonts.
+    with rc_context({"pdf.fonttype": 42, "svg.hashsalt": "sixthsense"}):
+        figure.savefig(file, **options)
+
+
+def _is_large(artist: Any) -> bool:
+    """Whether a layer has too many marks, or a line too many corners, for vector graphics."""
+    from matplotlib.collections import Collection
+    from matplotlib.lines import Line2D
+
+    if isinstance(artist, Collection):
+        return bool(max(len(artist.get_paths()), np.shape(artist.get_offsets())[0]) > _MOST_MARKS)
+    return isinstance(artist, Line2D) and np.size(artist.get_xdata()) > _MOST_CORNERS
 
 
 def map_height(ax: Any, width_in: float) -> float:

@@ -14,7 +14,6 @@ from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
 from sixthsense.figures.report_page import page
-from sixthsense.figures.vectors import save_vectors
 
 Form = Literal["png", "svg", "pdf"]
 
@@ -42,14 +41,13 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
         figure = figure_if_any(name, runs)
         if figure is not None:
             pictures[out / f"{name}.png"] = kind.caption
-            save(figure, out / f"{name}.png")
-            if form != "png":
-                files.append(out / f"{name}.{form}")
-                save_vectors(figure, files[-1])
+            files += [out / f"{name}.{form}"] if form != "png" else []
+            for file in dict.fromkeys((out / f"{name}.png", out / f"{name}.{form}")):
+                save(figure, file)
     if len(runs) > 1:
         files.append(out / "metrics.csv")
-        with files[-1].open("w", newline="", encoding="utf-8") as file:
-            csv.writer(file).writerows(table(runs))
+        with files[-1].open("w", newline="", encoding="utf-8") as stream:
+            csv.writer(stream).writerows(table(runs))
     files.append(out / "report.html")
     files[-1].write_text(page(runs, pictures), encoding="utf-8")
     return [*pictures, *files]
