@@ -182,7 +182,7 @@ def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:
     if not rows:
         return {}
     truth = np.array([known.landmark(identities[i]) for i in trace.final.ids[rows].tolist()])
-    covs = np.array([trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] for k in rows])
+    covs = metrics.landmark_covariances(trace.joint_cov)[rows]
     nees = metrics.nees_landmarks(trace.final.landmarks[rows], truth, trace.final.walls[rows], covs)
     return {"landmark_nees_mean": float(np.mean(nees))}
 

@@ -17,7 +17,6 @@ from sixthsense.config import load_config
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
-from sixthsense.figures.cell_image import CellImage
 from sixthsense.figures.plot import (
     ESTIMATE,
     LANDMARK,
@@ -30,7 +29,9 @@ from sixthsense.figures.plot import (
     WALL,
     draw_segments,
     ellipse,
+    known_cells,
     label_plane,
+    landmarks_of,
     map_height,
     new_figure,
     walker_outlines,
@@ -52,9 +53,21 @@ _GIF_COLORS = 64
 _OCTREE = Image.Quantize.FASTOCTREE
 _WEBP_QUALITY = 30
 _COLUMNS, _ROW_IN = 4, 0.2  # of the legend
+_MOST_CELLS = 800  # on a side; a frame has no more pixels to show them with
 
-_LINE: dict[str, Any] = {"marker": "", "linestyle": "-"}
 _DOT: dict[str, Any] = {"linestyle": "", "marker": "o", "markeredgewidth": 0.0}
+_LINES: dict[str, dict[str, Any]] = {
+    "points": {**_DOT, "markersize": 2.6, "color": LANDMARK, "label": "landmarks, 95 %", "zorder": 6},
+    "returns": {**_DOT, "markersize": 2.2, "color": ODOMETRY, "label": "laser returns", "zorder": 5},
+    "frontiers": {**_DOT, "markersize": 2.2, "color": TRUTH, "label": "frontiers", "zorder": 3},
+    "plan": {"linewidth": 1.6, "color": PLAN, "label": "planned path", "zorder": 5},
+    "tour": {"marker": "o", "markersize": 2.6, "linewidth": 0.6, "color": PLAN, "label": "tour of views", "zorder": 5},
+    "truth": {"linewidth": 1.1, "linestyle": (0, (4, 4)), "color": TRUTH, "label": "true path", "zorder": 8},
+    "path": {"linewidth": 1.4, "color": ESTIMATE, "label": "estimated path", "zorder": 7},
+    "pose": {"linewidth": 1.0, "color": ESTIMATE, "zorder": 10},
+    "heading": {"linewidth": 1.4, "color": WALL, "zorder": 10},
+}
+"""style of each line of points of a frame, by name"""
 
 
 class AnimationError(InputError):
@@ -157,22 +170,33 @@ class _MapDrawing:
 
     def __init__(self, finished: Trace, title: str, width_in: float, has_tours: bool) -> None:
         """Draw what stays the same, and empty artists for what moves."""
-        self._config = finished.config
-        self._has_truth = bool(finished.truths)
-        self._tracks = finished.walkers
-        scene, explores = finished.scene, finished.config.task == "explore" and finished.scene is not None
-        self._region = (finished.config.region or scene.region) if explores and scene is not None else None
+        from matplotlib.collections import LineCollection, PolyCollection
+        from matplotlib.colors import ListedColormap
+        from matplotlib.patches import Circle
+
+        self._config, self._tracks, scene = finished.config, finished.walkers, finished.scene
+        explores = self._config.task == "explore" and scene is not None
+        self._region = (self._config.region or scene.region) if explores and scene is not None else None
         self.figure: Any = new_figure(width_in, width_in)
-        ax = self.figure.add_subplot()
-        low, high = _limits(finished)
-        self._cells = CellImage(low, high, finished.config.grid.cell_m)
+        ax: Any = self.figure.add_subplot()
+        colors = ListedColormap(["#FFFFFF00", SEEN, OBSERVATION])
+        style = {"origin": "lower", "interpolation": "nearest", "zorder": 0}
+        self._image = ax.imshow(np.zeros((1, 1)), cmap=colors, vmin=0, vmax=2, **style)
         if scene is not None:
             draw_segments(ax, scene.walls, colors=WALL, linewidths=1.6, label="true walls", zorder=1)
-        self._add_map(ax)
-        self._add_scan(ax, bool(finished.plans), has_tours)
-        self._add_robot(ax, finished.radius_m)
+        name = "people, true" if self._tracks else None
+        self._people = ax.add_collection(LineCollection([], colors=WALKER, label=name, zorder=8))
+        walls = LineCollection([], colors=LANDMARK, linewidths=1.4, label="estimated walls", zorder=4)
+        self._walls = ax.add_collection(walls)
+        ellipses = PolyCollection([], facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6)
+        self._ellipses = ax.add_collection(ellipses)
+        shown = {"frontiers": self._region, "plan": finished.plans, "tour": has_tours, "truth": finished.truths}
+        self._lines = {name: ax.plot([], [], **style)[0] for name, style in _LINES.items() if shown.get(name, True)}
+        robot = Circle((0.0, 0.0), finished.radius_m, facecolor="white", edgecolor=WALL, linewidth=1.4, zorder=9)
+        self._robot = ax.add_patch(robot)
         self._caption = ax.set_title(" ", loc="left", fontsize=10)
         label_plane(ax)
+        low, high = _limits(finished)
         ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         if title:
             self.figure.suptitle(title, fontsize=11)
@@ -183,85 +207,54 @@ class _MapDrawing:
         self.figure.canvas.draw()
         self.figure.set_layout_engine("none")  # the layout is settled: a caption's length must not move the axes
 
-    def _add_map(self, ax: Any) -> None:
-        from matplotlib.collections import LineCollection, PolyCollection
-        from matplotlib.colors import ListedColormap
-
-        colors = ListedColormap(["#FFFFFF00", SEEN, OBSERVATION])
-        self._image = ax.imshow(
-            self._cells.empty(), cmap=colors, vmin=0, vmax=2, origin="lower", extent=self._cells.extent,
-            interpolation="nearest", zorder=0,
-        )  # fmt: skip
-        self._walls = LineCollection([], colors=LANDMARK, linewidths=1.4, label="estimated walls", zorder=4)
-        self._ellipses = PolyCollection([], facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6)
-        name = "people, true" if self._tracks else None
-        self._people = LineCollection([], colors=WALKER, label=name, zorder=8)
-        ax.add_collection(self._people)
-        ax.add_collection(self._walls)
-        ax.add_collection(self._ellipses)
-        (self._points,) = ax.plot([], [], **_DOT, markersize=2.6, color=LANDMARK, label="landmarks, 95 %", zorder=6)
-
-    def _add_scan(self, ax: Any, has_plans: bool, has_tours: bool) -> None:
-        (self._returns,) = ax.plot([], [], **_DOT, markersize=2.2, color=ODOMETRY, label="laser returns", zorder=5)
-        if self._region is not None:
-            (self._frontiers,) = ax.plot([], [], **_DOT, markersize=2.2, color=TRUTH, label="frontiers", zorder=3)
-        if has_plans:
-            (self._plan,) = ax.plot([], [], **_LINE, linewidth=1.6, color=PLAN, label="planned path", zorder=5)
-        if has_tours:
-            style = {"marker": "o", "markersize": 2.6, "linewidth": 0.6, "color": PLAN}
-            (self._tour,) = ax.plot([], [], label="tour of views", zorder=5, **style)
-
-    def _add_robot(self, ax: Any, radius_m: float) -> None:
-        from matplotlib.patches import Circle
-
-        if self._has_truth:
-            style: dict[str, Any] = {"color": TRUTH, "linewidth": 1.1, "linestyle": (0, (4, 4)), "zorder": 8}
-            (self._true_path,) = ax.plot([], [], label="true path", **style)
-        (self._path,) = ax.plot([], [], **_LINE, linewidth=1.4, color=ESTIMATE, label="estimated path", zorder=7)
-        (self._pose_ellipse,) = ax.plot([], [], **_LINE, linewidth=1.0, color=ESTIMATE, zorder=10)
-        (self._heading,) = ax.plot([], [], **_LINE, linewidth=1.4, color=WALL, zorder=10)
-        self._robot = Circle((0.0, 0.0), radius_m, facecolor="white", edgecolor=WALL, linewidth=1.4, zorder=9)
-        ax.add_patch(self._robot)
-
     def show(self, tick: Tick, trace: Trace, plan: Array, tour: Array) -> None:
         """Move the artists to the trace's newest tick, with the plan and tour (N, 2) of then, world frame."""
         live = trace.live
         assert live is not None and trace.grid is not None
-        estimate, pose = trace.key_estimates[-1] if trace.key_estimates else None, Pose.from_array(trace.estimates[-1])
-        self._image.set_data(self._cells.shades(trace.grid.occupancy(), trace.grid.origin))
-        seen = trace.grid.seen
-        if estimate is not None:
-            points = estimate.landmarks[~estimate.walls]
-            covs = live.point_covariances(estimate)
-            self._points.set_data(*points.T)
-            self._ellipses.set_verts([ellipse(mean, cov) for mean, cov in zip(points, covs, strict=True)])
-            extents = [live.records[i].extent for i in estimate.ids[estimate.walls].tolist() if i in live.records]
-            self._walls.set_segments(extents)
-            self._pose_ellipse.set_data(*ellipse(pose.position, estimate.pose_cov[:2, :2]).T)
-        if live.scan is not None:
-            returned = live.scan.ranges < live.scan.max_range
-            self._returns.set_data(*(pose @ live.scan.points_robot[returned]).T)
-        if self._region is not None:
-            cell_m = self._config.grid.cell_m
-            frontiers = frontier_points(seen, trace.grid.obstacles, trace.grid.origin, cell_m, self._region)
-            self._frontiers.set_data(*frontiers.T)
-        if len(plan):
-            self._plan.set_data(*plan.T)
-        if len(tour):
-            self._tour.set_data(*np.vstack([pose.position, tour[1:]]).T)
-        if self._has_truth:
-            self._true_path.set_data(*np.array(trace.truths)[:, :2].T)
-        if self._tracks:
-            self._people.set_segments(walker_outlines(self._tracks[len(trace.estimates) - 1]))
-        self._path.set_data(*np.array(trace.estimates)[:, :2].T)
-        self._robot.center = pose.x, pose.y
-        self._heading.set_data(*np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])]).T)
-        parts = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"]
+        pose = Pose.from_array(trace.estimates[-1])
+        points, covs, extents = landmarks_of(trace)
+        self._ellipses.set_verts([ellipse(mean, cov) for mean, cov in zip(points, covs, strict=True)])
+        self._walls.set_segments(extents)
+        shown = {"points": points, "plan": plan, "path": np.array(trace.estimates)[:, :2]}
+        shown["heading"] = np.stack([pose.position, pose @ np.array([trace.radius_m, 0.0])])
+        parts, seen = [f"{1e-9 * (tick.stamp_ns - trace.stamps_ns[0]):7.1f} s"], trace.grid.seen
         if seen.any():
             parts.append(f"{np.count_nonzero(seen) * self._config.grid.cell_m**2:.0f} m² seen")
-        if estimate is not None:
-            parts.append(f"{len(estimate.ids)} landmarks")
+        if trace.key_estimates:
+            shown["pose"] = ellipse(pose.position, trace.key_estimates[-1].pose_cov[:2, :2])
+            parts.append(f"{len(trace.key_estimates[-1].ids)} landmarks")
+        if live.scan is not None:
+            shown["returns"] = pose @ live.scan.points_robot[live.scan.ranges < live.scan.max_range]
+        if self._region is not None:
+            cell_m, origin = self._config.grid.cell_m, trace.grid.origin
+            shown["frontiers"] = frontier_points(seen, trace.grid.obstacles, origin, cell_m, self._region)
+        if len(tour):
+            shown["tour"] = np.vstack([pose.position, tour[1:]])
+        if trace.truths:
+            shown["truth"] = np.array(trace.truths)[:, :2]
+        for name in shown.keys() & self._lines.keys():
+            self._lines[name].set_data(*shown[name].T)
+        if self._tracks:
+            self._people.set_segments(walker_outlines(self._tracks[len(trace.estimates) - 1]))
+        self._robot.center = pose.x, pose.y
         self._caption.set_text(" · ".join(parts))
+        self._show_cells(trace)
+
+    def _show_cells(self, trace: Trace) -> None:
+        """Show the known cells, in blocks where they are more than the pixels of a frame."""
+        known, cell_m = known_cells(trace), self._config.grid.cell_m
+        if known is None:
+            return
+        part, (left, _, bottom, _) = known
+        shades, side = np.select([part == 100, part == 0], [2, 1], 0), -(-max(part.shape) // _MOST_CELLS)
+        # Blocks begin at multiples of their side, so that they stay where they are when the map grows.
+        row, col = (round(edge / cell_m) % side for edge in (bottom, left))
+        for axis, before in enumerate((row, col)):
+            begins = np.maximum(np.arange(-before, shades.shape[axis], side), 0)
+            shades = np.maximum.reduceat(shades, begins, axis=axis)
+        (height, width), left, bottom = shades.shape, left - col * cell_m, bottom - row * cell_m
+        self._image.set_data(shades)
+        self._image.set_extent((left, left + width * side * cell_m, bottom, bottom + height * side * cell_m))
 
 
 def _latest(paths: Sequence[Array], stamps_ns: Sequence[int], stamp_ns: int) -> Array:

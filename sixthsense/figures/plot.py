@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.evaluation import metrics
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.record.trace import Trace
 from sixthsense.sources.walking_space import BODY_M
@@ -47,25 +48,27 @@ def ellipse(mean: Array, cov: Array, points: int = 48) -> Array:
     return np.asarray(mean + circle * np.sqrt(CHI2_95 * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def draw_grid(ax: Any, trace: Trace, obstacle_shade: float = 0.7) -> None:
-    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
-    if trace.grid is None:
-        return
-    occupancy = trace.grid.occupancy()
-    known = occupancy >= 0
-    if not known.any():
-        return
-    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
-    shade = np.select([part == 100, part == 0], [obstacle_shade, 0.94], 1.0)
+def known_cells(trace: Trace) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
+    """The occupancy within the bounds of the known cells, and its extent: left, right, bottom, top, metres.
+
+    None for a trace without a grid, or without a known cell.
+    """
+    occupancy = np.full((0, 0), -1, np.int8) if trace.grid is None else trace.grid.occupancy()
+    rows, cols = (np.flatnonzero((occupancy >= 0).any(axis=axis)) for axis in (1, 0))
+    if trace.grid is None or len(rows) == 0:
+        return None
     cell, (x0, y0) = trace.config.grid.cell_m, trace.grid.origin
-    extent = (
-        x0 + cols[0] * cell,
-        x0 + (cols[-1] + 1) * cell,
-        y0 + rows[0] * cell,
-        y0 + (rows[-1] + 1) * cell,
-    )
-    ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=extent, interpolation="nearest", zorder=0)
+    extent = x0 + cols[0] * cell, x0 + (cols[-1] + 1) * cell, y0 + rows[0] * cell, y0 + (rows[-1] + 1) * cell
+    return occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1], extent
+
+
+def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> None:
+    """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
+    known = known_cells(trace)
+    if known is not None:
+        shade = np.select([known[0] == 100, known[0] == 0], [obstacle_shade, 0.94], 1.0)
+        style = {"origin": "lower", "interpolation": "nearest", "zorder": 0}
+        ax.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, extent=known[1], **style)
 
 
 def draw_segments(ax: Any, segments: Array, **style: Any) -> None:
@@ -96,24 +99,37 @@ def draw_walls_at(ax: Any, trace: Trace, poses: Array) -> None:
     label_plane(ax)
 
 
+def landmarks_of(trace: Trace) -> tuple[Array, Array, list[Array]]:
+    """Points (N, 2) of a run's newest map, their covariances (N, 2, 2), and the ends (2, 2) of each wall's seen part.
+
+    The map is that of the last keyframe; of a run that is over the final one.
+    """
+    live = trace.live
+    if live is None:
+        estimate, records = trace.final, trace.records
+        covs = metrics.landmark_covariances(trace.joint_cov)[~estimate.walls]
+    elif trace.key_estimates:
+        estimate, records = trace.key_estimates[-1], dict(live.records)
+        covs = live.point_covariances(estimate)
+    else:
+        return np.zeros((0, 2)), np.zeros((0, 2, 2)), []
+    extents = [records[i].extent for i in estimate.ids[estimate.walls].tolist() if i in records]
+    return estimate.landmarks[~estimate.walls], covs, extents
+
+
 def draw_landmarks(ax: Any, trace: Trace, enlarged: float = 1.0) -> None:
-    """Draw the final landmarks with their 95 % ellipses, `enlarged` by a factor."""
+    """Draw the landmarks with their 95 % ellipses, `enlarged` by a factor."""
     from matplotlib.collections import PolyCollection
 
-    points = np.flatnonzero(~trace.final.walls)
-    landmarks = trace.final.landmarks[points]
-    outlines = [
-        ellipse(mean, enlarged**2 * trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k])
-        for k, mean in zip(points, landmarks, strict=True)
-    ]
-    extents = [trace.records[i].extent for i in trace.final.ids[trace.final.walls].tolist()]
+    points, covs, extents = landmarks_of(trace)
     if extents:
         draw_segments(ax, np.array(extents), colors=LANDMARK, linewidths=1.2, label="estimated walls", zorder=4)
     if len(points) == 0:
         return
+    outlines = [ellipse(mean, enlarged**2 * cov) for mean, cov in zip(points, covs, strict=True)]
     ax.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=LANDMARK, linewidths=0.9, zorder=6))
     label = "landmarks, 95 %" + (f", enlarged {enlarged:g} times" if enlarged != 1.0 else "")
-    ax.scatter(landmarks[:, 0], landmarks[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
+    ax.scatter(points[:, 0], points[:, 1], s=6, color=LANDMARK, label=label, zorder=6)
 
 
 def walker_outlines(poses: Array) -> list[Array]:

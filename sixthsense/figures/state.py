@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.evaluation.metrics import landmark_covariances
 from sixthsense.figures.plot import CHI2_95, ESTIMATE, OBSERVATION, ellipse, label_plane
 from sixthsense.slam.estimators import Estimator
 
@@ -18,11 +19,9 @@ def draw_state(
     from matplotlib.collections import PolyCollection
 
     estimate = estimator.estimate()
-    ids = estimate.ids[~estimate.walls].tolist()
-    joint, means = estimator.joint_covariance(ids), estimate.landmarks[~estimate.walls]
-    outlines = [
-        ellipse(mean, enlarged**2 * joint[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]) for k, mean in enumerate(means)
-    ]
+    means = estimate.landmarks[~estimate.walls]
+    covs = landmark_covariances(estimator.joint_covariance(estimate.ids[~estimate.walls].tolist()))
+    outlines = [ellipse(mean, enlarged**2 * cov) for mean, cov in zip(means, covs, strict=True)]
     own = ellipse(estimate.pose.position, enlarged**2 * estimate.pose_cov[:2, :2])
     ax.fill(own[:, 0], own[:, 1], color=color, alpha=0.25, linewidth=0.0, zorder=9)
     ax.plot(own[:, 0], own[:, 1], color=color, linewidth=1.2, zorder=9.5, label=label)

@@ -30,6 +30,8 @@ from sixthsense.figures.plot import (
     WALL,
     WALL_FOUND,
     ellipse,
+    known_cells,
+    landmarks_of,
     walker_outlines,
 )
 from sixthsense.navigation.frontier import frontier_points
@@ -158,21 +160,17 @@ class Drawing:
         self._stream.disconnect()
 
     def _grid(self, trace: Trace) -> None:
-        grid, cell_m = trace.grid, trace.config.grid.cell_m
-        if grid is None:
+        known = known_cells(trace)
+        if known is None or trace.grid is None:
             return
-        occupancy = grid.occupancy()
-        rows, cols = (np.flatnonzero((occupancy >= 0).any(axis=axis)) for axis in (1, 0))
-        if len(rows) == 0:
-            return
-        part = occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+        part, (left, _, bottom, _) = known
         image = np.select([part == 100, part == 0], [_OBSTACLE, _FREE], 0).astype(np.uint8)
-        corner = grid.origin[0] + cols[0] * cell_m, grid.origin[1] + rows[0] * cell_m
-        sent = image.tobytes() + repr((image.shape, corner)).encode()
+        sent = image.tobytes() + repr((image.shape, left, bottom)).encode()
         if sent == self._cells:
             return
         self._cells = sent
-        place = self._rr.Transform3D(translation=[*corner, 0.0], scale=[cell_m, cell_m, 1.0])
+        grid, cell_m = trace.grid, trace.config.grid.cell_m
+        place = self._rr.Transform3D(translation=[left, bottom, 0.0], scale=[cell_m, cell_m, 1.0])
         self._stream.log("map/grid", self._rr.SegmentationImage(image), place)
         if trace.config.task == "explore" and trace.scene is not None:
             region = trace.config.region or trace.scene.region
@@ -180,21 +178,10 @@ class Drawing:
             self._points("map/frontiers", frontiers, TRUTH, 1.5)
 
     def _landmarks(self, trace: Trace) -> None:
-        live = trace.live
-        if live is None:  # the run is over
-            estimate, records, joint = trace.final, trace.records, trace.joint_cov
-            at = 3 + 2 * np.flatnonzero(~estimate.walls)
-            covs = np.array([joint[k : k + 2, k : k + 2] for k in at.tolist()]).reshape(-1, 2, 2)
-        elif trace.key_estimates:
-            estimate, records = trace.key_estimates[-1], dict(live.records)
-            covs = live.point_covariances(estimate)
-        else:
-            return
-        points = estimate.landmarks[~estimate.walls]
+        points, covs, extents = landmarks_of(trace)
         outlines = [ellipse(mean, cov, 24) for mean, cov in zip(points, covs, strict=True)]
         self._points("map/landmarks/points", points, LANDMARK, 3.0)
         self._lines("map/landmarks/ellipses", outlines, LANDMARK, _THIN)
-        extents = [records[i].extent for i in estimate.ids[estimate.walls].tolist() if i in records]
         self._lines("map/landmarks/walls", extents, LANDMARK, _THICK)
 
     def _points(self, path: str, points: Array, color: str, size: float) -> None:
