@@ -12,12 +12,12 @@ from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.statistics import AXES, Findings
 from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array
+from sixthsense.figures.overtime import BAND, draw_tube
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH, new_figure
 
 _WIDTH_IN, _HEIGHT_IN, _PER_AXIS_IN = 11.0, 2.2, 1.65
 _MOST_POINTS = 4000  # of a curve; more are not to be seen
-_BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
 
 
 def draw(runs: Sequence[Errors], found: Findings, frame: Frame, title: str) -> Picture:
@@ -28,7 +28,7 @@ def draw(runs: Sequence[Errors], found: Findings, frame: Frame, title: str) -> P
     tubes: list[Any] = []
     for k, name in enumerate(names):
         tubes.append(picture.add_subplot(grid[2 * k : 2 * k + 2, 0], sharex=tubes[0] if tubes else None))
-        draw_tube(tubes[-1], runs[0], frame, k, name)
+        draw_axis(tubes[-1], runs[0], frame, k, name)
         tubes[-1].tick_params(labelbottom=k == len(names) - 1)
     tubes[-1].set_xlabel("time [s]")
     tubes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
@@ -38,18 +38,15 @@ def draw(runs: Sequence[Errors], found: Findings, frame: Frame, title: str) -> P
     return picture
 
 
-def draw_tube(ax: Any, run: Errors, frame: Frame, axis: int, name: str) -> None:
+def draw_axis(ax: Any, run: Errors, frame: Frame, axis: int, name: str) -> None:
     """Draw the error on one axis of a frame with the stated +-3 sigma."""
     rows = _some(len(run.stamps_ns))
     error, cov = run.in_axes(frame)
     scale, unit = (1.0, "m") if axis < run.orientations.shape[1] else (float(np.degrees(1.0)), "°")
     bound = 3.0 * scale * np.sqrt(cov[rows, axis, axis])
-    time_s = _seconds(run)[rows]
-    ax.fill_between(time_s, -bound, bound, label="stated ±3σ", **_BAND)  # noqa: RUF001
-    ax.axhline(0.0, color=TRUTH, linewidth=0.5)
-    ax.plot(time_s, scale * error[rows, axis], color=ESTIMATE, linewidth=0.9, label="error")
+    style = {"color": ESTIMATE, "linewidth": 0.9}
+    draw_tube(ax, _seconds(run)[rows], scale * error[rows, axis], bound, "stated ±3σ", **style)  # noqa: RUF001
     ax.set_ylabel(f"{name} [{unit}]")
-    ax.margins(x=0.0)
 
 
 def draw_nees(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
@@ -63,7 +60,7 @@ def draw_nees(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
     end = max(float(_seconds(run)[-1]) for run in runs)
     edges = np.linspace(0.0, end, len(found.parts) + 1)
     ax.stairs(np.array(found.parts), edges, baseline=None, color=TRUTH, linewidth=1.6, label="mean of each part")
-    ax.axhspan(*found.band, label="95 % band of the mean", **_BAND)
+    ax.axhspan(*found.band, label="95 % band of the mean", **BAND)
     ax.set_yscale("log")
     together = np.concatenate([run.nees for run in runs])
     ax.set_ylim(max(float(np.percentile(together, 1.0)), 0.02), 1.5 * max(float(together.max()), 2.0 * found.band[1]))

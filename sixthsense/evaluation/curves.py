@@ -55,6 +55,18 @@ def key_poses(estimates: Sequence[Estimate]) -> tuple[Array, Array]:
     return poses, np.array([estimate.pose_cov for estimate in estimates]).reshape(-1, 3, 3)
 
 
+def defined_poses(estimates: Sequence[Estimate], truths: Sequence[Array]) -> tuple[Array, Array, Array]:
+    """Poses (N, 3), the truth and the covariances (N, 3, 3) from the first of full rank on, as a NEES needs them."""
+    poses, covs = key_poses(estimates)
+    first = metrics.full_rank_from(covs)
+    return poses[first:], np.array(truths).reshape(-1, 3)[first:], covs[first:]
+
+
+def key_places(trace: Trace, over: Over) -> Array:
+    """(K,) where the keyframes lie on an axis of time or distance."""
+    return key_times(trace) if over == "time" else key_distances(trace)
+
+
 def key_times(trace: Trace) -> Array:
     """(K,) seconds from the first scan to each keyframe."""
     return 1e-9 * (np.array(trace.key_stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)

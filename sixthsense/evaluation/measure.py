@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sixthsense.core.geometry import Array
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import key_poses
+from sixthsense.evaluation.curves import defined_poses
 from sixthsense.evaluation.effective import EFFECTIVE, effective_number, whitened_errors
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import QUANTITIES, Metrics
@@ -20,7 +18,6 @@ from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
-    from sixthsense.slam.estimators import Estimate
 
 
 def measure(trace: Trace) -> Metrics:
@@ -145,7 +142,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
     """NEES of the pose after each update and of its prediction before it; NIS and discarded observations."""
     out: dict[str, float] = {}
     if trace.key_truths:
-        poses, truth, covs = _defined(trace.key_estimates, trace)
+        poses, truth, covs = defined_poses(trace.key_estimates, trace.key_truths)
         if len(poses):
             error = poses - truth
             nees = metrics.nees_world(error, covs)
@@ -153,7 +150,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
             out[EFFECTIVE] = effective_number([nees], [whitened_errors(error, covs)])
             out["pose_nees_in_band"] = metrics.share_in_band(nees, metrics.nees_band(1))
             out["pose_nees_invariant_mean"] = float(np.mean(metrics.nees_invariant(poses, truth, covs)))
-        poses, truth, covs = _defined(trace.key_predicted, trace)
+        poses, truth, covs = defined_poses(trace.key_predicted, trace.key_truths)
         if len(poses):
             out["prediction_nees_world_mean"] = float(np.mean(metrics.nees_world(poses - truth, covs)))
     dof = sum(a.dof for a in trace.associations)
@@ -162,13 +159,6 @@ def _consistency(trace: Trace) -> dict[str, float]:
     if any(a.observations or a.discarded for a in trace.associations):
         out["discarded_share"] = discarded_share(trace.associations)
     return out
-
-
-def _defined(estimates: Sequence[Estimate], trace: Trace) -> tuple[Array, Array, Array]:
-    """Poses (N, 3) at keyframes, the truth and the covariances (N, 3, 3), from the first one of full rank on."""
-    poses, covs = key_poses(estimates)
-    first = metrics.full_rank_from(covs)
-    return poses[first:], np.array(trace.key_truths)[first:], covs[first:]
 
 
 def _landmark_nees(trace: Trace, scene: Scene) -> dict[str, float]:

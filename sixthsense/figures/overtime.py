@@ -9,15 +9,16 @@ from typing import Any, Literal
 import numpy as np
 
 from sixthsense.core.chi_square import chi_square_quantile
-from sixthsense.core.geometry import wrap_angle
+from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
-from sixthsense.evaluation.curves import Over, key_distances, key_times
+from sixthsense.evaluation.curves import Over, defined_poses, key_places, key_poses, key_times
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
 from sixthsense.record.stopwatch import STAGES
 from sixthsense.record.trace import Trace
 
-_BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
+BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
+"""style of bands in which a consistent curve lies"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +40,27 @@ AXIS_LABELS = {"time": "time [s]", "distance": "distance travelled [m]"}
 """of the axes that curves are drawn over"""
 
 
+def draw_tube(ax: Any, t: Array, error: Array, bound: Array, label: str, **style: Any) -> None:
+    """Draw an error (K,) within a band of +-`bound` (K,), whose label is given."""
+    ax.fill_between(t, -bound, bound, label=label, **BAND)
+    ax.axhline(0.0, color=TRUTH, linewidth=0.5)
+    ax.plot(t, error, label="error", **style)
+    ax.margins(x=0.0)
+
+
 def draw_error(ax: Any, trace: Trace, component: int, color: str = ESTIMATE, over: Over = "time") -> None:
     """Draw the error of x, y or heading (component 0, 1, 2) at keyframes with the estimator's ±3σ bounds.
 
     The trace must have truth.
     """
     shown = COMPONENTS[component]
-    t = key_times(trace) if over == "time" else key_distances(trace)
-    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates]).reshape(-1, 3)
+    poses, covs = key_poses(trace.key_estimates)
     error = (poses - np.array(trace.key_truths).reshape(-1, 3))[:, component]
     if component == 2:
         error = wrap_angle(error)
-    variance = np.array([estimate.pose_cov[component, component] for estimate in trace.key_estimates])
-    bound = 3.0 * np.sqrt(np.maximum(variance, 0.0)) * shown.scale
-    ax.fill_between(t, -bound, bound, label="±3σ", **_BAND)  # noqa: RUF001
-    ax.axhline(0.0, color=TRUTH, linewidth=0.5)
-    ax.plot(t, shown.scale * error, color=color, linewidth=1.0, label="error")
-    ax.set_xlabel(AXIS_LABELS[over])
-    ax.set_ylabel(f"error of {shown.name} [{shown.unit}]")
-    ax.margins(x=0.0)
+    bound = 3.0 * np.sqrt(np.maximum(covs[:, component, component], 0.0)) * shown.scale
+    draw_tube(ax, key_places(trace, over), shown.scale * error, bound, "±3σ", color=color, linewidth=1.0)  # noqa: RUF001
+    ax.set(xlabel=AXIS_LABELS[over], ylabel=f"error of {shown.name} [{shown.unit}]")
 
 
 def draw_nees(
@@ -74,33 +77,25 @@ def draw_nees(
     The trace must have truth. The curve begins where the covariance has full rank. Use `band` for the first run on the
     axes only.
     """
-    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates]).reshape(-1, 3, 3)
-    first = metrics.full_rank_from(covs)
-    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates]).reshape(-1, 3)[first:]
-    truth = np.array(trace.key_truths).reshape(-1, 3)[first:]
-    covs = covs[first:]
-    values = np.zeros(0)
-    if len(poses):
-        by_world = frame == "world"
-        values = metrics.nees_world(poses - truth, covs) if by_world else metrics.nees_invariant(poses, truth, covs)
+    poses, truth, covs = defined_poses(trace.key_estimates, trace.key_truths)
+    by_world = frame == "world"
+    values = metrics.nees_world(poses - truth, covs) if by_world else metrics.nees_invariant(poses, truth, covs)
     limits = metrics.nees_band(1)
     if band:
-        ax.axhspan(*limits, label="95 % band", **_BAND)
+        ax.axhspan(*limits, label="95 % band", **BAND)
         ax.axhline(3.0, color=TRUTH, linewidth=0.5)
     if len(values):
         summary = f"mean {values.mean():.2f}, {100 * metrics.share_in_band(values, limits):.0f} % in band"
-        label = summary if label is None else f"{label}: {summary}"
-        t = key_times(trace) if over == "time" else key_distances(trace)
-        ax.plot(t[first:], values, color=color, linewidth=1.0, label=label)
+        t = key_places(trace, over)[-len(values) :]
+        ax.plot(t, values, color=color, linewidth=1.0, label=_told(label, summary))
     ax.set_yscale("log")
     # A NEES close to 0 must not determine the scale.
     _rise(ax, 0.03, max(30.0, 1.5 * values.max(initial=0.0)))
-    ax.set_xlabel(AXIS_LABELS[over])
-    ax.set_ylabel(f"pose NEES, {frame} [1]")
+    ax.set(xlabel=AXIS_LABELS[over], ylabel=f"pose NEES, {frame} [1]")
     ax.margins(x=0.0)
 
 
-def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None, band: bool = True) -> None:
+def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None) -> None:
     """Draw each keyframe's normalised innovation squared per degree of freedom, with its 95 % band.
 
     The band depends on the number of matched landmarks in this run.
@@ -111,18 +106,13 @@ def draw_nis(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = N
     with np.errstate(divide="ignore", invalid="ignore"):
         per_dof = np.where(dof > 0, nis / dof, np.nan)  # a gap in the curve without a match
         low, high = (np.where(dof > 0, chi_square_quantile(share, dof) / dof, np.nan) for share in (0.025, 0.975))
-    tops = [per_dof]
-    if band:
-        tops.append(high)
-        ax.fill_between(t, low, high, label="95 % band", **_BAND)
-        ax.axhline(1.0, color=TRUTH, linewidth=0.5)
+    ax.fill_between(t, low, high, label="95 % band", **BAND)
+    ax.axhline(1.0, color=TRUTH, linewidth=0.5)
     if dof.any():
-        summary = f"mean {nis.sum() / dof.sum():.2f}"
-        label = summary if label is None else f"{label}: {summary}"
+        label = _told(label, f"mean {nis.sum() / dof.sum():.2f}")
         ax.plot(t, per_dof, color=color, linewidth=1.0, marker=".", markersize=2.5, label=label)
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel("NIS per dof [1]")
-    _rise(ax, 0.0, 1.05 * max(np.nanmax(top, initial=1.0) for top in tops))
+    _rise(ax, 0.0, 1.05 * max([1.0, *per_dof[dof > 0], *high[dof > 0]]))
+    ax.set(xlabel="time [s]", ylabel="NIS per dof [1]")
     ax.margins(x=0.0)
 
 
@@ -131,19 +121,20 @@ def _rise(ax: Any, low: float, high: float) -> None:
     ax.set_ylim(low, high if ax.get_autoscaley_on() else max(high, ax.get_ylim()[1]))
 
 
+def _told(label: str | None, summary: str) -> str:
+    return summary if label is None else f"{label}: {summary}"
+
+
 def draw_coverage(ax: Any, trace: Trace, color: str = ESTIMATE, label: str | None = None) -> None:
     """Draw the seen share of the visible area over time.
 
     The trace must have truth and a scene.
     """
     area, share = coverage_of(trace)
-    summary = f"{area.square_metres:.0f} m² visible"
-    label = summary if label is None else f"{label}: {summary}"
     t = 1e-9 * (np.array(trace.stamps_ns, dtype=np.int64) - trace.stamps_ns[0]).astype(np.float64)
+    label = _told(label, f"{area.square_metres:.0f} m² visible")
     ax.plot(t, 100.0 * share, color=color, linewidth=1.4, label=label)
-    ax.set_ylim(0.0, 102.0)
-    ax.set_xlabel("time [s]")
-    ax.set_ylabel("seen share of the visible area [%]")
+    ax.set(ylim=(0.0, 102.0), xlabel="time [s]", ylabel="seen share of the visible area [%]")
     ax.margins(x=0.0)
 
 
