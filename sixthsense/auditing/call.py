@@ -1,16 +1,38 @@
-"""`ss.audit`."""
+"""`ss.audit`: its runs, opened, compared with the truth and pooled."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sixthsense.auditing.opening import Source
-from sixthsense.auditing.options import Options, Order
-from sixthsense.auditing.pairing import Align
-from sixthsense.auditing.pooled import Given, audited
-from sixthsense.auditing.poses import AuditError, Frame
-from sixthsense.auditing.result import Audit
+from sixthsense.auditing.opening import Options, Order, Source, open_estimate, open_truth
+from sixthsense.auditing.pairing import (
+    Align,
+    Errors,
+    aligned,
+    check_is_not_the_truth,
+    errors_of,
+    paired,
+    same_space,
+    time_offset_s,
+)
+from sixthsense.auditing.poses import AuditError, Frame, Poses
+from sixthsense.auditing.result import Audit, axis_notes, read_as
+from sixthsense.auditing.statistics import findings, is_other_frame
+
+
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """One run beside its truth."""
+
+    estimate: Poses
+    truth: Poses
+    errors: Errors
+    other: Errors
+    """with the covariances read in the other frame"""
+    offset_s: float | None
+    notes: tuple[str, ...]
 
 
 def audit(
@@ -60,14 +82,26 @@ def audit(
 
     """
     options = Options(topic, truth_topic, truth_frames, frame, order, align, time_offset)
-    return audited(_matched(estimate, truth, covariance), options)
+    runs = [_compared(*one, options) for one in _matched(estimate, truth, covariance)]
+    own, other = [run.errors for run in runs], [run.other for run in runs]
+    if len({run.error.shape[1] for run in own}) > 1:
+        raise AuditError("estimate: found runs in the plane and in space, allowed: all in one of them")
+    first, several = runs[0].estimate, len(runs) > 1
+    read: Frame = first.frame or "world"
+    found = findings(own, align, read)
+    notes = [f"{run.estimate.name}: {note}" if several else note for run in runs for note in run.notes]
+    notes += [*axis_notes(found), *_other_frame(own, other, align, read)]
+    names = [f"{len(runs)} runs, the first {one.name}" if several else one.name for one in (first, runs[0].truth)]
+    words = read_as(read, found.dof, order, frame is None and bool(first.frames[0]))
+    offsets = tuple(run.offset_s for run in runs if run.offset_s is not None) or None
+    return Audit(found, tuple(own), read, align, words, (names[0], names[1]), offsets, tuple(notes))
 
 
 def _matched(
     estimate: Source | list[Source],
     truth: Source | list[Source] | None,
     covariance: str | Path | list[str | Path] | None,
-) -> list[Given]:
+) -> list[tuple[Source, Source | None, Path | None]]:
     """Each estimate with its truth and its file of covariances; AuditError for another number of them."""
     estimates: Sequence[Source] = estimate if isinstance(estimate, list) else [estimate]
     truths: Sequence[Source | None] = truth if isinstance(truth, list) else [truth] * (truth is not None)
@@ -79,4 +113,34 @@ def _matched(
             raise AuditError(f"{name}: found {count} for {len(estimates)} estimates, allowed: one for each, in order")
     nothing = [None] * len(estimates)
     paths = [Path(file) for file in files]
-    return [Given(*one) for one in zip(estimates, truths or nothing, paths or nothing, strict=True)]
+    return list(zip(estimates, truths or nothing, paths or nothing, strict=True))
+
+
+def _compared(source: Source, true: Source | None, covariance: Path | None, options: Options) -> _Compared:
+    estimate = open_estimate(source, covariance, options)
+    frame: Frame = estimate.frame or "world"
+    estimate = replace(estimate, frame=frame)
+    truth = open_truth(true, estimate, source, options)
+    offset_s = None
+    if options.time_offset is not None:
+        plain = same_space(estimate, truth)
+        offset_s = time_offset_s(plain[0], plain[1], options.time_offset, options.align, frame)
+    pair = paired(estimate, truth, round(1e9 * (offset_s or 0.0)))
+    check_is_not_the_truth(pair)
+    motion = aligned(pair, options.align, frame)
+    own, other = (errors_of(pair, motion, options.align, one) for one in (frame, _other(frame)))
+    return _Compared(estimate, truth, own, other, offset_s, pair.notes)
+
+
+def _other_frame(own: Sequence[Errors], other: Sequence[Errors], align: Align, frame: Frame) -> list[str]:
+    if not is_other_frame(own, other):
+        return []
+    nees = findings(other, align, _other(frame)).nees
+    return [
+        f"the NEES depends on the heading: the covariances may have the axes of the {_other(frame)}, where the NEES is "
+        f"{nees:.3g} (frame {_other(frame)})"
+    ]
+
+
+def _other(frame: Frame) -> Frame:
+    return "body" if frame == "world" else "world"

@@ -1,17 +1,19 @@
-"""What can be audited, opened: bags, TUM files, folders of runs, and arrays."""
+"""What can be audited, opened as told: bags, TUM files, folders of runs, and arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sixthsense.auditing.options import Options
-from sixthsense.auditing.poses import AuditError, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.auditing.pairing import Align
+from sixthsense.auditing.poses import AuditError, Frame, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.config.section import shown
+from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.measured_run import MeasuredRun
@@ -20,12 +22,49 @@ from sixthsense.sources.logs import is_bag, is_run_folder
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
 
+Order = Literal["translation", "rotation"]
 Source = str | Path | MeasuredRun | Sequence[ArrayLike]
 """a bag, a TUM file, the folder of a run, a run, or arrays: stamps, poses and, of an estimate, covariances"""
 
 _STAMP_SLACK_NS = 10_000
 """of a covariance and its pose: decimals of a stamp in seconds since 1970 that a float holds end at 0.2 us"""
 _FORMS = "(N, 3) x y theta, (N, 7) x y z qx qy qz qw, or (N, 3, 3) or (N, 4, 4) matrices"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How the sources are read and compared; AuditError for a value that is not allowed."""
+
+    topic: str = ""
+    """of the estimate in a bag; by default the only one with covariances"""
+    truth_topic: str = ""
+    """of the truth in a bag: a topic of poses, or /tf"""
+    truth_frames: tuple[str, str] | None = None
+    """parent and child in /tf; by default those that the estimate names"""
+    frame: Frame | None = None
+    """whose axes the covariances have; by default that of the format, and else the world's"""
+    order: Order = "translation"
+    """which half of a covariance is first"""
+    align: Align = "none"
+    """how the estimate is brought into the frame of the truth"""
+    time_offset: float | None = None
+    """largest offset of the stamps to search, s; None: none is searched"""
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("frame", self.frame, Frame),
+            ("order", self.order, Order),
+            ("align", self.align, Align),
+        ):
+            names = get_args(known)
+            if value is not None and value not in names:
+                raise AuditError(f"{name}: found {shown(value)}, {allowed_names(names, nearest(str(value), names))}")
+        offset = self.time_offset
+        if offset is not None and not (isinstance(offset, (int, float)) and 0.0 < offset <= 1e6):
+            raise AuditError(f"time offset: found {shown(offset)}, allowed: the largest one to search, s, above 0")
+        frames = self.truth_frames
+        if frames is not None and (isinstance(frames, str) or len(frames) != 2 or not all(frames)):
+            raise AuditError(f"truth frames: found {shown(frames)}, allowed: two names, parent and child")
 
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
