@@ -9,9 +9,8 @@ from sixthsense.figures.canvas import draw_truth, legend, new_axes, slider, wind
 from sixthsense.figures.navigation import draw_exploration, draw_hits, draw_path, draw_region, draw_robot, draw_seen
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.plot import draw_walls_at, draw_way
-from sixthsense.figures.recording import Culled, Recording, features_of, record, worst_culled
+from sixthsense.figures.recording import Recording, features_of, record, worst_culled
 from sixthsense.figures.scan import (
-    Change,
     compare_features,
     draw_beams,
     draw_change,
@@ -22,42 +21,3 @@ from sixthsense.figures.scan import (
     strays_m,
 )
 from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
-
-__all__ = [
-    "COMPONENTS",
-    "Change",
-    "Culled",
-    "Recording",
-    "compare_features",
-    "draw_beams",
-    "draw_change",
-    "draw_correlation",
-    "draw_coverage",
-    "draw_detections",
-    "draw_error",
-    "draw_exploration",
-    "draw_hits",
-    "draw_innovations",
-    "draw_nees",
-    "draw_nis",
-    "draw_partitions",
-    "draw_path",
-    "draw_region",
-    "draw_returns",
-    "draw_robot",
-    "draw_seen",
-    "draw_stages",
-    "draw_state",
-    "draw_truth",
-    "draw_wall_bands",
-    "draw_walls_at",
-    "draw_way",
-    "features_of",
-    "legend",
-    "new_axes",
-    "record",
-    "slider",
-    "strays_m",
-    "window",
-    "worst_culled",
-]

@@ -1,4 +1,4 @@
-"""A relay of Rerun's page for browsers with a policy that blocks requests to other machines.
+"""A relay of Rerun's page for browsers with a policy that blocks requests to other machines, and its hosts.
 
 The page itself sends usage statistics and checks for updates. With the Content-Security-Policy the browser blocks every
 request except those to this server and to the stream.
@@ -7,16 +7,21 @@ request except those to this server and to the stream.
 from __future__ import annotations
 
 import http.client
+import ipaddress
+import socket
+import struct
+import sys
 import threading
+from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from socket import AF_INET, AF_INET6
 from urllib.parse import quote, urlsplit
 
-from sixthsense.view.hosts import hosts_of
+from sixthsense.view.target import LOOPBACK
 
 _OWN = "'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:"
 _KEPT = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")
 _TIMEOUT_S = 60.0
+_GET_ADDRESS = 0x8915  # SIOCGIFADDR of Linux
 
 
 class Relay:
@@ -71,7 +76,7 @@ class Relay:
 
         class Server(ThreadingHTTPServer):
             daemon_threads = True
-            address_family = AF_INET6 if ":" in address else AF_INET
+            address_family = socket.AF_INET6 if ":" in address else socket.AF_INET
 
             def handle_error(self, *_: object) -> None:
                 """Ignore the error of a closed browser."""
@@ -96,3 +101,46 @@ def _host(header: str | None) -> str:
     except ValueError:
         return ""
     return f"[{host}]" if ":" in host else host.lower()
+
+
+def _is_wildcard(address: str) -> bool:
+    """Whether a server that is bound to this address listens on all addresses of the machine."""
+    return ipaddress.ip_address(address).is_unspecified
+
+
+def hosts_of(address: str) -> tuple[str, ...]:
+    """The hosts in the addresses of a server that is bound to `address`, the one to tell first; IPv6 in brackets."""
+    if not _is_wildcard(address):
+        own = [address, *(["localhost"] if ipaddress.ip_address(address).is_loopback else [])]
+    else:
+        name = socket.gethostname()
+        own = [*_addresses(), name, f"{name}.local", socket.getfqdn(), "localhost", LOOPBACK, "::1"]
+    return tuple(dict.fromkeys(f"[{host}]" if ":" in host else host.lower() for host in own if host))
+
+
+def reachable(address: str) -> str:
+    """The address at which this machine itself reaches a server that is bound to `address`."""
+    if not _is_wildcard(address):
+        return address
+    return "::1" if ":" in address else LOOPBACK
+
+
+def _addresses() -> Iterator[str]:
+    """The addresses of this machine's interfaces, that of the default route first; no packet is sent."""
+    for family, elsewhere in ((socket.AF_INET, "192.0.2.1"), (socket.AF_INET6, "2001:db8::1")):
+        try:
+            with socket.socket(family, socket.SOCK_DGRAM) as probe:
+                probe.connect((elsewhere, 9))
+                yield str(probe.getsockname()[0])
+        except OSError:
+            continue
+    if sys.platform.startswith("linux"):
+        import fcntl
+
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            for _, name in socket.if_nameindex():
+                try:
+                    answer = fcntl.ioctl(probe.fileno(), _GET_ADDRESS, struct.pack("256s", name.encode()[:15]))
+                except OSError:
+                    continue  # an interface without an IPv4 address
+                yield socket.inet_ntoa(answer[20:24])
