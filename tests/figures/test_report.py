@@ -1,16 +1,72 @@
+"""Reports on runs: their figures, the page, the command, and films."""
+
 import csv
 import dataclasses
+import json
+import re
+from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 from sixthsense.cli import main
+from sixthsense.config import preset
+from sixthsense.evaluation.results import Metrics
+from sixthsense.figures.animation import animate
+from sixthsense.figures.panels import KINDS
 from sixthsense.figures.report import report
+from sixthsense.figures.report_page import page
 from sixthsense.figures.run import Run, load
+from sixthsense.record.trace import Trace
 
 PAGE = "report.html"
-KINDS = {"map.png", "error.png", "rpe.png", "nees.png", "nis.png", "stages.png", "coverage.png", "exploration.png"}
+PICTURES = {f"{name}.png" for name in KINDS}
+VOID = {"meta", "img", "br", "link", "input", "hr"}
+
+
+class Page(HTMLParser):
+    """The tags, the words and the attributes of a page; every tag that is opened is closed in turn."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.attributes: list[tuple[str, str, str]] = []
+        self.tags: set[str] = set()
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.attributes += [(tag, name, value or "") for name, value in attrs]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return "".join(self.words)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("runs") / "one"
+    assert main(["run", "rectangle", "--seed", "2", "--estimator", "ekf-fej", "--out", str(out)]) == 0
+    assert main(["report", str(out), "--figures", "svg"]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def text(folder) -> str:
+    return (folder / "figures" / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture
@@ -18,11 +74,16 @@ def finished(explored) -> Run:
     return Run("rectangle-1", explored.trace)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("runs") / "one"
-    assert main(["run", "rectangle", "--seed", "2", "--out", str(out)]) == 0
-    return out
+def shown(name: str = "a", metrics=None, folder: Path | None = None, **fields) -> Run:
+    trace = Trace(preset(**fields), None, 0.2, outcome="explored")
+    return Run(name, trace, Metrics(metrics or {"ate_rmse_m": 1.0}), folder)
+
+
+def noted(folder: Path, notes: str) -> Path:
+    """A run's folder of which there is no more than what its configuration notes."""
+    folder.mkdir()
+    (folder / "config.toml").write_text(notes, encoding="utf-8")
+    return folder
 
 
 def without_truth(run: Run) -> Run:
@@ -32,7 +93,7 @@ def without_truth(run: Run) -> Run:
 
 def test_one_run_has_a_figure_of_each_kind(finished, tmp_path):
     files = report([finished], tmp_path / "deep" / "figures")
-    assert {file.name for file in files} == KINDS | {PAGE}
+    assert {file.name for file in files} == PICTURES | {PAGE}
     for file in files[:-1]:
         with Image.open(file) as image:
             image.load()
@@ -41,7 +102,7 @@ def test_one_run_has_a_figure_of_each_kind(finished, tmp_path):
 
 def test_several_runs_are_shown_side_by_side_with_a_table(finished, tmp_path):
     files = report([finished, without_truth(finished)], tmp_path)
-    assert {file.name for file in files} == KINDS | {"metrics.csv", PAGE}
+    assert {file.name for file in files} == PICTURES | {"metrics.csv", PAGE}
     with (tmp_path / "metrics.csv").open(newline="", encoding="utf-8") as file:
         rows = {row["metric"]: row for row in csv.DictReader(file)}
     assert float(rows["ate_rmse_m"]["rectangle-1"]) == finished.metrics["ate_rmse_m"]  # all digits
@@ -70,16 +131,95 @@ def test_a_killed_run_is_reported_without_times(folder, tmp_path):
     assert (killed / "figures" / "error.png").is_file()
 
 
-def test_the_command_writes_into_the_folder_of_one_run(folder, capsys):
-    assert main(["report", str(folder)]) == 0
-    assert {file.name for file in (folder / "figures").iterdir()} == KINDS - {"rpe.png"} | {
-        PAGE
-    }  # too short a drive for relative errors
-    assert "ate_rmse_m" in capsys.readouterr().out
-
-
-def test_an_existing_folder_is_overwritten_only_on_request(folder, tmp_path, capsys):
+def test_the_command_writes_into_the_folder_of_one_run_and_into_another_only_on_request(folder, tmp_path, capsys):
+    written = {file.name for file in (folder / "figures").iterdir() if file.suffix != ".svg"}
+    assert written == PICTURES - {"rpe.png"} | {PAGE}  # too short a drive for relative errors
     assert main(["report", str(folder), "--out", str(tmp_path)]) == 2
     assert "exists, allowed: a new folder, or --overwrite" in capsys.readouterr().err
     assert main(["report", str(folder), "--out", str(tmp_path), "--overwrite"]) == 0
     assert (tmp_path / "map.png").is_file()
+    assert "ate_rmse_m" in capsys.readouterr().out
+
+
+def test_the_page_is_valid_and_needs_no_other_files(text):
+    parsed = Page(text)
+    named = [value for _, name, value in parsed.attributes if name in ("src", "href", "srcset", "data", "action")]
+    loading = [value for value in named if not value.startswith("#")]
+    assert loading
+    assert all(value.startswith("data:image/png;base64,") for value in loading)
+    assert parsed.tags.isdisjoint({"script", "link", "iframe", "object"})
+    assert re.search(r"url\(|@import|https?:", text) is None
+
+
+def test_the_page_has_every_metric_the_configuration_the_versions_and_the_command_that_repeats_the_run(folder, text):
+    said = Page(text).text
+    for key in load(folder).metrics:
+        assert key in said
+    assert f"sixthsense run --config {folder}/config.toml" in said
+    assert "estimatorekf-fejekf" in said  # different field, this run, default
+    assert (folder / "config.toml").read_text(encoding="utf-8") in said
+    assert re.search(r"Run by sixthsense [\d.]+, python 3[\d.]+, numpy ", said)
+
+
+def test_every_external_text_is_escaped(tmp_path):
+    nasty = '<b onload="x">&amp;'
+    quoted = json.dumps(nasty)
+    notes = f"[versions]\n{quoted} = {quoted}\n[replayed]\nlog = {quoted}\n{quoted} = {quoted}\n"
+    metrics = {"outcome": nasty, nasty: nasty}
+    run = shown(nasty, metrics, noted(tmp_path / nasty, notes), scene=nasty)
+    for runs in ([run], [run, shown()]):
+        text = page(runs, {})
+        parsed = Page(text)
+        assert "b" not in parsed.tags
+        assert "<b " not in text
+        assert nasty in parsed.text
+
+
+def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
+    one = shown("one", {"ate_rmse_m": 0.25, "plans": 3}, seed=1, estimator="isam2")
+    two = shown("two", {"ate_rmse_m": 0.5, "outcome": "stuck"}, seed=2, estimator="isam2")
+    text = page([one, two], {})
+    said = Page(text).text
+    assert "Runs compared: one, two" in said
+    assert "two: stuck" in said
+    changed = said.partition("different field")[2].partition("Complete configuration")[0]
+    assert "seed12" in changed
+    assert "estimator" not in changed
+
+
+def test_vector_figures_are_the_same_each_time(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("sixthsense.figures.report.KINDS", {name: KINDS[name] for name in ("map", "nees")})
+    first, again = (
+        {file.name: file.read_bytes() for file in report([load(folder)], tmp_path / n, "svg")} for n in "ab"
+    )
+    assert {name for name in first if name.endswith("svg")} == {"map.svg", "nees.svg"}
+    for name in ("map.svg", "nees.svg"):
+        assert first[name] == again[name] and first[name].startswith(b"<?xml")
+
+
+def test_a_film_has_the_given_number_of_frames_and_the_map_grows(folder, tmp_path):
+    shown: list[int] = []
+    animate(folder, load(folder).trace, tmp_path / "run.gif", "a run", frames=3, on_frame=lambda: shown.append(1))
+    assert len(shown) == 3
+    with Image.open(tmp_path / "run.gif") as film:
+        assert film.n_frames == 3
+        frames = []
+        for k in range(3):
+            film.seek(k)
+            frames.append(np.asarray(film.convert("RGB"), dtype=np.int64))
+    assert np.abs(frames[2] - frames[0]).max() > 50
+
+
+@pytest.mark.parametrize(
+    ("args", "complaint"),
+    [
+        (["--animate", "film.avi"], "--animate: found 'film.avi', allowed: FILE.mp4, FILE.webp or FILE.gif"),
+        (["--animate="], "--animate: found '', allowed: FILE.mp4, FILE.webp or FILE.gif"),
+        (["{folder}", "--animate"], "--animate: found 2 runs, allowed: one run"),
+    ],
+)
+def test_an_invalid_film_is_refused_in_one_line(folder, args, complaint, tmp_path, capsys):
+    words = ["report", str(folder), "--out", str(tmp_path / "new")]
+    assert main([*words, *(word.format(folder=folder) for word in args)]) == 2
+    assert capsys.readouterr().err == f"sixthsense: {complaint}\n"
+    assert not (tmp_path / "new").exists()
