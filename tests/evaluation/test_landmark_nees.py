@@ -10,7 +10,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.matches import landmark_identities
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.metrics import nees_band, nees_landmarks
+from sixthsense.evaluation.metrics import landmark_covariances, nees_band, nees_landmarks
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
 from sixthsense.loop import run
 from sixthsense.testing.estimation import joint_state, make
@@ -19,7 +19,7 @@ from sixthsense.testing.posterior import BOTH, MOTION, START, START_COV
 RUNS = 150
 
 
-def landmark_nees(name, seed, cov_factor=1.0, steps=6):
+def landmark_nees(name, seed, steps=6):
     """(n,) NEES of all points and walls after a drive with known association, and which are walls."""
     rng = np.random.default_rng(seed)
     true = Pose.from_array(START.array() + np.linalg.cholesky(START_COV) @ rng.standard_normal(3))
@@ -30,31 +30,20 @@ def landmark_nees(name, seed, cov_factor=1.0, steps=6):
         estimator.predict(MOTION)
         estimator.update(BOTH.sight(true, range(len(BOTH.kinds)), rng))
     estimate, joint = joint_state(estimator)
-    covs = cov_factor * np.array([joint[k : k + 2, k : k + 2] for k in range(3, len(joint), 2)])
+    covs = landmark_covariances(joint)
     return nees_landmarks(estimate.landmarks, BOTH.landmarks[estimate.ids], estimate.walls, covs), estimate.walls
 
 
-def means(name, cov_factor=1.0):
-    """Mean over runs for points and for walls, one of each in every run: those of one run are correlated."""
+@pytest.mark.parametrize("name", ["ekf", "ekf-invariant", "isam2"])
+def test_with_known_association_the_landmark_nees_is_in_its_chi_square_band_which_half_the_covariance_leaves(name):
+    """Of points and of walls, one of each in every run: those of one run are correlated."""
     rows = []
     for seed in range(RUNS):
-        nees, walls = landmark_nees(name, seed, cov_factor)
+        nees, walls = landmark_nees(name, seed)
         rows.append([nees[~walls][seed % 2], nees[walls][seed % 2]])
-    return np.mean(rows, axis=0)
-
-
-@pytest.mark.parametrize("name", ["ekf", "ekf-invariant", "isam2"])
-def test_with_known_association_the_landmark_nees_is_in_its_chi_square_band(name):
-    low, high = nees_band(RUNS, dof=2, confidence=0.999)
-    found = means(name)
+    found, (low, high) = np.mean(rows, axis=0), nees_band(RUNS, dof=2, confidence=0.999)
     assert ((low < found) & (found < high)).all(), found
-
-
-@pytest.mark.parametrize("name", ["ekf", "ekf-invariant", "isam2"])
-def test_half_the_landmark_covariance_leaves_that_band(name):
-    _, high = nees_band(RUNS, dof=2, confidence=0.999)
-    found = means(name, cov_factor=0.5)
-    assert (found > high).all(), found
+    assert (2.0 * found > high).all(), found
 
 
 def test_the_angle_of_a_wall_is_wrapped_and_the_coordinate_of_a_point_is_not():
@@ -69,35 +58,23 @@ def tour():
     return run(preset(scene="apartment", task="tour", max_time=30.0, seed=3, estimator="ekf-invariant"))
 
 
-def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known(tour):
+def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known_from_the_side_that_the_robot_saw(tour):
     scene = true_identities(tour.scene.walls)
     laser = TrueLaser(tour.config.laser, tour.config.assumed.laser)
     scans = [association.observations for association in tour.associations]
     identities = landmark_identities(scans, np.array(tour.key_truths), scene, laser)
-    expected = []
+    expected, sides = [], []
     for k, i in enumerate(tour.final.ids.tolist()):
         if i in identities:
             error = tour.final.landmarks[k] - scene.landmark(identities[i])
             if tour.final.walls[k]:
                 error[0] = math.remainder(error[0], 2.0 * math.pi)
-            block = tour.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
-            expected.append(error @ np.linalg.inv(block) @ error)
+                assert abs(error[0]) < 0.2
+                sides.append(identities[i][0])
+            expected.append(error @ np.linalg.inv(landmark_covariances(tour.joint_cov)[k]) @ error)
     assert len(expected) > 0.9 * len(tour.final.ids)
     assert measure(tour)["landmark_nees_mean"] == pytest.approx(np.mean(expected), rel=0.01)  # to first order
-
-
-def test_the_true_normal_of_a_wall_points_to_the_side_that_the_robot_saw(tour):
-    scene = true_identities(tour.scene.walls)
-    laser = TrueLaser(tour.config.laser, tour.config.assumed.laser)
-    scans = [association.observations for association in tour.associations]
-    identities = landmark_identities(scans, np.array(tour.key_truths), scene, laser)
-    sides = {"front": 0, "back": 0}
-    for k, i in enumerate(tour.final.ids.tolist()):
-        if tour.final.walls[k] and i in identities:
-            off = tour.final.landmarks[k] - scene.landmark(identities[i])
-            assert abs(math.remainder(off[0], 2.0 * math.pi)) < 0.2
-            sides[identities[i][0]] += 1
-    assert min(sides.values()) > 5
+    assert min(sides.count("front"), sides.count("back")) > 5
 
 
 def test_without_the_returns_of_the_observations_no_truth_is_known(tour):

@@ -73,14 +73,6 @@ def test_the_sides_of_a_thin_wall_are_two_identities():
     assert from_below.identity[1] == from_above.identity[1]
 
 
-def test_the_faces_of_a_thick_wall_are_distinguished():
-    left, right = Pose(3.0, 1.5, 0.2), Pose(5.2, 1.5, 0.2)
-    near = verdict(wall(left, between([4.0, 1.0], [4.0, 2.0], 20)), left)
-    far = verdict(wall(right, between([4.2, 1.0], [4.2, 2.0], 20)), right)
-    assert near.verdict == far.verdict == "single"
-    assert near.identity != far.identity
-
-
 def test_a_match_of_a_parallel_face_five_centimetres_away_is_wrong_whatever_covariance_it_states():
     step = np.array([[[0.0, 0.0], [2.0, 0.0]], [[2.0, 0.05], [4.0, 0.05]]])
     scene, pose = true_identities(step), Pose(2.0, 1.5, -1.0)
