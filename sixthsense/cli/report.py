@@ -52,7 +52,7 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
     from sixthsense.evaluation.measured_run import check_folders
     from sixthsense.figures.animation import check_film
-    from sixthsense.figures.report import as_form, compact, report, table
+    from sixthsense.figures.report import as_form, compact, report
     from sixthsense.figures.run import load
 
     form = as_form(given.get("figures", "png"))
@@ -67,7 +67,7 @@ def command(args: list[str]) -> int:
     if out is None:
         out = Path(folders[0]) / "figures" if len(runs) == 1 else next(numbered("report"))
     files = report(runs, out, form)
-    print(compact(table(runs)))
+    print(compact(runs))
     for run in runs:
         for part in run.missing:
             print(f"note: {run.folder}: found no record of {part}", file=sys.stderr)

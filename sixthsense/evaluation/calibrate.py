@@ -34,7 +34,6 @@ from sixthsense.evaluation.noise import (
 from sixthsense.sources.scene import check_placement, load_scene
 from sixthsense.sources.world import World
 
-SAMPLES = 100
 PERIOD_S = 0.5  # duration of a sample, as in the report
 
 _MARGIN_M = 0.05  # clearance of the robot's disc from walls
@@ -48,8 +47,6 @@ class Calibration:
 
     assumed: AssumedConfig
     """the fitted assumptions"""
-    samples: int
-    """number of motion samples"""
     systematic: dict[str, tuple[float, float]]
     """estimate and sigma of each systematic error of the wheels, also of those set to zero"""
     propagation: tuple[PropagationErrors, PropagationErrors]
@@ -58,7 +55,7 @@ class Calibration:
     """errors of observations before and after"""
 
 
-def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], object] | None = None) -> Calibration:
+def calibrate(config: Config, samples: int = 100, on_sample: Callable[[], object] | None = None) -> Calibration:
     """Drive the robot of `config` in its scene and fit `assumed` to its noise; `on_sample` is called after each sample.
 
     Raises SceneError for an invalid scene or start, CalibrationError for too few samples or landmarks.
@@ -80,7 +77,7 @@ def calibrate(config: Config, samples: int = SAMPLES, on_sample: Callable[[], ob
             landmark_errors(driven, landmarks, assumed, config, seed),
             landmark_errors(driven, landmarks, fitted, config, seed),
         )
-    return Calibration(fitted, samples, systematic, propagation, observations)
+    return Calibration(fitted, systematic, propagation, observations)
 
 
 def drive_samples(
@@ -154,7 +151,7 @@ def summary(found: Calibration) -> list[str]:
     """Lines with the counts, systematic errors, covariances (report eq. 3) and NEES before and after."""
     (odometry, odometry_after), (observations, observations_after) = found.propagation, found.landmarks
     lines = [
-        f"propagation: {found.samples} samples, mean NEES {odometry.nees.mean():.2f} before, "
+        f"propagation: {len(odometry.errors)} samples, mean NEES {odometry.nees.mean():.2f} before, "
         f"{odometry_after.nees.mean():.2f} after; 3 is consistent"
     ]
     for name, (value, sigma) in found.systematic.items():

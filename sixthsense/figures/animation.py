@@ -39,6 +39,7 @@ from sixthsense.figures.plot import (
 from sixthsense.loop import replay
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import whole
 from sixthsense.sources.logs.runfolder import read_run
 
 SUFFIXES = (".mp4", ".webp", ".gif")
@@ -125,22 +126,18 @@ def animate(
 @contextmanager
 def _opened_film(figure: Any, file: Path) -> Iterator[AbstractMovieWriter]:
     """Matplotlib's writer for the file's format. The file appears once all its frames are written."""
-    partial = file.with_name(f".{file.stem}.partial{file.suffix.lower()}")
     writer: AbstractMovieWriter
-    if partial.suffix == ".mp4":
+    if file.suffix.lower() == ".mp4":
         # The index at the file's beginning lets a browser play it before all of it is loaded.
         index = ["-movflags", "+faststart"]
         writer = FFMpegWriter(fps=_FRAMES_PER_S, codec="h264", extra_args=index)  # type: ignore[arg-type]
     else:
         writer = _ImageWriter(fps=_FRAMES_PER_S)  # type: ignore[arg-type]
     try:
-        with writer.saving(figure, str(partial), _DPI):
+        with whole(file) as partial, writer.saving(figure, str(partial), _DPI):
             yield writer
-        partial.replace(file)
     except (BrokenPipeError, subprocess.CalledProcessError):
         raise AnimationError(f"--animate: ffmpeg cannot write {file}, allowed: FILE.webp or FILE.gif") from None
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 class _ImageWriter(PillowWriter):
@@ -151,18 +148,13 @@ class _ImageWriter(PillowWriter):
     def grab_frame(self, **options: Any) -> None:
         super().grab_frame(**options)
         frame = self._frames[-1].convert("RGB")
-        is_gif = str(self.outfile).endswith(".gif")
+        is_gif = str(self.outfile).lower().endswith(".gif")
         self._frames[-1] = frame.quantize(_GIF_COLORS, _OCTREE, dither=Image.Dither.NONE) if is_gif else frame
 
     def finish(self) -> None:
         first, *others = self._frames
-        options: dict[str, Any] = {
-            "save_all": True,
-            "append_images": others,
-            "duration": round(1e3 / self.fps),
-            "loop": 0,
-        }
-        first.save(self.outfile, **options, quality=_WEBP_QUALITY)
+        options: dict[str, Any] = {"duration": round(1e3 / self.fps), "loop": 0, "quality": _WEBP_QUALITY}
+        first.save(self.outfile, save_all=True, append_images=others, **options)
 
 
 class _MapDrawing:

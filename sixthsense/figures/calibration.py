@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from sixthsense.core.landmarks import Kind
 from sixthsense.evaluation.calibrate import Calibration, as_partial_config, summary
 from sixthsense.evaluation.noise import CalibrationError, PropagationErrors
 from sixthsense.figures.plot import ESTIMATE, LANDMARK, ODOMETRY, TRUTH, ellipse, new_figure, save
+from sixthsense.record.writing import whole
 
 _WIDTH_IN, _HEIGHT_IN = 11.0, 4.6
 
@@ -83,11 +83,8 @@ def write_calibration(found: Calibration, config: Config, file: Path, title: str
     text = "".join(f"# {line}\n" for line in head) + "\n" + tomli_w.dumps(as_partial_config(found, config))
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{file.name}.", dir=file.parent) as scratch:
-            drawn, written = Path(scratch) / "figure.png", Path(scratch) / "config.toml"
+        with whole(file) as written, whole(file.with_suffix(".png")) as drawn:
             save_calibration(found, drawn, title)
             written.write_text(text, encoding="utf-8")
-            drawn.replace(file.with_suffix(".png"))
-            written.replace(file)
     except OSError as error:
         raise CalibrationError(f"--out: {file} cannot be written ({error.strerror}), allowed: a new file") from None

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from sixthsense.config.section import shown
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, numbered_names
-from sixthsense.evaluation.tables import text_table
+from sixthsense.evaluation.tables import digits, text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
 from sixthsense.figures.report_page import page
@@ -53,21 +53,13 @@ def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> 
     return [*pictures, *files]
 
 
-def table(runs: Sequence[MeasuredRun]) -> list[list[str]]:
-    """A heading, and a row per metric with a column per run, in full precision; empty where a run lacks the metric."""
+def table(runs: Sequence[MeasuredRun], text: Callable[[Any], str] = str) -> list[list[str]]:
+    """A heading, and a row per metric with a column per run, by default in full precision; empty without the metric."""
     keys = list(dict.fromkeys(key for run in runs for key in run.metrics))
-    rows = [[key, *(str(run.metrics.get(key, "")) for run in runs)] for key in keys]
+    rows = [[key, *(text(run.metrics.get(key, "")) for run in runs)] for key in keys]
     return [["metric", *numbered_names(runs)], *rows]
 
 
-def compact(rows: Sequence[Sequence[str]]) -> str:
-    """The rows of a table as aligned text, with four significant digits."""
-    short = [[row[0], *map(_four_digits, row[1:])] for row in rows]
-    return text_table(short)
-
-
-def _four_digits(cell: str) -> str:
-    try:
-        return cell if cell.lstrip("-").isdigit() else f"{float(cell):.4g}"
-    except ValueError:
-        return cell
+def compact(runs: Sequence[MeasuredRun]) -> str:
+    """The table of the runs as aligned text, with four significant digits."""
+    return text_table(table(runs, digits))
