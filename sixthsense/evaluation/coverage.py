@@ -14,6 +14,7 @@ from scipy import ndimage
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
 from sixthsense.core.ray_casting import NearWalls, cast_among
+from sixthsense.sources.walking_space import mark_distances
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -42,28 +43,6 @@ class VisibleArea:
     def square_metres(self) -> float:
         """Size of the area, m²."""
         return float(np.count_nonzero(self.mask)) * self.cell_m**2
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _clearances(walls: Array, x0: float, y0: float, cell: float, reach: float, clearances: Array) -> None:
-    """Set `clearances` (H, W) to the distance of cell centres from `walls` (M, 4), up to a distance of `reach`."""
-    height, width = clearances.shape
-    for j in range(walls.shape[0]):
-        ax, ay = walls[j, 0] - x0, walls[j, 1] - y0
-        ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
-        length_sq = max(ex * ex + ey * ey, 1e-300)
-        first_col = max(math.floor((min(ax, ax + ex) - reach) / cell), 0)
-        last_col = min(math.floor((max(ax, ax + ex) + reach) / cell), width - 1)
-        first_row = max(math.floor((min(ay, ay + ey) - reach) / cell), 0)
-        last_row = min(math.floor((max(ay, ay + ey) + reach) / cell), height - 1)
-        for row in range(first_row, last_row + 1):
-            py = (row + 0.5) * cell - ay
-            for col in range(first_col, last_col + 1):
-                px = (col + 0.5) * cell - ax
-                s = min(max((px * ex + py * ey) / length_sq, 0.0), 1.0)
-                distance = math.hypot(px - s * ex, py - s * ey)
-                if distance < reach and distance < clearances[row, col]:
-                    clearances[row, col] = distance
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -125,7 +104,7 @@ def visible_area(
     disc = max(radius, 0.51 * cell_m)
     clearances = np.full((height, width), np.inf)
     flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
-    _clearances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
+    mark_distances(flat, origin[0], origin[1], cell_m, max(disc, cell_m) + cell_m, clearances)
     x = origin[0] + (np.arange(width) + 0.5) * cell_m
     y = origin[1] + (np.arange(height) + 0.5) * cell_m
 

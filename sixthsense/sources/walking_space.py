@@ -28,7 +28,7 @@ _STEPS = np.array([[0, 1], [1, 0], [0, -1], [-1, 0], [1, 1], [1, -1], [-1, -1], 
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark_distances(walls: Array, x0: float, y0: float, cell_m: float, reach_m: float, away_m: Array) -> None:
+def mark_distances(walls: Array, x0: float, y0: float, cell_m: float, reach_m: float, away_m: Array) -> None:
     """Lower `away_m` (H, W) to the distance of each cell's centre from the nearest of `walls` (M, 4) within reach."""
     height, width = away_m.shape
     for j in range(walls.shape[0]):
@@ -88,7 +88,7 @@ class WalkingSpace:
         shape = max(math.ceil((y1 - y0) / _CELL_M), 1), max(math.ceil((x1 - x0) / _CELL_M), 1)
         self._away_m = np.full(shape, np.inf)
         flat = np.ascontiguousarray(walls.reshape(-1, 4), dtype=np.float64)
-        _mark_distances(flat, x0, y0, _CELL_M, 0.5 * _DOOR_M + _CELL_M, self._away_m)
+        mark_distances(flat, x0, y0, _CELL_M, 0.5 * _DOOR_M + _CELL_M, self._away_m)
         self.free: Bools = self._away_m >= BODY_M
         """(H, W) cells in whose centre a body fits"""
 
