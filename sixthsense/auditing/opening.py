@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from sixthsense.config.section import shown
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
+from sixthsense.evaluation.curves import key_poses
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.sources.logs import is_bag, is_run_folder
 
@@ -69,8 +70,9 @@ class Options:
 
 def open_estimate(source: Source, covariance: Path | None, options: Options) -> Poses:
     """The poses of an estimate, with covariances in the order translation, rotation."""
-    if isinstance(source, MeasuredRun):
-        poses = _of_run(source.trace, source.name)
+    run = _run_of(source)
+    if run is not None:
+        poses = _estimate_of_run(*run)
     elif isinstance(source, (str, Path)):
         poses = _estimate_of_file(Path(source), covariance, options.topic)
     else:
@@ -85,17 +87,14 @@ def open_estimate(source: Source, covariance: Path | None, options: Options) -> 
 
 def open_truth(source: Source | None, estimate: Poses, of: Source, options: Options) -> Poses:
     """The true poses; without a source those of the run that is audited."""
+    run = _run_of(of if source is None else source)
+    if run is not None:
+        return _truth_of_run(*run)
     if source is None:
-        if not (isinstance(of, MeasuredRun) or (isinstance(of, (str, Path)) and is_run_folder(Path(of)))):
-            raise AuditError(f"truth: found nothing, allowed: the true poses of {estimate.name}")
-        source = of
-    if isinstance(source, MeasuredRun):
-        return _truth_of_run(source.trace, source.name)
+        raise AuditError(f"truth: found nothing, allowed: the true poses of {estimate.name}")
     if not isinstance(source, (str, Path)):
         return _of_arrays("truth", source, ("stamps", "poses"))
     path = Path(source)
-    if is_run_folder(path):
-        return _truth_of_run(_record(path), str(path))
     if is_bag(path):
         if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
             return _of_transforms(path, options.truth_frames or estimate.frames)
@@ -110,8 +109,6 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
-    if is_run_folder(path):
-        return _of_run(_record(path), str(path))
     if is_bag(path):
         from sixthsense.sources.logs.ros_poses import read_poses
 
@@ -146,21 +143,25 @@ def _file(path: Path) -> Path:
     return path
 
 
-def _record(path: Path) -> Trace:
-    from sixthsense.record.load import load_record
+def _run_of(source: Source | None) -> tuple[str, Trace] | None:
+    """Name and record of a run or of the folder of one; None for any other source."""
+    if isinstance(source, MeasuredRun):
+        return source.name, source.trace
+    if isinstance(source, (str, Path)) and is_run_folder(Path(source)):
+        from sixthsense.record.load import load_record
 
-    return load_record(path).trace
+        return str(Path(source)), load_record(source).trace
+    return None
 
 
-def _of_run(trace: Trace, name: str) -> Poses:
+def _estimate_of_run(name: str, trace: Trace) -> Poses:
     if not trace.key_estimates:
         raise AuditError(f"{name}: found no keyframe, allowed: a run with estimates")
-    poses = np.array([estimate.pose.array() for estimate in trace.key_estimates])
-    covs = np.array([estimate.pose_cov for estimate in trace.key_estimates])
-    return replace(made(name, np.array(trace.key_stamps_ns, dtype=np.int64), poses, covs), frame="world")
+    poses = made(name, np.array(trace.key_stamps_ns, dtype=np.int64), *key_poses(trace.key_estimates))
+    return replace(poses, frame="world")
 
 
-def _truth_of_run(trace: Trace, name: str) -> Poses:
+def _truth_of_run(name: str, trace: Trace) -> Poses:
     if not trace.truths:
         raise AuditError(f"{name}: found a run without truth, allowed: a truth from elsewhere")
     return made(name, np.array(trace.stamps_ns, dtype=np.int64), np.array(trace.truths))
@@ -189,7 +190,7 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     return Poses(f"{path} /tf {' '.join(frames)}", stamps, position, turn)
 
 
-def _of_arrays(what: str, given: Sequence[ArrayLike], names: tuple[str, ...]) -> Poses:
+def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
     """Poses from the caller's arrays; AuditError names the array, what was expected and what was found."""
     if isinstance(given, (bytes, dict)) or not hasattr(given, "__len__") or len(given) != len(names):
         raise AuditError(f"{what}: found {_described(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")

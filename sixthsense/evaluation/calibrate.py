@@ -136,15 +136,10 @@ def _command(pose: Pose, walls: Array, radius_m: float, config: Config, rng: np.
 
 def as_partial_config(found: Calibration, config: Config) -> dict[str, Any]:
     """The fields set by a calibration as a nested table, the content of a file for `load_config`."""
-    laser = {"distribution": found.assumed.laser.distribution, "range_m": found.assumed.laser.range_m}
-    table = {
-        "wheel_scale_error": found.assumed.wheel_scale_error,
-        "drift_rad_per_m": found.assumed.drift_rad_per_m,
-        "landmark_floor_m": found.assumed.landmark_floor_m,
-        "motion": as_table(found.assumed.motion),
-        "laser": laser,
-    }
-    return {"preset": config.preset, "assumed": table}
+    assumed = as_table(found.assumed)
+    fitted = {name: assumed[name] for name in ("wheel_scale_error", "drift_rad_per_m", "landmark_floor_m", "motion")}
+    fitted["laser"] = {name: assumed["laser"][name] for name in ("distribution", "range_m")}
+    return {"preset": config.preset, "assumed": fitted}
 
 
 def summary(found: Calibration) -> list[str]:
