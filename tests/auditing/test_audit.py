@@ -107,26 +107,23 @@ def test_poses_in_another_frame_are_aligned_by_all_of_them():
     assert plain.outcome == "no verdict" and "align by all poses" in plain.verdict
 
 
+def of_short_runs(align, count, runs):
+    """The audit of many short runs with white errors."""
+    estimates = [(STAMPS[:count], TRUTH[:count] + drawn(seed=k, count=count), stated(COV, count)) for k in range(runs)]
+    return ss.audit(estimates, [(STAMPS[:count], TRUTH[:count])] * runs, align=align)
+
+
 def test_the_degrees_of_freedom_of_an_alignment_are_taken_off():
-    """Over many short white runs; without it the mean NEES of 40 poses would be 2.93."""
-    short, runs = 40, range(300)
-    truth = (STAMPS[:short], TRUTH[:short])
-    estimates = [(STAMPS[:short], TRUTH[:short] + drawn(seed=k, count=short), stated(COV, short)) for k in runs]
-    found = ss.audit(estimates, [truth] * len(runs), align="all").findings
-    plain = float(
-        np.mean(np.concatenate([run.nees for run in ss.audit(estimates, [truth] * len(runs), align="all").runs]))
-    )
-    assert plain == pytest.approx(3.0 * (1.0 - 1.0 / short), abs=0.05)
-    assert found.nees == pytest.approx(plain / (1.0 - found.removed)) and found.nees > plain
+    """Without it the mean NEES of 40 poses would be 2.93."""
+    found = of_short_runs("all", 40, 300)
+    plain = float(np.mean(np.concatenate([run.nees for run in found.runs])))
+    assert plain == pytest.approx(3.0 * (1.0 - 1.0 / 40), abs=0.05)
+    assert found.findings.nees == pytest.approx(plain / (1.0 - found.findings.removed)) and found.findings.nees > plain
 
 
 def test_an_alignment_by_the_first_pose_adds_its_covariance_and_it_is_one_sample():
     """Over many runs the NEES has the mean 3; of one run alone there is no verdict, since all poses share one error."""
-    short, runs = 50, range(200)
-    truth = (STAMPS[:short], TRUTH[:short])
-    estimates = [(STAMPS[:short], TRUTH[:short] + drawn(seed=k, count=short), stated(COV, short)) for k in runs]
-    found = ss.audit(estimates, [truth] * len(runs), align="first").findings
-    assert found.nees == pytest.approx(3.0, abs=0.25)
+    assert of_short_runs("first", 50, 200).findings.nees == pytest.approx(3.0, abs=0.25)
     alone = audited(TRUTH + drawn(), align="first")
     assert alone.outcome == "no verdict" and "first pose" in alone.verdict
     exact = np.concatenate([stated(1e-6 * COV, 1), stated(COV, N - 1)])
@@ -177,7 +174,3 @@ def test_the_numbers_are_written_as_json_and_drawn(tmp_path):
     assert len(picture.axes) == 5 and picture.get_suptitle() == found.verdict
     with pytest.raises(ss.InputError, match="cannot be written"):
         found.save(tmp_path / "no" / "audit.json")
-
-
-ASYMMETRIC = np.array(COV)
-ASYMMETRIC[0, 1] += 0.01

@@ -84,14 +84,17 @@ def as_type(store, message, name):
     )
 
 
-def tum(file, poses=TRUTH, half=lambda theta: 0.5 * theta):
-    rows = zip(STAMPS_NS.tolist(), poses.tolist(), strict=True)
-    lines = (
-        f"{stamp // 10**9}.{stamp % 10**9:09d} {x!r} {y!r} 0 0 0 {np.sin(half(t))!r} {np.cos(half(t))!r}"
-        for stamp, (x, y, t) in rows
-    )
-    file.write_text("# a comment\n" + "\n".join(lines).replace("np.float64(", "").replace(")", "") + "\n")
+def stamped(file, rows):
+    """A file of numbers, a row per stamp."""
+    stamps = [f"{stamp // 10**9}.{stamp % 10**9:09d}" for stamp in STAMPS_NS.tolist()]
+    lines = [" ".join([stamp, *map(repr, row)]) for stamp, row in zip(stamps, rows, strict=True)]
+    file.write_text("\n".join(["# a comment", *lines]) + "\n")
     return file
+
+
+def tum(file, poses=TRUTH):
+    half = 0.5 * poses[:, 2]
+    return stamped(file, np.column_stack([poses[:, :2], np.zeros((N, 3)), np.sin(half), np.cos(half)]).tolist())
 
 
 def covariances(file, size=3):
@@ -99,9 +102,7 @@ def covariances(file, size=3):
     if size == 6:
         cov = np.zeros((6, 6))
         cov[np.ix_((0, 1, 5), (0, 1, 5))] = COV
-    numbers = " ".join(repr(float(value)) for value in cov[np.triu_indices(size)])
-    file.write_text("".join(f"{stamp // 10**9}.{stamp % 10**9:09d} {numbers}\n" for stamp in STAMPS_NS.tolist()))
-    return file
+    return stamped(file, [cov[np.triu_indices(size)].tolist()] * N)
 
 
 def nees(*arguments, **options):
@@ -161,12 +162,8 @@ def test_the_command_prints_writes_and_draws_and_may_require_consistency(tmp_pat
     assert json.loads((tmp_path / "a.json").read_text())["outcome"] == "consistent"
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     assert main(["audit", *words, "--require", "consistent", *out, "--overwrite"]) == 0
-    wrong = [
-        str(tum(tmp_path / "e.tum", TRUTH + 2.0 * (POSES - TRUTH))),
-        *words[1:],
-        "--covariance",
-        str(covariances(tmp_path / "c")),
-    ]
+    larger = tum(tmp_path / "e.tum", TRUTH + 2.0 * (POSES - TRUTH))
+    wrong = [str(larger), *words[1:], "--covariance", str(covariances(tmp_path / "c"))]
     assert main(["audit", *wrong]) == 0
     assert main(["audit", *wrong, "--require", "consistent"]) == 1
     assert "overconfident: errors are" in capsys.readouterr().out
