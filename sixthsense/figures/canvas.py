@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
+    from sixthsense.evaluation.curves import Over
     from sixthsense.figures.picture import Picture
 
     OnAxes = Axes | Sequence[Axes] | NDArray[Any]
@@ -33,9 +34,18 @@ class FigureError(InputError):
 class Canvas:
     """A picture that is made when its panels are asked for, or the caller's axes in its place."""
 
-    def __init__(self, what: str, ax: Any = None) -> None:
-        """Of the figure named `what`; `ax` is one Axes of matplotlib or several, None for a new picture."""
-        self.what = what
+    def __init__(self, what: str, kinds: Sequence[str], over: Over = "time", ax: Any = None) -> None:
+        """Of the figure named `what`, one of `kinds`, over an axis; `ax` is one Axes of matplotlib or several.
+
+        Without `ax` the picture is new. Raises FigureError for a figure that is none of these kinds, for an axis that
+        it is not drawn over, and for what is no Axes.
+        """
+        if what not in kinds:
+            raise FigureError(f"what: found {shown(what)}, {allowed_names(kinds, nearest(what, kinds))}")
+        axes = ("time", "distance") if what in ("error", "nees") else ("time",)
+        if over not in axes:
+            raise FigureError(f"over: found {shown(over)} for {what}, allowed: {', '.join(axes)}")
+        self.what, self.over = what, over
         self.given = None if ax is None else _axes(ax)
         self.picture: Picture | None = None
 
@@ -80,15 +90,6 @@ class Canvas:
             return
         names = [name for ax in panels for name in ax.get_legend_handles_labels()[1]]
         legend(self.picture, max(1, min(5, 130 // (max(map(len, names), default=0) + 8))))
-
-
-def check_over(what: str, over: str, kinds: Sequence[str]) -> None:
-    """Raise FigureError for a figure that is not of these kinds, and for an axis that it is not drawn over."""
-    if what not in kinds:
-        raise FigureError(f"what: found {shown(what)}, {allowed_names(kinds, nearest(what, kinds))}")
-    axes = ("time", "distance") if what in ("error", "nees") else ("time",)
-    if over not in axes:
-        raise FigureError(f"over: found {shown(over)} for {what}, allowed: {', '.join(axes)}")
 
 
 def _axes(ax: Any) -> list[Any]:

@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, Sample, differences, grouped, resampled
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M, nees_band
-from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError, check_over
+from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError
 from sixthsense.figures.overtime import AXIS_LABELS
 from sixthsense.figures.picture import Picture
 from sixthsense.figures.plot import CYCLE, TRUTH
@@ -35,7 +35,7 @@ class _Kind:
     """with the place of the axis that it is drawn over"""
     spread: str
     """of the title, where a group has several runs"""
-    draw: Callable[[Sequence[Group], Canvas, Over], None]
+    draw: Callable[[Sequence[Group], Canvas], None]
     """draws the groups that have its data, at least one"""
     has: Callable[[Group], object]
     """whether a group has its data"""
@@ -126,40 +126,40 @@ def group_figure(what: str, samples: Sequence[Sample], by: str | Sequence[str], 
     Raises FigureError for a name that is none of these and for runs that lack the figure's data, GroupError for
     a field that there is not.
     """
-    check_over(what, over, list(_KINDS))
-    found, canvas, kind = grouped(samples, by), Canvas(what, ax), _KINDS[what]
+    canvas = Canvas(what, list(_KINDS), over, ax)
+    found, kind = grouped(samples, by), _KINDS[what]
     known = [group for group in found if kind.has(group)]
     if not known:
         kept = "allowed: runs with truth, campaigns of this version"
         raise FigureError(f"{what}: found no run whose errors are known, {kept}")
-    kind.draw(known, canvas, over)
+    kind.draw(known, canvas)
     title = kind.title.format(over="time" if over == "time" else "distance travelled")
     spread = kind.spread if len(found) < len(samples) else ""
     canvas.entitle(title + spread, differences([sample.fields for sample in samples]))
     return canvas.picture
 
 
-def draw_errors(groups: Sequence[Group], canvas: Canvas, over: Over) -> None:
+def draw_errors(groups: Sequence[Group], canvas: Canvas) -> None:
     """Position and heading error; on a single Axes the position's."""
     quantities = list(ERRORS)[:1] if canvas.is_one else list(ERRORS)
     panels = canvas.panels(len(quantities), 1, WIDTH_IN, 7.0, sharex=True)
     for ax, quantity in zip(panels, quantities, strict=True):
         for k, group in enumerate(groups):
-            draw_spread(ax, group, quantity, over, k)
+            draw_spread(ax, group, quantity, canvas.over, k)
         ax.set_ylim(bottom=0.0)
     if canvas.given is None:
         panels[0].set_xlabel("")
     canvas.label(panels[0])
 
 
-def draw_consistency(groups: Sequence[Group], canvas: Canvas, over: Over) -> None:
+def draw_consistency(groups: Sequence[Group], canvas: Canvas) -> None:
     """NEES averaged over the runs."""
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 5.0)
-    draw_mean_nees(ax, groups, over)
+    draw_mean_nees(ax, groups, canvas.over)
     canvas.label(ax)
 
 
-def draw_relative(groups: Sequence[Group], canvas: Canvas, _: Over) -> None:
+def draw_relative(groups: Sequence[Group], canvas: Canvas) -> None:
     """Relative pose error, translation and rotation; on a single Axes the translation's."""
     parts = list(RELATIVE)[:1] if canvas.is_one else list(RELATIVE)
     panels = canvas.panels(1, len(parts), WIDTH_IN, 4.6)

@@ -15,7 +15,7 @@ from sixthsense.evaluation.groups import Group, differences, fields_of
 from sixthsense.evaluation.measured_run import MAX_RUNS, MeasuredRun, ReportError, numbered_names
 from sixthsense.evaluation.results import Metrics, metrics_table
 from sixthsense.figures import groups
-from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError, check_over
+from sixthsense.figures.canvas import WIDTH_IN, Canvas, FigureError
 from sixthsense.figures.navigation import draw_exploration
 from sixthsense.figures.overtime import COMPONENTS, draw_coverage, draw_error, draw_nees, draw_nis, draw_stages
 from sixthsense.figures.picture import Picture
@@ -57,7 +57,7 @@ class Kind:
     """over the figure of several runs"""
     caption: str
     """below it on the page of a report"""
-    draw: Callable[[Sequence[_Shown], Canvas, Over], None]
+    draw: Callable[[Sequence[_Shown], Canvas], None]
     """draws the runs that have its data, at least one"""
     has: Callable[[_Shown], object] = lambda _: True
     """whether a run has its data"""
@@ -73,9 +73,8 @@ def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any 
     Raises FigureError for a name that is not in `KINDS`, for a figure whose data all runs lack and for axes that do not
     do, and ReportError for another number of runs.
     """
-    check_over(what, over, list(KINDS))
-    canvas = Canvas(what, ax)
-    if _drawn(canvas, runs, over):
+    canvas = Canvas(what, list(KINDS), over, ax)
+    if _drawn(canvas, runs):
         return canvas.picture
     part = KINDS[what].part
     if part is not None and any(part.value in run.missing for run in runs):
@@ -85,11 +84,11 @@ def figure(what: str, runs: Sequence[MeasuredRun], over: Over = "time", ax: Any 
 
 def figure_if_any(what: str, runs: Sequence[MeasuredRun]) -> Picture | None:
     """Draw the figure with a name in `KINDS`; None if all runs lack its data."""
-    canvas = Canvas(what)
-    return canvas.picture if _drawn(canvas, runs, "time") else None
+    canvas = Canvas(what, list(KINDS))
+    return canvas.picture if _drawn(canvas, runs) else None
 
 
-def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun], over: Over) -> bool:
+def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun]) -> bool:
     """Draw a figure with its title; returns False if all runs lack its data."""
     if not 1 <= len(runs) <= MAX_RUNS:
         raise ReportError(f"runs: found {len(runs)}, allowed: 1 to {MAX_RUNS}")
@@ -98,7 +97,7 @@ def _drawn(canvas: Canvas, runs: Sequence[MeasuredRun], over: Over) -> bool:
     shown = [one for one in shown if kind.has(one)]
     if not shown:
         return False
-    kind.draw(shown, canvas, over)
+    kind.draw(shown, canvas)
     if several:
         fields = [fields_of(name, run.trace.config) for name, run in zip(names, runs, strict=True)]
         canvas.entitle(kind.title, differences(fields))
@@ -119,14 +118,14 @@ def card(run: MeasuredRun) -> str:
     )
 
 
-def _maps(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+def _maps(shown: Sequence[_Shown], canvas: Canvas) -> None:
     if shown[0].label is None and canvas.given is None:
         canvas.picture = map_figure(shown[0].trace, shown[0].run.title)
     else:
         _panel_per_run(shown, canvas, draw_map)
 
 
-def _explorations(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+def _explorations(shown: Sequence[_Shown], canvas: Canvas) -> None:
     _panel_per_run(shown, canvas, draw_exploration)
 
 
@@ -151,16 +150,16 @@ def _panel_per_run(shown: Sequence[_Shown], canvas: Canvas, draw: Callable[[Any,
     canvas.label_below(panels)
 
 
-def _errors(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
+def _errors(shown: Sequence[_Shown], canvas: Canvas) -> None:
     """Errors of x, y and heading with their bounds, a column per run; on a single Axes the position's magnitude."""
     if canvas.is_one:
-        groups.draw_errors([one.group for one in shown], canvas, over)
+        groups.draw_errors([one.group for one in shown], canvas)
         return
     width = max(WIDTH_IN, 4.0 * len(shown))
     axes = canvas.panels(len(COMPONENTS), len(shown), width, 8.0, sharex="col", sharey="row")
     for one, column in zip(shown, np.array(axes).reshape(len(COMPONENTS), len(shown)).T, strict=True):
         for component, ax in enumerate(column):
-            draw_error(ax, one.trace, component, one.color, over)
+            draw_error(ax, one.trace, component, one.color, canvas.over)
             if canvas.given is None:
                 ax.label_outer()
         if one.label is None:
@@ -170,19 +169,19 @@ def _errors(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
             column[0].set_title(one.label, fontsize=10)
 
 
-def _nees(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
+def _nees(shown: Sequence[_Shown], canvas: Canvas) -> None:
     """In world and in right-invariant coordinates; on a single Axes the former."""
     panels = canvas.panels(1 if canvas.is_one else 2, 1, WIDTH_IN, 8.0, sharex=True, sharey=True)
     frames: tuple[Literal["world", "invariant"], ...] = ("world", "invariant")
     for ax, frame in zip(panels, frames, strict=False):
         for k, one in enumerate(shown):
-            draw_nees(ax, one.trace, frame, one.color, one.label, k == 0, over)
+            draw_nees(ax, one.trace, frame, one.color, one.label, k == 0, canvas.over)
         canvas.label(ax)
     if canvas.given is None:
         panels[0].set_xlabel("")
 
 
-def _nis(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+def _nis(shown: Sequence[_Shown], canvas: Canvas) -> None:
     """One panel per run: the band depends on the number of matched landmarks."""
     panels = canvas.panels(len(shown), 1, WIDTH_IN, 2.0 + 2.4 * len(shown), sharex=True, sharey=True)
     for ax, one in zip(panels, shown, strict=True):
@@ -192,21 +191,21 @@ def _nis(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
             ax.label_outer()
 
 
-def _stages(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+def _stages(shown: Sequence[_Shown], canvas: Canvas) -> None:
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 4.0 + 0.9 * len(shown))
     draw_stages(ax, [one.run.metrics for one in shown], [one.label for one in shown])
     canvas.label(ax)
 
 
-def _coverage(shown: Sequence[_Shown], canvas: Canvas, _: Over) -> None:
+def _coverage(shown: Sequence[_Shown], canvas: Canvas) -> None:
     (ax,) = canvas.panels(1, 1, WIDTH_IN, 5.0)
     for one in shown:
         draw_coverage(ax, one.trace, one.color, one.label)
     canvas.label(ax)
 
 
-def _relative_errors(shown: Sequence[_Shown], canvas: Canvas, over: Over) -> None:
-    groups.draw_relative([one.group for one in shown], canvas, over)
+def _relative_errors(shown: Sequence[_Shown], canvas: Canvas) -> None:
+    groups.draw_relative([one.group for one in shown], canvas)
 
 
 KINDS = {
