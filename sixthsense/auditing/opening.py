@@ -196,11 +196,7 @@ def _of_arrays(what: str, given: Any, names: tuple[str, ...]) -> Poses:
         raise AuditError(f"{what}: found {_described(given)}, allowed: a file, a run, or arrays ({', '.join(names)})")
     try:
         stamps_s = as_array(f"{what} stamps", given[0], ("N",))
-        if np.ndim(given[1]) == 3:
-            size = np.shape(given[1])[1]
-            poses = as_array(f"{what} poses", given[1], ("N", size, size))
-        else:
-            poses = as_array(f"{what} poses", given[1], ("N", np.shape(given[1])[-1] if np.ndim(given[1]) else "n"))
+        poses = as_array(f"{what} poses", given[1], ("N", "n", "n") if np.ndim(given[1]) == 3 else ("N", "n"))
         if poses.shape[1:] not in ((3,), (7,), (3, 3), (4, 4)):
             raise ValueError(f"{what} poses: expected {_FORMS}, got shape {poses.shape}")
         covs = None

@@ -14,10 +14,12 @@ from sixthsense.figures.scan import (
     compare_features,
     draw_beams,
     draw_change,
+    draw_correlation,
     draw_detections,
+    draw_innovations,
     draw_partitions,
     draw_returns,
+    draw_state,
     draw_wall_bands,
     strays_m,
 )
-from sixthsense.figures.state import draw_correlation, draw_innovations, draw_state
