@@ -24,6 +24,7 @@ Scans = NDArray[np.int32]
 """(H, W) the first scan that saw each cell, -1 for none"""
 
 _BEAMS = 720
+_SQUARE_M = 0.3  # in each of which a position is looked from
 _MOST_CELLS = 4_000_000
 _MOST_VIEWPOINTS = 3_000
 
@@ -79,13 +80,12 @@ def visible_area(
     radius: float,
     laser_range: float,
     cell_m: float = 0.05,
-    lattice_m: float = 0.3,
 ) -> VisibleArea:
     """The free area in the region, at least a cell away from walls, that is visible from reachable positions.
 
     `walls` (N, 2, 2); `region` x0 y0 x1 y1; `start` x y of a disc of `radius`; all in the world frame, metres. A
     position is reachable if the disc touches no wall there and it is connected to the start. A full circle of beams of
-    `laser_range` is cast from one reachable position in each square of side `lattice_m`. Positions lie within the
+    `laser_range` is cast from one reachable position in each square of 0.3 m. Positions lie within the
     bounds of region, walls and start. In a very large scene, cells and squares are enlarged to bound memory and time.
     Raises ValueError for an empty region, or a start where the disc touches a wall.
     """
@@ -119,7 +119,7 @@ def visible_area(
     first = np.full((height, width), -1, dtype=np.int32)
     bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
     near_walls = NearWalls(walls, laser_range)
-    for row, col in _viewpoints(reachable, max(1, round(lattice_m / cell_m))):
+    for row, col in _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))):
         _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, 0, first)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     mask = (first >= 0) & inside & (clearances >= cell_m)

@@ -23,9 +23,7 @@ def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
     shown = 1e3 * errors
     ax.scatter(shown[:, 0], shown[:, 1], s=9, color=LANDMARK, linewidths=0.0, zorder=3, label="samples")
     if len(shown):
-        outline = ellipse(np.zeros(2), shown.T @ shown / len(shown))
-        ax.fill(outline[:, 0], outline[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
-        ax.plot(outline[:, 0], outline[:, 1], color=ESTIMATE, linewidth=1.4, label="95 % ellipse, mean 0")
+        outline = _draw_ellipse(ax, shown.T @ shown / len(shown))
         mean = shown.mean(axis=0)
         ax.plot(*mean, marker="+", color=TRUTH, markersize=9, linestyle="none", zorder=4, label="sample mean")
         _frame(ax, max(float(np.abs(outline).max()), float(np.percentile(np.abs(shown), 99.5))))
@@ -36,9 +34,7 @@ def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
 
 def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
     """Draw the whitened errors of forward motion and heading before and after calibration."""
-    circle = ellipse(np.zeros(2), np.eye(2))
-    ax.fill(circle[:, 0], circle[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
-    ax.plot(circle[:, 0], circle[:, 1], color=ESTIMATE, linewidth=1.4, label="95 % ellipse, mean 0")
+    _draw_ellipse(ax, np.eye(2))
     for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
         whitened = errors.whitened
         label = f"{when}: NEES {errors.nees.mean():.2f}"
@@ -49,6 +45,14 @@ def draw_propagation_errors(ax: Any, before: PropagationErrors, after: Propagati
     ax.set_xlabel("forward error [assumed sigmas]")
     ax.set_ylabel("heading error [assumed sigmas]")
     ax.set_title(f"odometry, {len(after.errors)} samples")
+
+
+def _draw_ellipse(ax: Any, cov: Array) -> Array:
+    """Draw the 95 % ellipse of a zero-mean Gaussian with a covariance (2, 2); returns its outline."""
+    outline = ellipse(np.zeros(2), cov)
+    ax.fill(outline[:, 0], outline[:, 1], color=ESTIMATE, alpha=0.15, linewidth=0.0)
+    ax.plot(outline[:, 0], outline[:, 1], color=ESTIMATE, linewidth=1.4, label="95 % ellipse, mean 0")
+    return outline
 
 
 def _frame(ax: Any, reach: float) -> None:
