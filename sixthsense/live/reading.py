@@ -16,18 +16,17 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_frames import Frames, frame_name
 from sixthsense.sources.logs.ros_messages import (
     FARTHEST_M,
     LASER_SCAN,
     ODOMETRY,
-    mount,
+    frame_name,
     planar,
     scan,
     stamp_ns,
     transform,
 )
-from sixthsense.sources.logs.tf_odometry import FramePair
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -92,6 +91,13 @@ class MessageReader:
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
 
+    def add_static(self, data: bytes, tree: TransformTree) -> None:
+        """Add the static transforms of a message to a tree, unless it is large already."""
+        for link in self.read(data, TRANSFORMS).transforms:
+            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
+            if len(tree.links) < _MOST_FRAMES:
+                tree.add_static(parent, child, transform(link.transform))
+
     def _is_odometry(self, link: Any) -> bool:
         return (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames
 
@@ -138,32 +144,6 @@ class LaserReader:
     def forget(self) -> None:
         """Take the next scan as the first one."""
         self._first = None
-
-
-class FrameReader:
-    """Collects static transforms, and tells the mount of the laser."""
-
-    def __init__(self, reader: MessageReader) -> None:
-        self._reader, self._frames = reader, Frames()
-
-    def add(self, data: bytes) -> None:
-        """Take in the transforms of a message."""
-        for link in self._reader.read(data, TRANSFORMS).transforms:
-            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
-            if len(self._frames.transforms) < _MOST_FRAMES:
-                self._frames.transforms[child] = (parent, transform(link.transform))
-
-    def root(self, laser: str) -> str:
-        """The frame that static transforms lead to from the laser's: the robot's, where no odometry names it."""
-        return self._frames.root(laser)
-
-    def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
-        """`T_robot_laser`, and whether the laser is upside down; None if no transforms lead from one to the other.
-
-        A laser that is not level raises ValueError.
-        """
-        self._frames.robot, self._frames.laser = robot, laser
-        return mount(np.eye(4)) if robot == laser else self._frames.mount()
 
 
 def _check_header(header: Any) -> None:

@@ -21,7 +21,7 @@ from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
 from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.observation_cloud import CLOUD
+from sixthsense.sources.logs.ros_messages import CLOUD
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",

@@ -12,8 +12,14 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.record.message_form import quaternion
-from sixthsense.sources.logs.observation_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
-from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
+from sixthsense.sources.logs.ros_messages import (
+    CLOUD,
+    FIELDS,
+    POINT_BYTES,
+    increment_covariance,
+    spatial_covariance,
+    to_bytes,
+)
 
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""

@@ -118,7 +118,7 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
         ("1 2 3 4 5 6 7 8\n1 2 3\n", "line 2: found 3 fields, allowed: 8"),
         ("1 2 3 4 5 6 7 x\n", "line 1: found 'x', allowed: a number"),
         ("1 2 nan 4 5 6 7 8\n", "line 1: found 'nan', allowed: a finite number"),
-        ("# nothing\n", "found no relation"),
+        ("# nothing\n", "found no line of numbers"),
     ],
 )
 def test_bad_relations_are_named(tmp_path: Path, text: str, said: str) -> None:

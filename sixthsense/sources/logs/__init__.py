@@ -57,7 +57,7 @@ def open_log(
     if is_bag(path):
         from sixthsense.sources.logs.bag_recording import BagOptions
         from sixthsense.sources.logs.rosbag import read_bag
-        from sixthsense.sources.logs.tf_odometry import frame_pair
+        from sixthsense.sources.logs.transforms import frame_pair
 
         options = BagOptions(topics, frame_pair(odometry_frames), odometry)
         return read_bag(path, laser or LaserConfig(), options, "mount" in stated)

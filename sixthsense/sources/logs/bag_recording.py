@@ -4,29 +4,22 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Pose
-from sixthsense.sources.logs.decompress import bounded
+from sixthsense.sources.logs.bag_file import checked_stamp
 from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.odometry_remarks import remarks_on
-from sixthsense.sources.logs.ros_frames import Frames, frame_name
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, stamp_ns, transform
-from sixthsense.sources.logs.tf_odometry import OPTION, FramePair, TransformTree
+from sixthsense.sources.logs.oddities import remarks_on
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, frame_name, planar, stamp_ns
+from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
-
-LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000
-"""Upper bound of a stamp: nanoseconds must fit into 64 bits."""
-TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 
 class BagOptions(NamedTuple):
@@ -50,7 +43,11 @@ class Recording:
     """stamp of the header, ns; message"""
     order: list[tuple[bool, int]] = field(default_factory=list)
     """whether the record is a scan, and its index"""
-    frames: Frames = field(default_factory=Frames)
+    tree: TransformTree = field(default_factory=TransformTree)
+    robot: str = ""
+    """frame of the odometry"""
+    laser: str = ""
+    """frame of the first scan"""
     other_frames: Counter[str] = field(default_factory=Counter)
     """number of scans of frames other than that of the first scan"""
     remarks: list[str] = field(default_factory=list)
@@ -58,37 +55,24 @@ class Recording:
     """whether the bag has odometry that is used; without it, the robot is said to stand at the first scan"""
 
 
-def read_recording(path: Path, options: BagOptions) -> Recording:
+def read_recording(path: Path, reader: AnyReader, options: BagOptions) -> Recording:
     """Read the messages; LogError for a topic that is missing or ambiguous, and for one that cannot be used."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     recording = Recording()
-    tree = TransformTree(recording.frames)
-    with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-        chosen = _choose(path, reader, options)
-        uses_tree = options.odometry and ODOMETRY not in chosen
-        known = [c for c in reader.connections if c.topic in chosen.values() or _has_transforms(c, uses_tree)]
-        for connection, record_ns, raw in reader.messages(connections=known):
-            message: Any
-            if connection.msgtype in TRANSFORM_TYPES:
-                message = reader.deserialize(raw, connection.msgtype)
-                is_static = connection.topic.endswith("tf_static")
-                for link in message.transforms:
-                    parent, child = frame_name(link.header.frame_id), frame_name(link.child_frame_id)
-                    if is_static:
-                        recording.frames.transforms[child] = (parent, transform(link.transform))
-                    else:
-                        own = _checked_stamp(path, stamp_ns(link) or record_ns)
-                        recording.order.append((False, tree.add(parent, child, own, transform(link.transform))))
-            elif connection.topic == chosen.get(connection.msgtype):
-                message = reader.deserialize(raw, connection.msgtype)
-                _add_message(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
-    if uses_tree and (tree.stamped or options.frames is not None):
-        _take_odometry(path, recording, tree, options.frames)
+    chosen = _choose(path, reader, options)
+    uses_tree = options.odometry and ODOMETRY not in chosen
+    known = [c for c in reader.connections if c.topic in chosen.values() or _has_transforms(c, uses_tree)]
+    for connection, record_ns, raw in reader.messages(connections=known):
+        message: Any = reader.deserialize(raw, connection.msgtype)
+        if connection.msgtype in TRANSFORM_TYPES:
+            rows = recording.tree.take(str(path), connection.topic, message, record_ns)
+            recording.order += [(False, row) for row in rows]
+        elif connection.topic == chosen.get(connection.msgtype):
+            _add_message(path, recording, message, record_ns, connection.msgtype == LASER_SCAN)
+    if uses_tree and (recording.tree.stamped or options.frames is not None):
+        _take_odometry(path, recording, options.frames)
     elif ODOMETRY not in chosen and recording.scans:
         recording.has_odometry = False
-        recording.frames.robot = recording.frames.root(recording.frames.laser)
+        recording.robot = recording.tree.root(recording.laser)
         _stand(recording)
     if recording.has_odometry:
         recording.remarks += remarks_on(recording.odometry)
@@ -100,20 +84,20 @@ def _has_transforms(connection: Any, with_moving: bool) -> bool:
     return connection.msgtype in TRANSFORM_TYPES and (name.endswith("tf_static") or with_moving)
 
 
-def _take_odometry(path: Path, recording: Recording, tree: TransformTree, named: FramePair | None) -> None:
+def _take_odometry(path: Path, recording: Recording, named: FramePair | None) -> None:
     """Take the odometry from the transforms."""
     try:
-        pair, poses = tree.odometry(named)
+        pair, poses = recording.tree.odometry(recording.laser, named)
     except ValueError as error:
         raise LogError(f"{path} /tf: {error}") from None
-    recording.frames.robot = pair.child
+    recording.robot = pair.child
     order, recording.order = recording.order, []
     for is_scan, row in order:
         if is_scan:
             recording.order.append((True, row))
         elif row in poses:
             recording.order.append((False, len(recording.odometry)))
-            recording.odometry.append((tree.stamped[row][0], poses[row]))
+            recording.odometry.append((recording.tree.stamped[row][0], poses[row]))
     recording.remarks.append(f"odometry: /tf {pair}, {len(recording.odometry)} transforms (otherwise {OPTION})")
 
 
@@ -158,50 +142,20 @@ def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str
 
 
 def _add_message(path: Path, recording: Recording, message: Any, record_ns: int, is_scan: bool) -> None:
-    own = _checked_stamp(path, stamp_ns(message) or record_ns)  # some drivers leave the stamp at zero
+    own = checked_stamp(str(path), stamp_ns(message) or record_ns)  # some drivers leave the stamp at zero
     number = len(recording.scans if is_scan else recording.odometry)
     if is_scan:
         frame = frame_name(message.header.frame_id)
-        recording.frames.laser = recording.frames.laser or frame
-        if frame != recording.frames.laser:
+        recording.laser = recording.laser or frame
+        if frame != recording.laser:
             recording.other_frames[frame] += 1
             return
         recording.scans.append((own, message))
     else:
-        recording.frames.robot = recording.frames.robot or frame_name(message.child_frame_id)
+        recording.robot = recording.robot or frame_name(message.child_frame_id)
         try:
             pose = planar(message.pose.pose.position, message.pose.pose.orientation)
         except ValueError as error:
             raise LogError(f"{path} odometry {number + 1}: {error}") from None
         recording.odometry.append((own, pose))
     recording.order.append((is_scan, number))
-
-
-def _checked_stamp(path: Path, own: int) -> int:
-    if not 0 <= own <= LARGEST_STAMP_NS:
-        raise LogError(f"{path}: found stamp {own} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
-    return own
-
-
-@contextmanager
-def as_log_error(path: Path) -> Iterator[None]:
-    """A context in which any exception of a reader on a damaged file becomes a LogError."""
-    try:
-        yield
-    except InputError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if len(reason) > 160:
-            reason = reason[:160] + "..."
-        raise LogError(
-            f"{path}: cannot be read as a bag ({reason}), allowed: ROS 1 .bag, ROS 2 folder or file"
-        ) from None
-
-
-def check_first_line(path: Path) -> None:
-    """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
-    if path.suffix.lower() == ".bag" and path.is_file():
-        with path.open("rb") as stream:
-            if not stream.readline(32).endswith(b"\n"):
-                raise ValueError("File magic is invalid.")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.text_lines import LARGEST, Record, lines, shown
+from sixthsense.sources.logs.text_lines import LARGEST, Record, records, shown
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
 _ODOM_FIELDS = 10
@@ -80,14 +80,11 @@ def read_lines(path: Path) -> CarmenLines:
     """
     content = CarmenLines()
     damaged: LogError | None = None
-    for number, line in lines(path):
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            continue
+    for record in records(path):
         if damaged is not None:
             raise damaged
         try:
-            _take(content, Record(path, number, fields))
+            _take(content, record)
         except LogError as error:
             damaged = error
     if damaged is not None:
@@ -152,10 +149,7 @@ def _count(record: Record, place: int, what: str = "ranges") -> int:
     kind = record.fields[0].decode()
     if len(record.fields) <= place:
         record.fail(f"found {kind} without {what}, a CARMEN line cut short")
-    field_ = record.fields[place]
-    if not field_.isdigit() or len(field_) > 12:
-        record.fail(f"found {shown(field_)} {what} in {kind}, allowed: a whole number")
-    return int(field_)
+    return record.whole(place, f"number of {what}")
 
 
 def _expect(record: Record, count: int, what: str = "") -> None:

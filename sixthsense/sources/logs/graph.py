@@ -13,11 +13,10 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_obser
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import Record, lines, shown
+from sixthsense.sources.logs.text_lines import Record, records, shown
 
 _STEP_NS = 1_000_000_000
 _FARTHEST = 1e6
-_LARGEST_ID = (1 << 31) - 1
 _LARGEST_ENTRY = 1e12
 """largest entry of a covariance or information matrix"""
 _SLACK = 1e-12
@@ -48,11 +47,9 @@ _TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
 def begins_as_graph(file: Path) -> bool:
     """Whether the first line that is not blank or a comment begins with a tag of a graph."""
     try:
-        words = (line.split() for _, line in lines(file))
-        first = next((fields[0] for fields in words if fields and not fields[0].startswith(b"#")), b"")
+        return next((record.fields[0] in _TAGS for record in records(file)), False)
     except LogError:
         return False
-    return first in _TAGS
 
 
 def read_graph(file: str | Path) -> Log:
@@ -85,12 +82,8 @@ def read_graph(file: str | Path) -> Log:
     """
     path = Path(file)
     graph = _Graph()
-    for number, line in lines(path):
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            continue
-        record = Record(path, number, fields)
-        tag = fields[0]
+    for record in records(path):
+        tag = record.fields[0]
         if tag not in _TAGS:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
         _READERS[tag](graph, record)
@@ -118,25 +111,20 @@ class _Graph:
     poses: dict[int, _Node] = field(default_factory=dict)
     """by id, in order"""
     newest: int = -1
-    landmarks: set[int] = field(default_factory=set)
-    guessed: set[int] = field(default_factory=set)
-    """ids of poses with an initial value"""
-    guessed_landmarks: set[int] = field(default_factory=set)
-    """ids of landmarks with an initial value"""
+    kinds: dict[int, str] = field(default_factory=dict)
+    """pose or landmark, by id"""
+    guessed: dict[int, str] = field(default_factory=dict)
+    """the same of those with an initial value"""
 
     def begin(self, pose: int) -> None:
         self.poses[pose] = _Node(Pose(), None)
         self.newest = pose
 
-    def check_pose(self, record: Record, pose: int) -> None:
-        """Fail for a pose with the id of a landmark."""
-        if pose in self.landmarks or pose in self.guessed_landmarks:
-            record.fail(f"found pose {pose}, allowed: an id that no landmark has")
-
-    def check_landmark(self, record: Record, landmark: int) -> None:
-        """Fail for a landmark with the id of a pose."""
-        if landmark in self.poses or landmark in self.guessed:
-            record.fail(f"found landmark {landmark}, allowed: an id that no pose has")
+    def check_kind(self, record: Record, vertex: int, kind: str) -> None:
+        """Fail for a pose with the id of a landmark, and the other way round."""
+        other = "landmark" if kind == "pose" else "pose"
+        if self.kinds.setdefault(vertex, kind) == other:
+            record.fail(f"found {kind} {vertex}, allowed: an id that no {other} has")
 
 
 def _read_motion(graph: _Graph, record: Record) -> None:
@@ -145,7 +133,7 @@ def _read_motion(graph: _Graph, record: Record) -> None:
     motion = _bounded(record, record.numbers(record.fields[3:6]))
     cov = _covariance(record, form, record.fields[6:], definite=False)
     for pose in (before, after):
-        graph.check_pose(record, pose)
+        graph.check_kind(record, pose, "pose")
     if not graph.poses:
         graph.begin(before)
     if after in graph.poses:
@@ -172,28 +160,26 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
     else:
         cov = _covariance(record, form, record.fields[5:], definite=True)
         observation = Observation(Kind.CORNER, np.array([first, second]), cov)
-    graph.check_landmark(record, landmark)
-    if not graph.poses and (not graph.guessed or pose in graph.guessed):
+    graph.check_kind(record, landmark, "landmark")
+    if not graph.poses and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
         graph.begin(pose)
     if pose not in graph.poses:
         record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
     seen = graph.poses[pose].observations
     if landmark in seen:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
-    graph.landmarks.add(landmark)
     seen[landmark] = observation
 
 
 def _read_vertex(graph: _Graph, record: Record) -> None:
-    is_pose = record.fields[0] in _POSES
-    _expect(record, 4 if is_pose else 3)
-    vertex = _id(record, 1)
+    kind = "pose" if record.fields[0] in _POSES else "landmark"
+    _expect(record, 4 if kind == "pose" else 3)
+    vertex = record.whole(1, "id")
     record.numbers(record.fields[2:])
-    known = graph.guessed if is_pose else graph.guessed_landmarks
-    if vertex in known:
-        record.fail(f"found {'pose' if is_pose else 'landmark'} {vertex} again, allowed: a new one")
-    (graph.check_pose if is_pose else graph.check_landmark)(record, vertex)
-    known.add(vertex)
+    if graph.guessed.get(vertex) == kind:
+        record.fail(f"found {kind} {vertex} again, allowed: a new one")
+    graph.check_kind(record, vertex, kind)
+    graph.guessed[vertex] = kind
 
 
 _READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
@@ -212,14 +198,7 @@ def _expect(record: Record, count: int) -> None:
 
 def _ids(record: Record, count: int) -> tuple[int, int]:
     _expect(record, count)
-    return _id(record, 1), _id(record, 2)
-
-
-def _id(record: Record, column: int) -> int:
-    text = record.fields[column]
-    if not text.isdigit() or len(text) > 10 or int(text) > _LARGEST_ID:
-        record.fail(f"found id {shown(text)}, allowed: a whole number, 0 to {_LARGEST_ID}")
-    return int(text)
+    return record.whole(1, "id"), record.whole(2, "id")
 
 
 def _bounded(record: Record, values: Array) -> Array:

@@ -16,19 +16,13 @@ from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_recording import (
-    BagOptions,
-    Recording,
-    as_log_error,
-    check_first_line,
-    read_recording,
-)
-from sixthsense.sources.logs.decompress import check_regular
+from sixthsense.sources.logs.bag_file import opened
+from sixthsense.sources.logs.bag_recording import BagOptions, Recording, read_recording
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import max_range_of
 from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.oddities import found_turns
 from sixthsense.sources.logs.ros_messages import FARTHEST_M, scan
-from sixthsense.sources.logs.two_lasers import found_turns
 
 
 class BagLog(Log):
@@ -63,15 +57,11 @@ def read_bag(
     Raises LogError for a bag that cannot be read, is damaged or truncated, or lacks a topic of scans.
     """
     path = Path(file)
-    # All of it: a bag may define a type with a known name but without the expected fields.
-    with as_log_error(path):
-        check_regular(path)
-        check_first_line(path)
-        return _read_log(path, laser, options or BagOptions(), is_mount_given)
+    with opened(path) as reader:
+        return _log(path, read_recording(path, reader, options or BagOptions()), laser, is_mount_given)
 
 
-def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_given: bool) -> BagLog:
-    recording = read_recording(path, options)
+def _log(path: Path, recording: Recording, laser: LaserConfig, is_mount_given: bool) -> BagLog:
     if not recording.scans or not recording.odometry:
         missing = "LaserScan" if not recording.scans else "Odometry"
         raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
@@ -85,11 +75,11 @@ def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_give
             raise LogError(f"{path} scan {number}: {error}") from None
     if not any((s.ranges <= np.float32(s.max_range)).any() for s in scans):
         raise LogError(f"{path}: found no return in {len(scans)} scans, allowed: ranges from range_min to range_max")
-    if turns := found_turns(scans, recording.frames.laser):
+    if turns := found_turns(scans, recording.laser):
         raise LogError(f"{path}: {turns}")
     for frame, count in recording.other_frames.items():
         recording.remarks.append(
-            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.frames.laser)} "
+            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.laser)} "
             "are of another laser"
         )
     ticks = _ticks(path, recording, scans)
@@ -100,18 +90,18 @@ def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_give
 
 def _mount(path: Path, recording: Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:
     """The mount of the laser on the robot, and whether the laser is upside down."""
-    frames = recording.frames
     try:
-        found = frames.mount()
+        found = recording.tree.mount(recording.robot, recording.laser)
     except ValueError as error:
         raise LogError(f"{path} /tf_static: {error}") from None
     place, upside_down = found or (Pose(), False)
     if is_given or any(laser.mount):
         return Pose(*laser.mount), upside_down
     if found is None and recording.has_odometry:
+        frames = f"{shown_name(recording.robot)} to {shown_name(recording.laser)}"
         recording.remarks.append(
-            f"assumed: the laser at the robot's centre, since no /tf_static leads from {shown_name(frames.robot)} to "
-            f"{shown_name(frames.laser)} (otherwise set laser.mount)"
+            f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames} "
+            "(otherwise set laser.mount)"
         )
     return place, upside_down
 

@@ -14,11 +14,18 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_recording import LARGEST_STAMP_NS
-from sixthsense.sources.logs.decompress import check_regular, decompressed
-from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.observation_cloud import CLOUD, from_cloud
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
+from sixthsense.sources.logs.bag_file import checked_stamp, decompressed
+from sixthsense.sources.logs.errors import LogError, check_regular
+from sixthsense.sources.logs.ros_messages import (
+    CLOUD,
+    LASER_SCAN,
+    ODOMETRY,
+    from_cloud,
+    planar,
+    read_increment_covariance,
+    scan,
+    stamp_ns,
+)
 from sixthsense.sources.logs.rosbag import BagLog
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
@@ -54,7 +61,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
             if topic == "/odom":
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
                 last_ns = ticks[-1].stamp_ns if ticks else -1
-                if not last_ns < record_ns <= LARGEST_STAMP_NS:
+                if checked_stamp(str(file), record_ns) <= last_ns:
                     raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
                 ticks.append(Tick(record_ns, pose, increment_cov=read_increment_covariance(message)))
             elif topic in paths:

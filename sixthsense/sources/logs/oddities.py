@@ -1,4 +1,4 @@
-"""Scans of two lasers that take turns on one topic under one frame."""
+"""What a user should know of recorded messages: gaps and jumps of odometry, and two lasers that take turns."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
+
+_GAP_S = 0.5  # a live robot's odometry is not interpolated over a longer one either
+_FASTEST, _FASTEST_RAD = 5.0, 5.0  # m/s and rad/s of a robot on wheels in a building
+_JOLT_M, _JOLT_RAD = 0.5, 0.5  # at any moment, as for a live robot
 
 _FEWEST, _MOST_TRIPLES = 6, 100  # scans, and triples of successive ones that are compared
 _BINS = 36  # of bearings, around a full turn
@@ -16,6 +20,34 @@ _LEAST_M = 0.1  # difference of two views, below which noise and the robot's own
 _RATIO = 0.25
 """Of a scan's difference from the second next one, to that from the next: a laser that moves has at least about 1."""
 _SHARE = 0.8  # of the triples
+
+
+def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
+    """A line each on gaps and jumps of poses with stamps, ns, in the order of the records."""
+    if len(odometry) < 2:
+        return []
+    stamps_s = 1e-9 * np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.float64)
+    poses = np.array([pose.array() for _, pose in odometry])
+    periods_s, steps = np.diff(stamps_s), np.diff(poses, axis=0)
+    lines = []
+    usual_s = float(np.median(periods_s))
+    gaps = np.flatnonzero(periods_s > max(_GAP_S, 3.0 * usual_s))
+    if len(gaps):
+        longest = gaps[np.argmax(periods_s[gaps])]
+        lines.append(
+            f"odometry has {len(gaps)} gaps, the longest of {periods_s[longest]:.1f} s after "
+            f"{stamps_s[longest] - stamps_s[0]:.1f} s; it comes every {usual_s:.3f} s otherwise"
+        )
+    passed_s = np.maximum(periods_s, 0.0)
+    moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
+    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + _JOLT_M) | (turned > _FASTEST_RAD * passed_s + _JOLT_RAD))
+    if len(jumps):
+        largest = jumps[np.argmax(moved_m[jumps])]
+        lines.append(
+            f"odometry jumps {len(jumps)} times, by up to {moved_m[largest]:.1f} m after "
+            f"{stamps_s[largest] - stamps_s[0]:.1f} s: it may have begun anew, or be the frame of a map"
+        )
+    return lines
 
 
 def found_turns(scans: Sequence[Scan], frame: str) -> str | None:
