@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array
-from sixthsense.sources.scene_fields import Point, check_keys, read_numbers, read_positive
-from sixthsense.sources.scene_names import SceneError
+from sixthsense.sources.scene_files import Point
 
 Wall = list[Point]
 
-_KEYS = ("blocks", "block_m", "corridor_m", "halls", "furniture", "seed")
-_MOST_BLOCKS, _LEAST_BLOCK_M, _LEAST_CORRIDOR_M = 400, 20.0, 1.5
+_MOST_BLOCKS = 400
 _DOOR_M, _HALL_DOOR_M = (0.9, 1.2), 2.0
 _BAND_M = (5.0, 7.0)  # depth of the rooms along two sides of a block
 _ROOM_M = (4.5, 6.5)  # their width, about
@@ -26,43 +26,27 @@ _PILLAR_M, _PILLARS_APART_M = 0.6, 6.0
 _PIECE_M, _PIECE_CLEAR_M = (0.5, 1.6), 1.0  # furniture, and its distance from walls: no door is blocked
 
 
-class Campus(NamedTuple):
-    """The numbers that a campus is drawn from."""
+@dataclass(frozen=True)
+class Campus(Section):
+    """The numbers that a campus is drawn from: the table `campus` of a scene."""
 
-    blocks: tuple[int, int]
+    blocks: tuple[Annotated[int, Range(1, _MOST_BLOCKS)], Annotated[int, Range(1, _MOST_BLOCKS)]]
     """along x and y"""
-    block_m: float
+    block_m: Annotated[float, Range(20.0, 1e6)]
     """side of a block"""
-    corridor_m: float
+    corridor_m: Annotated[float, Range(1.5, 1e6)]
     """width of the corridors around the blocks"""
-    halls: float
+    halls: Annotated[float, Range(0.0, 1.0)]
     """share of the blocks that are a hall with pillars"""
-    furniture: float
+    furniture: Annotated[float, Range(0.0, 3.0)]
     """mean number of pieces in a room"""
-    seed: int
+    seed: Annotated[int, Range(0)]
 
-
-def read_campus(table: Any) -> Campus:
-    """The table `campus` of a scene; SceneError that names the field."""
-    if not isinstance(table, dict):
-        raise SceneError(f"campus: found {table!r}, allowed: a table with {', '.join(_KEYS)}")
-    check_keys("campus.", table, _KEYS, _KEYS)
-    blocks = read_numbers("campus.blocks", table["blocks"], "x y")
-    seed, halls, furniture = (
-        read_numbers(f"campus.{name}", [table[name]], name)[0] for name in ("seed", "halls", "furniture")
-    )
-    whole = all(number == int(number) for number in (*blocks, seed))
-    if not whole or min(blocks) < 1 or blocks[0] * blocks[1] > _MOST_BLOCKS or seed < 0:
-        found = f"{blocks[0]:g} x {blocks[1]:g} and {seed:g}"
-        allowed = f"whole numbers, at most {_MOST_BLOCKS} blocks and a seed of at least 0"
-        raise SceneError(f"campus.blocks, campus.seed: found {found}, allowed: {allowed}")
-    if not 0.0 <= halls <= 1.0 or not 0.0 <= furniture <= 3.0:
-        raise SceneError(f"campus.halls, campus.furniture: found {halls:g}, {furniture:g}, allowed: 0 to 1, 0 to 3")
-    block_m, corridor_m = (read_positive(f"campus.{name}", table[name]) for name in ("block_m", "corridor_m"))
-    if block_m < _LEAST_BLOCK_M or corridor_m < _LEAST_CORRIDOR_M:
-        allowed = f"at least {_LEAST_BLOCK_M:g} and {_LEAST_CORRIDOR_M:g}"
-        raise SceneError(f"campus.block_m, campus.corridor_m: found {block_m:g}, {corridor_m:g}, allowed: {allowed}")
-    return Campus((int(blocks[0]), int(blocks[1])), block_m, corridor_m, halls, furniture, int(seed))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.blocks[0] * self.blocks[1] > _MOST_BLOCKS:
+            found = f"{self.blocks[0]} x {self.blocks[1]}"
+            raise ConfigError(f"blocks: found {found}, allowed: at most {_MOST_BLOCKS} in all")
 
 
 def campus_walls(campus: Campus) -> list[Wall]:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from sixthsense.config.section import shown
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.sources.outlines import outline_corners, simplified
-from sixthsense.sources.scene_fields import check_count, check_keys, read_name, read_text
-from sixthsense.sources.scene_names import SceneError
+from sixthsense.sources.scene_files import SceneError, check_count, check_keys, read_name, read_text
 
 MAX_PIXELS = 100_000_000
 _REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")

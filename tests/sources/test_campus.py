@@ -1,5 +1,7 @@
 """A campus that is drawn from a few numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import label
 
@@ -28,7 +30,7 @@ def test_every_room_and_hall_is_reached_through_doors():
 
 
 def test_one_seed_is_one_campus_and_another_is_another():
-    assert campus_walls(SMALL) == campus_walls(SMALL) != campus_walls(SMALL._replace(seed=5))
+    assert campus_walls(SMALL) == campus_walls(SMALL) != campus_walls(replace(SMALL, seed=5))
 
 
 def test_the_shipped_campus_has_three_hundred_metres_and_a_thousand_rooms():

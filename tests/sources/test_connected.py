@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sixthsense.config import preset
-from sixthsense.sources.connected import connected
-from sixthsense.sources.mission import mission
+from sixthsense.sources.mission import connected, mission
 from sixthsense.sources.scene import SceneError, load_scene
 
 ROOM = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
