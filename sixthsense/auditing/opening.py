@@ -15,7 +15,7 @@ from sixthsense.auditing.poses import AuditError, Poses, Stamps, check_covarianc
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.measured_run import MeasuredRun
-from sixthsense.sources.logs import is_bag, is_run_folder
+from sixthsense.sources.logs import is_run_folder, kind_of
 
 if TYPE_CHECKING:
     from sixthsense.record.trace import Trace
@@ -57,7 +57,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
     path = Path(source)
     if is_run_folder(path):
         return _truth_of_run(_record(path), str(path))
-    if is_bag(path):
+    if kind_of(path) == "bag":
         if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
             return _of_transforms(path, options.truth_frames or estimate.frames)
         from sixthsense.sources.logs.ros_poses import read_poses
@@ -73,7 +73,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if is_run_folder(path):
         return _of_run(_record(path), str(path))
-    if is_bag(path):
+    if kind_of(path) == "bag":
         from sixthsense.sources.logs.ros_poses import read_poses
 
         found = read_poses(path, topic)

@@ -27,7 +27,7 @@ def trace_of_bag(folder: Path, config: Config) -> Trace:
     log = read_run(folder, config.laser)
     scene = recorded_scene(log, config)
     trace = Trace(config, scene, config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius))
-    trace.plans = list(log.plans)
+    trace.plans = [path for _, path in log.plans]
     estimates = {stamp_ns: (pose, cov) for stamp_ns, pose, cov in log.estimates}
     pose, before, folded = log.start, log.ticks[0].odometry, Keyframes(config.keyframes)
     no_grid = Grid(config.grid, trace.radius_m)

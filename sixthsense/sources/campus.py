@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array
-from sixthsense.sources.scene_files import Point
-
-Wall = list[Point]
 
 _MOST_BLOCKS = 400
 _DOOR_M, _HALL_DOOR_M = (0.9, 1.2), 2.0
@@ -49,74 +47,64 @@ class Campus(Section):
             raise ConfigError(f"blocks: found {found}, allowed: at most {_MOST_BLOCKS} in all")
 
 
-def campus_walls(campus: Campus) -> list[Wall]:
-    """The walls, from (0, 0) on; one seed is one campus."""
+def campus_walls(campus: Campus) -> Array:
+    """The walls (N, 2, 2), from (0, 0) on; one seed is one campus."""
     rng = np.random.default_rng(campus.seed)
     pitch = campus.block_m + campus.corridor_m
-    size = np.array(campus.blocks) * pitch + campus.corridor_m
-    walls = _box((0.0, 0.0), (float(size[0]), float(size[1])))
-    for i in range(campus.blocks[0]):
-        for j in range(campus.blocks[1]):
-            low = campus.corridor_m + pitch * np.array([i, j], dtype=np.float64)
-            walls += _hall(low, campus, rng) if rng.random() < campus.halls else _rooms(low, campus, rng)
-    return walls
+    walls = [_box(np.zeros(2), np.array(campus.blocks) * pitch + campus.corridor_m)]
+    for i, j in itertools.product(*map(range, campus.blocks)):
+        low = campus.corridor_m + pitch * np.array([i, j], dtype=np.float64)
+        walls.append(low + (_hall(campus, rng) if rng.random() < campus.halls else _rooms(campus, rng)))
+    return np.concatenate(walls)
 
 
-def _rooms(low: Array, campus: Campus, rng: np.random.Generator) -> list[Wall]:
+def _rooms(campus: Campus, rng: np.random.Generator) -> Array:
     """A block of rooms: a row along its lower and its upper side, and between them two on either hand."""
     side = campus.block_m
     bottom, top = rng.uniform(*_BAND_M, 2)
     middle, across = rng.uniform(0.45, 0.55, 2)
-    walls: list[Wall] = []
+    walls: list[Array] = []
     for depth, outer, inner in ((bottom, 0.0, bottom), (top, side, side - top)):
         count = round(side / rng.uniform(*_ROOM_M))
         edges = np.concatenate([[0.0], np.arange(1, count) + rng.uniform(-0.1, 0.1, count - 1), [count]]) * side / count
-        walls.append([(0.0, inner), (side, inner)])
+        walls.append(_walls([(0.0, inner), (side, inner)]))
         for left, right in itertools.pairwise(edges):
-            walls += _with_door((left, outer), (right, outer), _DOOR_M, rng)
+            walls.append(_with_door((left, outer), (right, outer), _DOOR_M, rng))
             walls += _furniture((left, min(outer, inner)), (right - left, depth), campus.furniture, rng)
-        walls += [[(float(x), outer), (float(x), inner)] for x in edges]
+        walls.append(_walls(*([(x, outer), (x, inner)] for x in edges)))
     height, x = side - top - bottom, middle * side
     y = bottom + across * height
-    walls += [[(x, bottom), (x, side - top)], [(0.0, y), (side, y)]]
+    walls.append(_walls([(x, bottom), (x, side - top)], [(0.0, y), (side, y)]))
     for below, above in ((bottom, y), (y, side - top)):
-        walls += _with_door((0.0, below), (0.0, above), _DOOR_M, rng) + _with_door(
-            (side, below), (side, above), _DOOR_M, rng
-        )
+        walls += [_with_door((at, below), (at, above), _DOOR_M, rng) for at in (0.0, side)]
         walls += _furniture((0.0, below), (x, above - below), campus.furniture, rng)
         walls += _furniture((x, below), (side - x, above - below), campus.furniture, rng)
-    return _moved(walls, low)
+    return np.concatenate(walls)
 
 
-def _hall(low: Array, campus: Campus, rng: np.random.Generator) -> list[Wall]:
+def _hall(campus: Campus, rng: np.random.Generator) -> Array:
     """A hall with a wide door in each side and rows of pillars."""
     side = campus.block_m
-    corners = [(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)]
-    walls: list[Wall] = []
-    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
-        walls += _with_door(a, b, (_HALL_DOOR_M, _HALL_DOOR_M), rng)
+    walls = [_with_door(a, b, (_HALL_DOOR_M, _HALL_DOOR_M), rng) for a, b in _box(np.zeros(2), np.array([side, side]))]
     count = int(side / _PILLARS_APART_M) - 1
     first = 0.5 * (side - (count - 1) * _PILLARS_APART_M - _PILLAR_M)
-    for i in range(count):
-        for j in range(count):
-            x, y = first + _PILLARS_APART_M * i, first + _PILLARS_APART_M * j
-            walls += _box((x, y), (_PILLAR_M, _PILLAR_M))
-    return _moved(walls, low)
+    for place in itertools.product(range(count), repeat=2):
+        walls.append(_box(first + _PILLARS_APART_M * np.array(place), np.array([_PILLAR_M, _PILLAR_M])))
+    return np.concatenate(walls)
 
 
-def _with_door(a: Point, b: Point, width_m: tuple[float, float], rng: np.random.Generator) -> list[Wall]:
-    """A wall from a to b with a door, away from its ends."""
-    begin, there = np.array(a), np.array(b) - np.array(a)
+def _with_door(a: ArrayLike, b: ArrayLike, width_m: tuple[float, float], rng: np.random.Generator) -> Array:
+    """A wall (2, 2, 2) from a to b with a door, away from its ends."""
+    begin = np.asarray(a, dtype=np.float64)
+    there = np.asarray(b, dtype=np.float64) - begin
     length, width = float(np.hypot(*there)), float(rng.uniform(*width_m))
     at = float(rng.uniform(0.5, length - 0.5 - width))
-    ends = [begin, begin + at / length * there, begin + (at + width) / length * there, begin + there]
-    points = [(float(x), float(y)) for x, y in ends]
-    return [points[:2], points[2:]]
+    shares = np.array([0.0, at / length, (at + width) / length, 1.0])
+    return (begin + shares[:, None] * there).reshape(2, 2, 2)
 
 
-def _furniture(low: Point, size: Sequence[float], mean: float, rng: np.random.Generator) -> list[Wall]:
+def _furniture(low: ArrayLike, size: ArrayLike, mean: float, rng: np.random.Generator) -> list[Array]:
     """Pieces of furniture in a room, away from its walls and from each other; those without a place are left out."""
-    walls: list[Wall] = []
     kept: list[tuple[Array, Array]] = []
     for _ in range(rng.poisson(mean)):
         piece = rng.uniform(*_PIECE_M, 2)
@@ -125,16 +113,14 @@ def _furniture(low: Point, size: Sequence[float], mean: float, rng: np.random.Ge
         gaps = [np.maximum(at - (p + s), p - (at + piece)).max() for p, s in kept]
         if (room > 0.0).all() and min(gaps, default=np.inf) > _PIECE_CLEAR_M:
             kept.append((at, piece))
-            walls += _box((float(at[0]), float(at[1])), (float(piece[0]), float(piece[1])))
-    return walls
+    return [_box(at, piece) for at, piece in kept]
 
 
-def _box(low: Point, size: Point) -> list[Wall]:
-    (x, y), (w, h) = low, size
-    corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
-    return [[a, b] for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+def _box(low: Array, size: Array) -> Array:
+    """The sides (4, 2, 2) of a rectangle, counter-clockwise."""
+    corners = low + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def _moved(walls: list[Wall], by: Array) -> list[Wall]:
-    x, y = float(by[0]), float(by[1])
-    return [[(float(ax) + x, float(ay) + y), (float(bx) + x, float(by_) + y)] for (ax, ay), (bx, by_) in walls]
+def _walls(*walls: Sequence[tuple[float, float]]) -> Array:
+    return np.array(walls, dtype=np.float64)

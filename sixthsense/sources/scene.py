@@ -157,7 +157,7 @@ def _from_toml(path: Path) -> Scene:
     if "campus" in table:
         from sixthsense.sources.campus import Campus, campus_walls
 
-        segments += campus_walls(read_section("campus", table["campus"], Campus))
+        segments += campus_walls(read_section("campus", table["campus"], Campus)).tolist()
     if not segments:
         raise SceneError("walls: found none, allowed: at least one wall, polygon or campus")
     walls, glass = np.array(segments), read_each("glass", table.get("glass", []), read_wall)

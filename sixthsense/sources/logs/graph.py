@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
@@ -22,18 +23,17 @@ _LARGEST_ENTRY = 1e12
 _SLACK = 1e-12
 """tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
-# Places of the numbers of the upper triangle in the matrix, in the order of the file.
-_BY_ROWS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_TORO = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
-_PLANE = ((0, 0), (0, 1), (1, 1))
+# Rows and columns of the numbers of the upper triangle in the matrix, in the order of the file.
+_BY_ROWS, _PLANE = np.triu_indices(3), np.triu_indices(2)
+_TORO = tuple(np.array(index)[[0, 1, 3, 5, 2, 4]] for index in _BY_ROWS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
     """Format of the covariance of an edge."""
 
-    order: tuple[tuple[int, int], ...]
-    """places of the numbers in the matrix"""
+    order: tuple[NDArray[np.int64], ...]
+    """rows and columns of the numbers in the matrix"""
     is_information: bool
     """whether the numbers are an information matrix, else a covariance"""
 
@@ -129,7 +129,7 @@ class _Graph:
 
 def _read_motion(graph: _Graph, record: Record) -> None:
     form = _MOTIONS[record.fields[0]]
-    before, after = _ids(record, 5 + len(form.order))
+    before, after = _ids(record, 5 + len(form.order[0]))
     motion = _bounded(record, record.numbers(record.fields[3:6]))
     cov = _covariance(record, form, record.fields[6:], definite=False)
     for pose in (before, after):
@@ -149,7 +149,7 @@ def _read_motion(graph: _Graph, record: Record) -> None:
 def _read_landmark(graph: _Graph, record: Record) -> None:
     tag = record.fields[0]
     form = _POINTS.get(tag)
-    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order))
+    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order[0]))
     first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
     if form is None:
         sigmas = record.numbers(record.fields[5:7])
@@ -210,10 +210,9 @@ def _bounded(record: Record, values: Array) -> Array:
 def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
     """(n, n) covariance; all its eigenvalues are positive if `definite`, as those of an information matrix must be."""
     values = record.numbers(fields)
-    size = 1 + max(row for row, _ in form.order)
-    matrix = np.zeros((size, size))
-    for (row, column), value in zip(form.order, values, strict=True):
-        matrix[row, column] = matrix[column, row] = value
+    rows, columns = form.order
+    matrix = np.zeros((1 + rows.max(), 1 + rows.max()))
+    matrix[rows, columns] = matrix[columns, rows] = values
     definite = definite or form.is_information
     largest = float(np.abs(matrix).max())
     fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY

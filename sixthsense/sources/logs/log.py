@@ -1,8 +1,9 @@
-"""A recorded log of any format: a `Source` of its ticks."""
+"""Sources of recorded ticks: a log of any format, and what another source has sent."""
 
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command, Tick
+from sixthsense.core.source import Command, Source, Tick
 
 _COMPARED = 20  # scans, evenly over the log
 _MOVED_M, _FAR_M, _MOST = 0.3, 100.0, 0.5  # by which a range has changed, m; at most; and the share of beams
@@ -27,14 +28,20 @@ class Log:
     """The laser as the log describes it; None where it does not."""
     backward_stamps: int
     """Number of scans whose stamp in the log is earlier than that of the previous scan."""
-    has_odometry: bool = True
+    has_odometry: bool
     """Whether the log has odometry; without it, its poses say nothing."""
 
-    def __init__(self, ticks: Sequence[Tick], laser: LaserConfig | None = None, remarks: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        ticks: Sequence[Tick],
+        laser: LaserConfig | None = None,
+        remarks: Sequence[str] = (),
+        has_odometry: bool = True,
+    ) -> None:
         """Make a log of at least one tick, with ascending `stamp_ns`; `remarks` are what its reader has to say."""
         self.ticks = tuple(ticks)
         self.scans = tuple(tick.scan for tick in self.ticks if tick.scan is not None)
-        self.laser = laser
+        self.laser, self.has_odometry = laser, has_odometry
         self._remarks = tuple(remarks)
         self._own_stamps = [tick.log_stamp_s for tick in self.ticks if tick.log_stamp_s is not None]
         self.backward_stamps = sum(later < earlier for earlier, later in itertools.pairwise(self._own_stamps))
@@ -88,3 +95,25 @@ class Log:
             return None
         self._next += 1
         return self.ticks[self._next - 1]
+
+
+class RewindableSource:
+    """Passes on the ticks of another source, and keeps them until `rewind`, after which they come first."""
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._kept: deque[Tick] = deque()
+        self._is_rewound = False
+
+    def step(self, command: Command) -> Tick | None:
+        """The next tick; for one that comes a second time the command is ignored."""
+        if self._is_rewound and self._kept:
+            return self._kept.popleft()
+        tick = self._source.step(command)
+        if tick is not None and not self._is_rewound:
+            self._kept.append(tick)
+        return tick
+
+    def rewind(self) -> None:
+        """Begin again; ticks that follow those so far are not kept."""
+        self._is_rewound = True

@@ -31,27 +31,12 @@ _MISREAD = 0.01
 _NAME = re.compile(r"Robot([1-9][0-9]{0,8})_Odometry\.dat(\.gz)?")
 
 
-class MrclamLog(Log):
-    """A `Source` that replays one robot of a MRCLAM folder."""
-
-    landmarks: Mapping[LandmarkId, Array]
-    """True positions (2,), world frame, metres; empty if the folder has none. For evaluation only."""
-    misread: int
-    """Number of measurements skipped because their barcode is unknown."""
-
-    def __init__(self, ticks: Sequence[Tick], landmarks: Mapping[LandmarkId, Array], misread: int) -> None:
-        super().__init__(ticks)
-        self.landmarks, self.misread = landmarks, misread
-
-
 def robots(folder: Path) -> list[int]:
     """The numbers of the robots with odometry in a folder."""
     return sorted({int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))})
 
 
-def read_mrclam(
-    folder: str | Path, assumed: AssumedConfig, robot: int | None = None, as_depth: bool = True
-) -> MrclamLog:
+def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = None, as_depth: bool = True) -> Log:
     """Read `Barcodes.dat` and one robot's `RobotN_Odometry.dat`, `_Measurement.dat` and `_Groundtruth.dat`.
 
     Each file is plain or gzip; `_Groundtruth.dat` and `Landmark_Groundtruth.dat` are optional. `robot` is optional if
@@ -84,8 +69,8 @@ def read_mrclam(
     ticks = _ticks(drive, seen, truth)
     if not ticks:
         raise LogError(f"{vicon}: found truth at no stamp of the odometry, allowed: of the same drive")
-    places = _existing(path, "Landmark_Groundtruth.dat")
-    return MrclamLog(ticks, {} if places is None else _landmarks(places), misread)
+    unread = [f"{misread} measurements with an unknown barcode are skipped"] if misread else []
+    return Log(ticks, remarks=unread)
 
 
 class _Truth:
@@ -174,7 +159,11 @@ def _subjects(file: Path) -> dict[int, int]:
     return subjects
 
 
-def _landmarks(file: Path) -> dict[LandmarkId, Array]:
+def true_landmarks(folder: Path) -> dict[LandmarkId, Array]:
+    """True positions (2,) of the landmarks, world frame, metres; none if the folder has none. For evaluation only."""
+    file = _existing(folder, "Landmark_Groundtruth.dat")
+    if file is None:
+        return {}
     table = read_table(file, "subject x y sigma-x sigma-y")
     places: dict[LandmarkId, Array] = {}
     for record, row in zip(table.records, table.numbers, strict=True):

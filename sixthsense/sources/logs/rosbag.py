@@ -13,7 +13,7 @@ import numpy as np
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import opened
@@ -25,26 +25,9 @@ from sixthsense.sources.logs.oddities import found_turns
 from sixthsense.sources.logs.ros_messages import FARTHEST_M, scan
 
 
-class BagLog(Log):
-    """A `Source` that replays a bag."""
-
-    plans: tuple[Array, ...] = ()
-    """Planned paths, (N, 2) each; only in the bag of a run."""
-    plan_stamps_ns: tuple[int, ...] = ()
-    """Record time of each plan."""
-    tours: tuple[Array, ...] = ()
-    """Tours of an exploration, (N, 2) each; only in the bag of a run."""
-    tour_stamps_ns: tuple[int, ...] = ()
-    """Record time of each tour."""
-    estimates: tuple[tuple[int, Pose, Array], ...] = ()
-    """Record time, pose and its covariance (3, 3) at each keyframe; only in the bag of a run."""
-    cut_short: bool = False
-    """Whether the bag is incomplete because its writer was stopped."""
-
-
 def read_bag(
     file: str | Path, laser: LaserConfig, options: BagOptions | None = None, is_mount_given: bool = False
-) -> BagLog:
+) -> Log:
     """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
     Scans and odometry are the topics of type LaserScan and Odometry; `options.topics` selects among several. Without a
@@ -61,7 +44,7 @@ def read_bag(
         return _log(path, read_recording(path, reader, options or BagOptions()), laser, is_mount_given)
 
 
-def _log(path: Path, recording: Recording, laser: LaserConfig, is_mount_given: bool) -> BagLog:
+def _log(path: Path, recording: Recording, laser: LaserConfig, is_mount_given: bool) -> Log:
     if not recording.scans or not recording.odometry:
         missing = "LaserScan" if not recording.scans else "Odometry"
         raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
@@ -83,9 +66,7 @@ def _log(path: Path, recording: Recording, laser: LaserConfig, is_mount_given: b
             "are of another laser"
         )
     ticks = _ticks(path, recording, scans)
-    log = BagLog(ticks, described_laser(scans[0], laser), recording.remarks)
-    log.has_odometry = recording.has_odometry
-    return log
+    return Log(ticks, described_laser(scans[0], laser), recording.remarks, recording.has_odometry)
 
 
 def _mount(path: Path, recording: Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -16,6 +16,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import checked_stamp, decompressed
 from sixthsense.sources.logs.errors import LogError, check_regular
+from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.ros_messages import (
     CLOUD,
     LASER_SCAN,
@@ -26,7 +27,6 @@ from sixthsense.sources.logs.ros_messages import (
     scan,
     stamp_ns,
 )
-from sixthsense.sources.logs.rosbag import BagLog
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -44,7 +44,18 @@ _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
-def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
+class RunLog(Log):
+    """A `Source` that replays the bag of a run."""
+
+    plans: Sequence[tuple[int, Array]] = ()
+    """Record time and planned path (N, 2)."""
+    tours: Sequence[tuple[int, Array]] = ()
+    """The same of the tours of an exploration."""
+    estimates: Sequence[tuple[int, Pose, Array]] = ()
+    """Record time, pose and its covariance (3, 3) at each keyframe."""
+
+
+def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses, plans and tours.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
@@ -87,11 +98,10 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
-    log = BagLog(ticks, laser)
-    (log.plan_stamps_ns, log.plans), (log.tour_stamps_ns, log.tours) = (
-        (tuple(stamp for stamp, _ in found), tuple(path for _, path in found)) for found in paths.values()
-    )
-    log.estimates, log.cut_short = tuple(estimates), reader.cut_short
+    log = RunLog(ticks, laser)
+    if reader.cut_short:
+        log = RunLog(ticks, laser, [f"the recording is incomplete; its first {log.duration_s:.1f} s are used"])
+    log.plans, log.tours, log.estimates = paths["/plan"], paths["/tour"], estimates
     return log
 
 
