@@ -12,8 +12,9 @@ from sixthsense.core.geometry import Array, point_segment_distance, wrap_angle
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
 from sixthsense.loop import run
-from sixthsense.record.folder import FolderError, RunFolder
+from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import FolderError
 from sixthsense.sources.ros_map import read_map
 
 CORNERS = {"landmarks": "corners"}
