@@ -15,8 +15,7 @@ from sixthsense.live.joining import Anew, ScanJoiner
 from sixthsense.live.lost import NEAR_M, Search, placed
 from sixthsense.live.network import Message
 from sixthsense.live.notices import Notices
-from sixthsense.live.others import Publishers
-from sixthsense.live.presence import LONG_SILENT_NS, SILENT_NS, Presence
+from sixthsense.live.others import LONG_SILENT_NS, SILENT_NS, Presence, Publishers
 from sixthsense.live.reading import LaserReader, MessageReader
 from sixthsense.navigation.pilot import AheadPilot
 from sixthsense.record.trace import Trace

@@ -19,11 +19,10 @@ from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
-from sixthsense.live.commands import Commands, Stamped
 from sixthsense.live.network import Network, Node
 from sixthsense.live.notices import Notices
 from sixthsense.live.others import check_one_publisher, command_type
-from sixthsense.live.publishing import Publisher
+from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic

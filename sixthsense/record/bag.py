@@ -96,12 +96,16 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the bag; after a write error only the stream, which keeps the flushed chunks."""
-        if self._failed:
+        """Close the bag with its summary and metadata; after a write error only the stream, with the flushed chunks."""
+        try:
+            if not self._failed:
+                with self._failing():
+                    self._writer.finish()  # type: ignore[no-untyped-call]
+                    self._stream.close()
+                    self._write_metadata()
+        finally:
             with contextlib.suppress(OSError):
                 self._stream.close()
-            return
-        self.close()
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Record one tick and the trace's new estimates and plans."""
@@ -121,28 +125,14 @@ class BagWriter:
                 self._write_pose("/truth", stamp_ns, truth)
             self._record_new(stamps_ns[-1], trace)
 
-    def close(self) -> None:
-        """Write the bag's summary and its metadata."""
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.close()
-            self._write_metadata()
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                self._stream.close()
-            self._fail(error)
-
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        self._failed = True
-        error.filename = error.filename or str(self._file)  # the error of a full disk names no file
-        raise error
+            self._failed = True
+            error.filename = error.filename or str(self._file)  # the error of a full disk names no file
+            raise
 
     def _flush(self) -> None:
         self._before_flush()

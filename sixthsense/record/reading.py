@@ -21,7 +21,7 @@ from sixthsense.core.sensor import SENSOR_PARAMETERS
 from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.stopwatch import STAGES
-from sixthsense.record.stream import FORMAT, Line
+from sixthsense.record.stream import COUNTS, COUNTS_OF_DRIVES, FORMAT, Line
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
@@ -175,11 +175,11 @@ def _take_end(table: Line, trace: Trace) -> None:
     if table["last_position"] is not None:
         trace.last_position = _array(table, "last_position", (2,))
     trace.stopwatch.totals |= _times(table, "total_ms")
-    trace.plans_below_margin = _count(table, "plans_below_margin")
-    trace.plans_by_astar, trace.guard_stops = _count(table, "plans_by_astar"), _count(table, "guard_stops")
     trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
-    trace.culled, trace.walls_merged = _whole(table, "culled"), _whole(table, "walls_merged")
-    trace.rebuilds = _whole(table, "rebuilds")
+    for name in COUNTS:
+        setattr(trace, name, _whole(table, name))
+    for name in COUNTS_OF_DRIVES:
+        setattr(trace, name, None if table[name] is None else _whole(table, name))
     if (counts := table.get("loop_closures")) is not None:  # older records have none
         trace.loop_closures = LoopClosureCounts(*(_whole(counts, name) for name in LoopClosureCounts._fields))
     if "wheels" in table:
@@ -225,10 +225,6 @@ def _whole(table: Line, name: str, least: int = 0) -> int:
     if type(value) is not int or not least <= value <= _LARGEST:
         raise ValueError(f"{name} {shown(value)}")
     return value
-
-
-def _count(table: Line, name: str) -> int | None:
-    return None if table[name] is None else _whole(table, name)
 
 
 def _number(table: Line, name: str) -> float:

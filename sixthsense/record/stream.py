@@ -27,6 +27,10 @@ from sixthsense.sources.scene import Scene
 
 FILE = "record.jsonl"
 FORMAT = 1
+COUNTS = ("culled", "walls_merged", "rebuilds")
+"""of the trace, in the last line"""
+COUNTS_OF_DRIVES = ("plans_below_margin", "plans_by_astar", "guard_stops")
+"""the same, None for a log"""
 
 _PERIOD_S = 0.5  # of wall time between two writes
 
@@ -203,13 +207,8 @@ def _end_line(trace: Trace) -> Line:
         "path_length_m": trace.path_length_m,
         "last_position": None if last_position is None else last_position.tolist(),
         "total_ms": trace.stopwatch.totals,
-        "plans_below_margin": trace.plans_below_margin,
-        "plans_by_astar": trace.plans_by_astar,
-        "guard_stops": trace.guard_stops,
         "left": [[place.x, place.y, place.area_m2, place.reason] for place in trace.left],
-        "culled": trace.culled,
-        "walls_merged": trace.walls_merged,
-        "rebuilds": trace.rebuilds,
+        **{name: getattr(trace, name) for name in (*COUNTS, *COUNTS_OF_DRIVES)},
         "loop_closures": None if trace.loop_closures is None else trace.loop_closures._asdict(),
         **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),
         **({} if trace.sensor is None else {"sensor": trace.sensor.tolist()}),

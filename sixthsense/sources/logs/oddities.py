@@ -10,9 +10,11 @@ from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 
-_GAP_S = 0.5  # a live robot's odometry is not interpolated over a longer one either
+GAP_S = 0.5
+"""No pose is interpolated in a longer gap of odometry."""
+JOLT_M, JOLT_RAD = 0.5, 0.5
+"""by which odometry may move at any moment, beside what the robot's speed allows"""
 _FASTEST, _FASTEST_RAD = 5.0, 5.0  # m/s and rad/s of a robot on wheels in a building
-_JOLT_M, _JOLT_RAD = 0.5, 0.5  # at any moment, as for a live robot
 
 _FEWEST, _MOST_TRIPLES = 6, 100  # scans, and triples of successive ones that are compared
 _BINS = 36  # of bearings, around a full turn
@@ -31,7 +33,7 @@ def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
     periods_s, steps = np.diff(stamps_s), np.diff(poses, axis=0)
     lines = []
     usual_s = float(np.median(periods_s))
-    gaps = np.flatnonzero(periods_s > max(_GAP_S, 3.0 * usual_s))
+    gaps = np.flatnonzero(periods_s > max(GAP_S, 3.0 * usual_s))
     if len(gaps):
         longest = gaps[np.argmax(periods_s[gaps])]
         lines.append(
@@ -40,7 +42,7 @@ def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
         )
     passed_s = np.maximum(periods_s, 0.0)
     moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
-    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + _JOLT_M) | (turned > _FASTEST_RAD * passed_s + _JOLT_RAD))
+    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + JOLT_M) | (turned > _FASTEST_RAD * passed_s + JOLT_RAD))
     if len(jumps):
         largest = jumps[np.argmax(moved_m[jumps])]
         lines.append(
