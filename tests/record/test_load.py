@@ -189,22 +189,9 @@ def test_a_damaged_line_is_named(folder, tmp_path, line, number=12):
     assert "\n" not in str(told.value) and len(str(told.value)) < 600
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_line_with_a_changed_byte_is_read_or_named(folder, tmp_path, seed):
-    rng = np.random.default_rng(seed)
-    damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
-    content = bytearray((damaged / FILE).read_bytes())
-    content[rng.integers(len(content))] = rng.integers(256)
-    (damaged / FILE).write_bytes(content)
-    try:
-        ss.load(damaged)
-    except ss.InputError as error:
-        assert "\n" not in str(error)
-
-
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", ARRAYS)
-def test_arrays_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
+@pytest.mark.parametrize("name", [FILE, *ARRAYS])
+def test_files_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed):
     rng = np.random.default_rng(seed)
     damaged = copied(folder, tmp_path / "damaged", "bag", "figures")
     content = bytearray((damaged / name).read_bytes())
