@@ -19,7 +19,6 @@ from sixthsense.record.trace import Trace
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    RecordPart.KEYFRAMES: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
     RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged", "loop_closures", "wheel"),
     RecordPart.LANDMARKS: ("landmarks",),
 }

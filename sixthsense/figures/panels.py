@@ -42,7 +42,7 @@ _REQUIRED_DATA = {
     "coverage": "the truth and its scene",
     "exploration": "an exploration",
 }
-_REQUIRED_PARTS = {"nis": RecordPart.KEYFRAMES, "stages": RecordPart.KEYFRAMES, "exploration": RecordPart.GRID}
+_REQUIRED_PARTS = {"exploration": RecordPart.GRID}
 """part of the record that a figure needs"""
 _CARD_METRICS = (
     "outcome", "coverage", "ate_rmse_m", "heading_rmse_rad", "pose_nees_world_mean", "nis_mean_per_dof", "landmarks",

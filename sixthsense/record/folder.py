@@ -36,7 +36,7 @@ _FIGURES = frozenset({"map", "error", "rpe", "nees", "nis", "stages", "coverage"
 
 _FORMS = (".png", ".svg", ".pdf")
 _FOLDERS = ("bag", "figures")
-_BAG_BEGINS, _RECORD_BEGINS = b"\x89MCAP0\r\n", b'{"format":'
+_RECORD_BEGINS = b'{"format":'
 
 
 class RunFolder:
@@ -187,7 +187,7 @@ def reason_not_a_run(folder: Path) -> str:
     """Why a path is not the folder of one run and nothing else: "is a file", "holds notes.txt"; "" if it is."""
     if reason := reason_not_started(folder):
         return reason
-    if not has_record(folder) and not _begins(folder / "bag" / "bag_0.mcap", _BAG_BEGINS):  # an older version's
+    if not has_record(folder):
         return "holds no record of a run"
     foreign = next(foreign_entries(folder), None)
     return "" if foreign is None else f"holds {foreign}, which no run writes"
@@ -204,7 +204,11 @@ def reason_not_started(folder: Path) -> str:
 
 def has_record(folder: Path) -> bool:
     """Whether a tick of a run has been recorded in the folder."""
-    return _begins(folder / FILE, _RECORD_BEGINS)
+    try:
+        with (folder / FILE).open("rb") as stream:
+            return stream.read(len(_RECORD_BEGINS)) == _RECORD_BEGINS
+    except OSError:
+        return False
 
 
 def foreign_entries(folder: Path) -> Iterator[str]:
@@ -235,11 +239,3 @@ def _is_configuration(file: Path) -> bool:
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(versions, dict) and isinstance(versions.get("sixthsense"), str)
-
-
-def _begins(file: Path, content: bytes) -> bool:
-    try:
-        with file.open("rb") as stream:
-            return stream.read(len(content)) == content
-    except OSError:
-        return False

@@ -39,8 +39,8 @@ class RecordError(InputError):
     """One line that names the file of a run's folder and its line, what was found and what is allowed."""
 
 
-def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
-    """The trace that a `record.jsonl` holds, and whether the run's end is in it; None for a file without a whole line.
+def read_stream(file: Path, config: Config) -> tuple[Trace, bool]:
+    """The trace that a `record.jsonl` holds, and whether the run's end is in it.
 
     The estimates at keyframes are read without their landmarks, which the file does not hold. Raises RecordError for a
     file that cannot be read, a line that is damaged, and a record without a scan.
@@ -63,9 +63,7 @@ def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
                 raise RecordError(f"{file}: line {number}: found {' '.join(found.split())}, {allowed}") from None
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
-    if trace is None:
-        return None
-    if not trace.stamps_ns:
+    if trace is None or not trace.stamps_ns:
         raise RecordError(f"{file}: found no scan, allowed: the record of a run")
     return trace, has_ended
 

@@ -29,18 +29,15 @@ from sixthsense.sources.logs.ros_messages import (
 )
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _TYPES = {
     "/odom": ODOMETRY,
     "/truth": TRUTH,
     "/scan": LASER_SCAN,
-    "/estimate": ESTIMATE,
     "/plan": PLAN,
     "/tour": PLAN,
     "/observations": CLOUD,
     "/sightings": CLOUD,  # the name in older bags
 }
-_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
@@ -51,12 +48,10 @@ class RunLog(Log):
     """Record time and planned path (N, 2)."""
     tours: Sequence[tuple[int, Array]] = ()
     """The same of the tours of an exploration."""
-    estimates: Sequence[tuple[int, Pose, Array]] = ()
-    """Record time, pose and its covariance (3, 3) at each keyframe."""
 
 
 def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
-    """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses, plans and tours.
+    """Read the bag of a run folder, or of its `.partial`: evidence, truth, plans and tours.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
     its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or an observation.
@@ -64,7 +59,6 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
     paths: dict[str, list[tuple[int, Array]]] = {"/plan": [], "/tour": []}
-    estimates: list[tuple[int, Pose, Array]] = []
     reader = _Chunks(file)
     place = Pose(*laser.mount)
     try:
@@ -78,9 +72,6 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
             elif topic in paths:
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
-            elif topic == "/estimate":
-                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
-                estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
             elif ticks and topic in ("/observations", "/sightings"):
@@ -101,7 +92,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     log = RunLog(ticks, laser)
     if reader.cut_short:
         log = RunLog(ticks, laser, [f"the recording is incomplete; its first {log.duration_s:.1f} s are used"])
-    log.plans, log.tours, log.estimates = paths["/plan"], paths["/tour"], estimates
+    log.plans, log.tours = paths["/plan"], paths["/tour"]
     return log
 
 
