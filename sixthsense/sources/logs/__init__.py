@@ -56,8 +56,7 @@ def open_log(
 
         return read_run(path, laser or LaserConfig())
     if kind == "bag":
-        from sixthsense.sources.logs.bag_recording import BagOptions
-        from sixthsense.sources.logs.rosbag import read_bag
+        from sixthsense.sources.logs.rosbag import BagOptions, read_bag
         from sixthsense.sources.logs.transforms import frame_pair
 
         options = BagOptions(topics, frame_pair(odometry_frames), odometry)
