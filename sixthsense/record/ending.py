@@ -31,6 +31,8 @@ from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.relations import Relations
 
+_COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
+"""fields of a landmark's record by the names of their arrays"""
 END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
 
@@ -63,9 +65,14 @@ def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) ->
     """
     with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
         for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
-            seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
-            half = 0.5 * theta
-            out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
+            out.write(tum_line(stamp - origin_ns, x, y, theta))
+
+
+def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
+    """A pose as a line of a TUM trajectory."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    half = 0.5 * theta
+    return f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
 
 
 def write_places_left(file: Path, trace: Trace) -> None:
@@ -142,10 +149,7 @@ def write_arrays(folder: Path, trace: Trace) -> None:
         "trajectory": trace.trajectory,
         "since_key": np.reshape(trace.since_key, (-1, 3)),
         "ids": np.array(list(trace.records), dtype=np.int64),
-        "kinds": np.array([record.kind for record in records], dtype=np.int64),
-        "observations": np.array([record.observations for record in records], dtype=np.int64),
-        "first_scans": np.array([record.first_scan for record in records], dtype=np.int64),
-        "last_scans": np.array([record.last_scan for record in records], dtype=np.int64),
+        **{name: np.array([getattr(r, of) for r in records], dtype=np.int64) for name, of in _COUNTS.items()},
         "sigmas_m": np.array([record.sigma_m for record in records], dtype=np.float64),
         "extents": np.array([record.extent for record in records], dtype=np.float64).reshape(-1, 2, 2),
         "shapes": np.array([_shape_row(record.shape) for record in records], dtype=np.float64).reshape(-1, 5),
@@ -190,9 +194,9 @@ def read_records(file: Path) -> dict[LandmarkId, Record]:
 def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
     ids = _integers(arrays, "ids")
     n = len(ids)
-    counts = "observations" if "observations" in arrays else "sightings"  # the name in older records
-    kinds, observations = _integers(arrays, "kinds", n).tolist(), _integers(arrays, counts, n).tolist()
-    first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
+    older = {"observations": "sightings"}  # the name in older records
+    names = [name if name in arrays else older.get(name, name) for name in _COUNTS]
+    kinds, observations, first, last = (_integers(arrays, name, n).tolist() for name in names)
     sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
     if sigmas_m.shape != (n,):
         raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")

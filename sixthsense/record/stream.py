@@ -67,27 +67,24 @@ class RecordWriter:
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Write what the trace has gained, if it is time."""
+        self._see(trace)
+
+    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
+        """Write what the trace has gained with ticks without a scan, if it is time."""
+        self._see(trace)
+
+    def _see(self, trace: Trace) -> None:
         self._trace = trace
         if time.monotonic() - self._flushed >= _PERIOD_S:
             self.flush()
 
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        """Write what the trace has gained with ticks without a scan, if it is time."""
-        if time.monotonic() - self._flushed >= _PERIOD_S:
-            self.flush()
-
     def flush(self) -> None:
-        """Write what the trace has gained until now."""
-        if self._trace is not None:
-            self.add(self._trace)
-            self._flushed = time.monotonic()
-
-    def add(self, trace: Trace) -> None:
         """Write every keyframe, plan and scan of the trace that has not been written yet."""
-        lines: list[Line] = []
-        if not self._has_begun:
-            self._has_begun = True
-            lines.append(_run_line(trace))
+        if (trace := self._trace) is None:
+            return
+        self._flushed = time.monotonic()
+        lines: list[Line] = [] if self._has_begun else [_run_line(trace)]
+        self._has_begun = True
         lines += [_keyframe_line(trace, k) for k in range(self._keyframes, len(trace.key_stamps_ns))]
         lines += [{"plan": path.tolist()} for path in trace.plans[self._plans :]]
         lines += [_scan_line(trace, k) for k in range(self._scans, len(trace.stamps_ns))]
@@ -96,7 +93,8 @@ class RecordWriter:
 
     def end(self, trace: Trace) -> None:
         """Write the last line of a run that is over."""
-        self.add(trace)
+        self._trace = trace
+        self.flush()
         self._write([_end_line(trace)])
 
     def _write(self, lines: list[Line]) -> None:
