@@ -65,7 +65,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
         return made(f"{path} {found.topic}", found.stamps_ns, found.poses)
-    from sixthsense.sources.logs.tum import read_tum
+    from sixthsense.sources.logs.text_lines import read_tum
 
     return made(str(path), *read_tum(_file(path)))
 
@@ -85,7 +85,7 @@ def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
             f"covariance: found nothing for {path}, allowed: a file with a stamp and 6 or 21 numbers of the upper "
             "triangle in each line"
         )
-    from sixthsense.sources.logs.tum import read_covariances, read_tum
+    from sixthsense.sources.logs.text_lines import read_covariances, read_tum
 
     stamps, values = read_tum(path)
     cov_stamps, covs = read_covariances(covariance)

@@ -33,7 +33,7 @@ from sixthsense.navigation.navigator import Navigator, ReplayNavigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot, Steersman
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
-from sixthsense.sources.logs.oddities import found_turns
+from sixthsense.sources.logs.log import found_turns
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
 from sixthsense.sources.logs.transforms import FramePair, TransformTree

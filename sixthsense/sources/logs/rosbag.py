@@ -20,8 +20,7 @@ from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import checked_stamp, opened
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import described, max_range_of
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.oddities import found_turns, remarks_on
+from sixthsense.sources.logs.log import Log, found_turns, remarks_on
 from sixthsense.sources.logs.ros_messages import FARTHEST_M, LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns
 from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
 

@@ -1,4 +1,4 @@
-"""Text logs: records and tables of a plain or compressed file, with errors that name file and line."""
+"""Text logs: records, tables and trajectories of a plain or compressed file, with errors that name file and line."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO, NamedTuple, NoReturn, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs.errors import LogError, check_regular
@@ -21,6 +22,8 @@ LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration all
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _LARGEST_WHOLE = (1 << 31) - 1
+_TRIANGLES = {6: 3, 21: 6}
+"""numbers of the upper triangle of a covariance, and its size"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +134,33 @@ def read_table(path: Path, columns: str, widths: Sequence[int] = ()) -> Table:
         for record in found:
             record.numbers(record.fields)  # says what is wrong in the first bad line
     return Table(found, numbers)
+
+
+def read_tum(file: Path) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and poses (N, 7), x y z qx qy qz qw, of a TUM trajectory; plain, gzip or bzip2.
+
+    Lines that are empty or begin with # are skipped. Raises LogError, naming the line, for any other line than one of
+    eight finite numbers, for a quaternion that is zero, and for a file without a pose.
+    """
+    table = read_table(file, "stamp x y z qx qy qz qw")
+    zero = np.flatnonzero(~np.any(table.numbers[:, 4:], axis=1))
+    if len(zero):
+        table.records[zero[0]].fail("found a quaternion that is zero, allowed: a rotation")
+    return np.array(table.stamps_ns(), dtype=np.int64), table.numbers[:, 1:]
+
+
+def read_covariances(file: Path) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): a stamp and the upper triangle, row by row, in a line.
+
+    6 numbers are of SE(2), 21 of SE(3). Raises LogError, naming the line, for any other line.
+    """
+    table = read_table(file, "a stamp and the upper triangle", [1 + count for count in _TRIANGLES])
+    values = table.numbers[:, 1:]
+    size = _TRIANGLES[values.shape[1]]
+    rows, columns = np.triu_indices(size)
+    covs = np.zeros((len(values), size, size))
+    covs[:, rows, columns] = covs[:, columns, rows] = values
+    return np.array(table.stamps_ns(), dtype=np.int64), covs
 
 
 def records(path: Path, separator: bytes = b" ") -> Iterator[Record]:
