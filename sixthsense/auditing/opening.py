@@ -110,7 +110,7 @@ def _file(path: Path) -> Path:
 def _record(path: Path) -> Trace:
     from sixthsense.record.load import load_record
 
-    return load_record(path).trace
+    return load_record(path)[0]
 
 
 def _of_run(trace: Trace, name: str) -> Poses:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,22 +26,12 @@ class RecordPart(enum.Enum):
     GRID = f"the grid map ({GRID_FILE})"
 
 
-@dataclass(frozen=True, slots=True)
-class LoadedRecord:
-    """A trace, and what its folder lacks."""
+def load_record(folder: Path | str) -> tuple[Trace, tuple[RecordPart, ...]]:
+    """Read the record in the folder of a run, or in the `.partial` that a killed run has left; and what it lacks.
 
-    trace: Trace
-    """lists of missing parts are empty, a missing grid is None"""
-    missing: tuple[RecordPart, ...]
-    """in the order of `RecordPart`"""
-
-
-def load_record(folder: Path | str) -> LoadedRecord:
-    """Read the record in the folder of a run, or in the `.partial` that a killed run has left.
-
-    The estimates at keyframes are read without their landmarks, which no folder holds. The outcome of a killed run is
-    "interrupted". Raises an InputError that names file and line for a folder that is no run folder, has recorded
-    nothing, or is damaged.
+    Lists of missing parts are empty, a missing grid is None. The estimates at keyframes are read without their
+    landmarks, which no folder holds. The outcome of a killed run is "interrupted". Raises an InputError that names file
+    and line for a folder that is no run folder, has recorded nothing, or is damaged.
     """
     folder = Path(folder)
     config = load_config(folder / "config.toml")
@@ -56,7 +45,7 @@ def load_record(folder: Path | str) -> LoadedRecord:
         trace.grid = read_grid(folder / GRID_FILE, config, trace.radius_m)
     else:
         missing.add(RecordPart.GRID)
-    return LoadedRecord(trace, tuple(part for part in RecordPart if part in missing))
+    return trace, tuple(part for part in RecordPart if part in missing)
 
 
 def _read_end(folder: Path, trace: Trace) -> set[RecordPart]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from sixthsense.config.errors import InputError
-from sixthsense.config.section import ConfigError, Range, Section, is_one_line, shown, shown_name
+from sixthsense.config.section import ConfigError, Range, Section, shown, shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 
 T = TypeVar("T")
@@ -76,13 +76,6 @@ def check_count(where: str, found: int, reason: str = "") -> None:
         raise SceneError(f"{where}: found {found:,} walls or more, allowed: at most {MAX_WALLS:,}{reason}")
 
 
-def read_name(where: str, value: Any) -> str:
-    """A printable file name."""
-    if not isinstance(value, str) or not value or not is_one_line(value):
-        raise SceneError(f"{where}: found {shown(value)}, not a readable image, allowed: the name of a file")
-    return value
-
-
 def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
     """Raise SceneError for the first key of `table` that is unknown, or of `required` that is missing."""
     for key in table:
@@ -97,21 +90,22 @@ def read_section(where: str, table: Any, kind: type[S]) -> S:
     """A table as a section of this kind, whose fields without a default are required."""
     known = {f.name: f.default is MISSING for f in fields(kind)}  # type: ignore[arg-type]
     if not isinstance(table, dict):
-        raise SceneError(f"{where}: found {shown(table)}, allowed: a table with {', '.join(known)}")
-    check_keys(f"{where}, ", table, list(known), [name for name, is_required in known.items() if is_required])
+        raise SceneError(f"{where}{': ' * bool(where)}found {shown(table)}, allowed: a table with {', '.join(known)}")
+    prefix = f"{where}, " if where else ""
+    check_keys(prefix, table, list(known), [name for name, is_required in known.items() if is_required])
     try:
         return kind(**table)
     except ConfigError as error:
-        raise SceneError(f"{where}, {error}") from None
+        raise SceneError(f"{prefix}{error}") from None
 
 
-def read_floats(words: list[str]) -> list[float | str]:
+def read_floats(words: Iterable[Any]) -> list[Any]:
     """Words as numbers; a word that is not a number is kept for the error message."""
-    values: list[float | str] = []
+    values: list[Any] = []
     for word in words:
         try:
             values.append(float(word))
-        except ValueError:
+        except (TypeError, ValueError):
             values.append(word)
     return values
 
