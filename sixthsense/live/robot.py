@@ -16,9 +16,8 @@ from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.joining import Anew, ScanJoiner
 from sixthsense.live.network import Message
-from sixthsense.live.notices import Notices
 from sixthsense.live.others import LONG_SILENT_NS, SILENT_NS, Presence, Publishers
-from sixthsense.live.reading import LaserReader, MessageReader
+from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.navigation.pilot import AheadPilot
 from sixthsense.record.trace import Trace
 from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer

@@ -20,10 +20,9 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
 from sixthsense.live.network import Network, Node
-from sixthsense.live.notices import Notices
 from sixthsense.live.others import check_one_publisher, command_type
 from sixthsense.live.publishing import Commands, Publisher, Stamped
-from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, RobotPose
+from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic
 from sixthsense.loop import OnTick, recorded_drive
