@@ -26,7 +26,7 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.running.warmup import prepare
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.sources.logs.graph import read_graph
-from sixthsense.sources.logs.mrclam import read_mrclam
+from sixthsense.sources.logs.mrclam import read_mrclam, true_landmarks
 from sixthsense.testing.circle import follow, simulate
 
 FIRST_SEED = 1000
@@ -143,7 +143,7 @@ def mrclam_figures(setting: tuple[str, ...], seed: int) -> Figures:
     config = preset("mrclam", estimator=setting[0])
     log = read_mrclam(data_path("mrclam6"), config.assumed, mrclam.ROBOT)
     trace = replay(log, config).trace
-    found = mrclam.estimator_figures(trace, log)
+    found = mrclam.estimator_figures(trace, true_landmarks(data_path("mrclam6")))
     names = {"per_axis_m": "position_rmse_per_axis_m", "nees": "nees3", "nis": "nis_per_dof"}
     return {"outcome": measure(trace)["outcome"]} | {name: found[key] for name, key in names.items()}
 

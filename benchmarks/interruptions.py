@@ -26,9 +26,9 @@ import numpy as np
 
 from sixthsense.config import load_config
 from sixthsense.figures.run import load
-from sixthsense.record.contents import has_record, reason_not_a_run
-from sixthsense.record.folder_lock import FolderLock
+from sixthsense.record.folder import has_record, reason_not_a_run
 from sixthsense.record.reading import RecordError
+from sixthsense.record.writing import FolderLock
 
 PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
 SHORT = ("--task", "tour", "--max-time", "5")

@@ -19,10 +19,11 @@ from harness import Figures, arguments, finish, replay
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, rotation
+from sixthsense.core.landmarks import LandmarkId
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import heading_rmse
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.mrclam import MrclamLog, read_mrclam, robots
+from sixthsense.sources.logs.mrclam import read_mrclam, robots, true_landmarks
 
 ROBOT = 3
 ON_LINE = ("ekf-invariant", "isam2")
@@ -57,8 +58,8 @@ def per_axis_rmse(estimate: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean(np.sum((estimate[:, :2] - truth[:, :2]) ** 2, axis=1)) / 2.0))
 
 
-def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
-    """Figures of one estimator on one robot."""
+def estimator_figures(trace: Trace, landmarks: Mapping[LandmarkId, Array]) -> Figures:
+    """Figures of one estimator on one robot, with the true places of landmarks."""
     metrics, truth, estimates = measure(trace), np.array(trace.truths), np.array(trace.estimates)
     figures = {
         "position_rmse_per_axis_m": per_axis_rmse(estimates, truth),
@@ -69,9 +70,9 @@ def estimator_figures(trace: Trace, log: MrclamLog) -> Figures:
         "misread": float(sum(association.discarded for association in trace.associations)),
         "step_ms": float(np.mean([row["predict"] + row["update"] for row in trace.stopwatch.rows])),
     }
-    true = [k for k, i in enumerate(trace.final.ids.tolist()) if i in log.landmarks]
+    true = [k for k, i in enumerate(trace.final.ids.tolist()) if i in landmarks]
     if len(true) > 1:
-        places = np.array([log.landmarks[i] for i in trace.final.ids[true].tolist()])
+        places = np.array([landmarks[i] for i in trace.final.ids[true].tolist()])
         figures |= _alignment(trace.final.landmarks[true], places, estimates, truth)
     return figures | {key: metrics[key] for key, _ in FOUND if key in metrics}
 
@@ -91,7 +92,7 @@ def _alignment(landmarks: Array, places: Array, estimates: Array, truth: Array) 
 def robot_figures(folder: Path, robot: int, config: Config) -> Figures:
     """Figures of a configuration on one robot."""
     log = read_mrclam(folder, config.assumed, robot)
-    return estimator_figures(replay(log, config).trace, log)
+    return estimator_figures(replay(log, config).trace, true_landmarks(folder))
 
 
 def over_robots(figures: Sequence[Figures]) -> Figures:

@@ -12,7 +12,7 @@ from sixthsense.campaigns.folder import check_folder, check_rows, save_folder
 from sixthsense.campaigns.plan import CampaignPlan, PlannedRun
 from sixthsense.campaigns.rows import Rows
 from sixthsense.campaigns.worker import FAILED
-from sixthsense.record.folder_lock import FolderLock
+from sixthsense.record.writing import FolderLock
 from sixthsense.running.progress import progress_bar
 from sixthsense.running.warmup import COMPILING, is_compiled
 

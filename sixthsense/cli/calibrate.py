@@ -11,7 +11,7 @@ from sixthsense.cli.common import Common, announce, parse_command, refuse, show_
 from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
-from sixthsense.sources.scene_names import scene_file
+from sixthsense.sources.scene_files import scene_file
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def run_folder(
 ) -> RunFolder:
     """The folder given by --out, or a new one under runs/ with a name that begins with `stem`."""
     from sixthsense.record.folder import RunFolder
-    from sixthsense.record.folder_lock import FolderInUseError
+    from sixthsense.record.writing import FolderInUseError
 
     note = None if prior is None else prior.note()
     if options.out is not None:

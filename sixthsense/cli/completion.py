@@ -15,7 +15,7 @@ from sixthsense.cli.help import Option, config_options, option_of, own_options
 from sixthsense.cli.options import UsageError
 from sixthsense.config import PRESETS, Config
 from sixthsense.config.suggestion import allowed_names, nearest
-from sixthsense.sources.scene_names import shipped_scenes
+from sixthsense.sources.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
 

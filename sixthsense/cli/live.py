@@ -71,7 +71,7 @@ def command(args: list[str]) -> int:
     from sixthsense.live.session import Session, Topics, check_drive
     from sixthsense.running.runs import Watch, run_live
     from sixthsense.running.warmup import prepare
-    from sixthsense.sources.logs.tf_odometry import frame_pair
+    from sixthsense.sources.logs.transforms import frame_pair
     from sixthsense.sources.replay_input import WITHOUT_ODOMETRY
 
     if options.cmd_vel_stamped and not options.drive:

@@ -11,7 +11,7 @@ from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
 from sixthsense.cli.view import live_view
 from sixthsense.config import is_of_replay
-from sixthsense.sources.scene_names import scene_file
+from sixthsense.sources.scene_files import scene_file
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from sixthsense.cli.exits import EXIT_CODES, FAILED
 from sixthsense.cli.live import OnNetwork
 from sixthsense.cli.options import UsageError
 from sixthsense.cli.shown import arg, positional
-from sixthsense.sources.scene_names import scene_file
+from sixthsense.sources.scene_files import scene_file
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from sixthsense.record.trace import Trace
 MAX_RUNS = 12  # more panels in a figure are illegible
 
 _METRICS_OF_PART = {
-    RecordPart.KEYFRAMES: ("nis_mean_per_dof", "discarded_share", "prediction_nees", "scan_ms", "stage_ms"),
     RecordPart.END: ("wall_time_s", "realtime_factor", "landmarks_culled", "walls_merged", "loop_closures", "wheel"),
     RecordPart.LANDMARKS: ("landmarks",),
 }
@@ -114,16 +113,16 @@ class MeasuredRun:
         """Read a run folder without estimating again; InputError for a damaged folder or one that is not of a run."""
         folder = Path(folder)
         check_folders([folder])
-        loaded = load_record(folder)
-        missing = [part.value for part in loaded.missing]
+        trace, lacks = load_record(folder)
+        missing = [part.value for part in lacks]
         file = folder / "metrics.json"
         if file.exists():
             metrics = _read_metrics(file)
         else:
             missing.append("the metrics at the run's end (metrics.json)")
-            unknown = tuple(start for part in loaded.missing for start in _METRICS_OF_PART.get(part, ()))
-            metrics = Metrics({k: v for k, v in measure(loaded.trace).items() if not k.startswith(unknown)})
-        return cls(loaded.trace.name, loaded.trace, metrics, folder, missing)
+            unknown = tuple(start for part in lacks for start in _METRICS_OF_PART.get(part, ()))
+            metrics = Metrics({k: v for k, v in measure(trace).items() if not k.startswith(unknown)})
+        return cls(trace.name, trace, metrics, folder, missing)
 
 
 def _read_metrics(file: Path) -> Metrics:

@@ -113,8 +113,8 @@ def animate(
         def show(tick: Tick, trace: Trace) -> None:
             if (tick.scan is None and tick.observations is None) or len(trace.stamps_ns) - 1 not in due:
                 return
-            plan = _latest(log.plans, log.plan_stamps_ns, tick.stamp_ns)
-            drawing.show(tick, trace, plan, _latest(log.tours, log.tour_stamps_ns, tick.stamp_ns))
+            plan = _latest(log.plans, tick.stamp_ns)
+            drawing.show(tick, trace, plan, _latest(log.tours, tick.stamp_ns))
             writer.grab_frame()
             on_frame()
 
@@ -249,10 +249,9 @@ class _MapDrawing:
         self._image.set_extent((left, left + width * side * cell_m, bottom, bottom + height * side * cell_m))
 
 
-def _latest(paths: Sequence[Array], stamps_ns: Sequence[int], stamp_ns: int) -> Array:
-    """The last of the paths that were made by then; (0, 2) before the first."""
-    k = int(np.searchsorted(stamps_ns, stamp_ns, side="right"))
-    return paths[k - 1] if k else np.zeros((0, 2))
+def _latest(paths: Sequence[tuple[int, Array]], stamp_ns: int) -> Array:
+    """The last of the paths with stamps that were made by then; (0, 2) before the first."""
+    return next((path for made_ns, path in reversed(paths) if made_ns <= stamp_ns), np.zeros((0, 2)))
 
 
 def _limits(finished: Trace) -> tuple[Array, Array]:

@@ -231,12 +231,10 @@ KINDS = {
         "Consistency of the matches: normalised innovation squared",
         "Consistency of the matches: normalised innovation squared (NIS) per dof, 1 on average if consistent.",
         _nis, lambda one: any(found.dof for found in one.trace.associations), "matched landmarks",
-        RecordPart.KEYFRAMES,
     ),
     "stages": Kind(
         "Computing time per stage", "Computing time of the stages of a keyframe.",
         _stages, lambda one: any(key.startswith("stage_ms_mean.") for key in one.run.metrics), "stage times",
-        RecordPart.KEYFRAMES,
     ),
     "coverage": Kind(
         "Area seen", "Seen share of the visible area, over time.",

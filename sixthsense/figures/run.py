@@ -61,7 +61,7 @@ def load(folder: str | Path) -> Run:
         run = ss.load("runs/first")
 
     Estimates, truth, innovations, times, plans, map and metrics are those that the run recorded. The folder of a killed
-    run, or of an earlier version, may be incomplete; `Run.missing` lists the missing parts. `ss.replay(folder)`
+    run may be incomplete; `Run.missing` lists the missing parts. `ss.replay(folder)`
     estimates again from the recorded sensor data.
 
     Raises

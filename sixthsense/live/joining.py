@@ -14,17 +14,74 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.live.robot_clock import RobotClock
+from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD
 
+JUMP_NS = 1_000_000_000
+"""A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""
+CONFIRMED = 3
+"""Messages of a new clock, one after the other, that make it the clock: a single wrong stamp is dropped."""
 WAIT_NS = 200_000_000
 """A scan waits at most this long for the odometry after it."""
 HOLD_NS = 1_000_000_000
 """Odometry is held this long for scans that are late."""
-GAP_NS = 500_000_000
-"""No pose is interpolated in a longer gap of odometry."""
 
 _FASTER = 1.2  # than its top speed: three sigmas of the wheels' scale (5 %), and a controller that overshoots
-_JOLT_M, _JOLT_RAD = 0.5, 0.5  # at any moment
+
+
+class RobotClock:
+    """Shifts stamps by what the clock has jumped. Time of arrival says how much has passed meanwhile."""
+
+    def __init__(self) -> None:
+        self.jumps = 0
+        """how often the clock has jumped"""
+        self._shift_ns = 0
+        self._last: tuple[int, int] | None = None  # time and arrival of the latest message
+        self._new: tuple[int, int, int] | None = None  # stamp, arrival and number of messages of a new clock
+
+    def time(self, stamp_ns: int) -> int:
+        """The time of a stamp, nanoseconds; equal to the stamp before the first jump."""
+        return stamp_ns + self._shift_ns
+
+    def stamp(self, time_ns: int) -> int:
+        """The stamp that the robot's clock gives to a time."""
+        return time_ns - self._shift_ns
+
+    def now(self, arrival_ns: int) -> int:
+        """What the robot's clock shows at a time of arrival, late by the delay of its last message; 0 before any."""
+        if self._last is None:
+            return 0
+        time_ns, last_arrival_ns = self._last
+        return self.stamp(time_ns + arrival_ns - last_arrival_ns)
+
+    def accepts(self, stamp_ns: int, arrival_ns: int) -> bool:
+        """Whether a message is of the present clock; the third in turn of another clock makes that the present one."""
+        time_ns = self.time(stamp_ns)
+        if self._last is None:
+            self._last = time_ns, arrival_ns
+            return True
+        last_ns, last_arrival_ns = self._last
+        expected_ns = last_ns + arrival_ns - last_arrival_ns
+        if last_ns - JUMP_NS <= time_ns <= expected_ns + JUMP_NS:
+            self._new = None
+            if time_ns > last_ns:
+                self._last = time_ns, arrival_ns
+            return True
+        if not self._is_confirmed(stamp_ns, arrival_ns):
+            return False
+        self._shift_ns = expected_ns - stamp_ns
+        self._last, self._new = (expected_ns, arrival_ns), None
+        self.jumps += 1
+        return True
+
+    def _is_confirmed(self, stamp_ns: int, arrival_ns: int) -> bool:
+        """Take in a message of another clock; whether there have been enough that agree with each other."""
+        count = 1
+        if self._new is not None:
+            before_ns, before_arrival_ns, before_count = self._new
+            if 0 < stamp_ns - before_ns <= arrival_ns - before_arrival_ns + JUMP_NS:
+                count = before_count + 1
+        self._new = stamp_ns, arrival_ns, count
+        return count == CONFIRMED
 
 
 class _Waiting(NamedTuple):
@@ -157,7 +214,7 @@ class ScanJoiner:
             if at_ns == time_ns:
                 return pose
         for (before_ns, before), (after_ns, after) in pairwise(self._odometry):
-            if before_ns < time_ns < after_ns and after_ns - before_ns <= GAP_NS:
+            if before_ns < time_ns < after_ns and 1e-9 * (after_ns - before_ns) <= GAP_S:
                 motion, share = before.inverse() @ after, (time_ns - before_ns) / (after_ns - before_ns)
                 return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
         return None
@@ -166,5 +223,5 @@ class ScanJoiner:
         """Whether the robot does not drive so fast."""
         distance = math.hypot(after.x - before.x, after.y - before.y)
         turn = abs(wrap_angle(after.theta - before.theta))
-        is_far = distance > _FASTER * self._robot.speed * duration_s + _JOLT_M
-        return is_far or turn > _FASTER * self._robot.turn_rate * duration_s + _JOLT_RAD
+        is_far = distance > _FASTER * self._robot.speed * duration_s + JOLT_M
+        return is_far or turn > _FASTER * self._robot.turn_rate * duration_s + JOLT_RAD

@@ -1,4 +1,4 @@
-"""From serialized messages of the network to poses and scans; ValueError for what cannot be used.
+"""From serialized messages of the network to poses and scans; ValueError, and a notice, for what cannot be used.
 
 What comes from the network is data: its size is bounded before it is read, its numbers are checked, and its names are
 compared with others and shown, but are never paths.
@@ -7,6 +7,8 @@ compared with others and shown, but are never paths.
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,18 +18,17 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.record.messages import Messages
-from sixthsense.sources.logs.ros_frames import Frames, frame_name
 from sixthsense.sources.logs.ros_messages import (
     FARTHEST_M,
     LASER_SCAN,
     ODOMETRY,
-    mount,
+    frame_name,
     planar,
     scan,
     stamp_ns,
     transform,
 )
-from sixthsense.sources.logs.tf_odometry import FramePair
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -36,6 +37,8 @@ _MOST_BYTES = {LASER_SCAN: 1 << 20, ODOMETRY: 1 << 13, TRANSFORMS: 1 << 18, TWIS
 _LONGEST_FRAME = 256  # letters of the name of a frame
 _MOST_FRAMES = 1000
 _SAME_COUNT, _SAME_STEP = 0.05, 0.01  # share by which the beams of one laser differ: some vary by a few
+_MOST_KINDS = 50
+_AGAIN_NS = 10_000_000_000  # from one line of an event to the next of its kind
 _FASTEST = 100.0  # m/s and rad/s of a command
 
 
@@ -92,6 +95,13 @@ class MessageReader:
         robot = _checked_frame(message.child_frame_id)
         return RobotPose(stamp_ns(message), pose, frame_name(message.header.frame_id), robot)
 
+    def add_static(self, data: bytes, tree: TransformTree) -> None:
+        """Add the static transforms of a message to a tree, unless it is large already."""
+        for link in self.read(data, TRANSFORMS).transforms:
+            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
+            if len(tree.links) < _MOST_FRAMES:
+                tree.add_static(parent, child, transform(link.transform))
+
     def _is_odometry(self, link: Any) -> bool:
         return (frame_name(link.header.frame_id), frame_name(link.child_frame_id)) == self._frames
 
@@ -140,30 +150,46 @@ class LaserReader:
         self._first = None
 
 
-class FrameReader:
-    """Collects static transforms, and tells the mount of the laser."""
+class Notices:
+    """Counts what was dropped, and says it when it happens for the first time."""
 
-    def __init__(self, reader: MessageReader) -> None:
-        self._reader, self._frames = reader, Frames()
+    def __init__(self, say: Callable[[str], object]) -> None:
+        """`say` prints a line."""
+        self._say = say
+        self.dropped: Counter[str] = Counter()
+        """number of messages by what was wrong with them"""
+        self.events: Counter[str] = Counter()
+        """number of events by kind"""
+        self._said: set[str] = set()
+        self._said_ns: dict[str, int] = {}
 
-    def add(self, data: bytes) -> None:
-        """Take in the transforms of a message."""
-        for link in self._reader.read(data, TRANSFORMS).transforms:
-            parent, child = _checked_frame(link.header.frame_id), _checked_frame(link.child_frame_id)
-            if len(self._frames.transforms) < _MOST_FRAMES:
-                self._frames.transforms[child] = (parent, transform(link.transform))
+    def event(self, kind: str, text: str, now_ns: int) -> None:
+        """Count an event, and say it unless another of its kind has been said within ten seconds."""
+        self.events[kind] += 1
+        if now_ns - self._said_ns.get(kind, -_AGAIN_NS) >= _AGAIN_NS:
+            self._said_ns[kind] = now_ns
+            self._say(text)
 
-    def root(self, laser: str) -> str:
-        """The frame that static transforms lead to from the laser's: the robot's, where no odometry names it."""
-        return self._frames.root(laser)
+    def unusable(self, topic: str, error: ValueError) -> None:
+        """Count a message of a topic that cannot be used; one line for each that is not allowed for another reason."""
+        self.dropped[f"{topic} unusable"] += 1
+        text = str(error)
+        kind = text.partition("allowed:")[2] or text
+        if kind not in self._said and len(self._said) < _MOST_KINDS:
+            self._said.add(kind)
+            self._say(f"{topic}: {text}; dropped")
 
-    def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
-        """`T_robot_laser`, and whether the laser is upside down; None if no transforms lead from one to the other.
+    def take(self, dropped: Mapping[str, int]) -> None:
+        """Take in the present numbers of another counter."""
+        for kind, count in dropped.items():
+            if kind not in self.dropped:
+                self._say(f"dropped: {kind}")
+            self.dropped[kind] = count
 
-        A laser that is not level raises ValueError.
-        """
-        self._frames.robot, self._frames.laser = robot, laser
-        return mount(np.eye(4)) if robot == laser else self._frames.mount()
+    def summary(self) -> list[str]:
+        """The numbers of what was dropped and of what happened, a line each if there was any."""
+        both = (("dropped", self.dropped), ("events", self.events))
+        return [f"{name}: {', '.join(f'{k} {n}' for k, n in sorted(c.items()))}" for name, c in both if c]
 
 
 def _check_header(header: Any) -> None:

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
+
+import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.joining import Anew, ScanJoiner
-from sixthsense.live.lost import NEAR_M, Search, placed
 from sixthsense.live.network import Message
-from sixthsense.live.notices import Notices
-from sixthsense.live.others import Publishers
-from sixthsense.live.presence import LONG_SILENT_NS, SILENT_NS, Presence
-from sixthsense.live.reading import LaserReader, MessageReader
+from sixthsense.live.others import LONG_SILENT_NS, SILENT_NS, Presence, Publishers
+from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.navigation.pilot import AheadPilot
 from sixthsense.record.trace import Trace
+from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer
 
 ANOTHER_ROBOT, LOST = "another robot", "lost"
 """outcomes of a run that the robot itself ends"""
 
+_NEAR_M = 0.25
+"""A robot that can have driven no farther while it sent nothing is taken to stand where it was."""
+
+_SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place found: so large that the robot counts as carried there
 _WAIT_S = 0.02
 _ANNOUNCED_NS = 12_000_000_000  # after which a killed program is not announced any more: 10 s, and some to notice it
 
@@ -38,6 +43,42 @@ class Steering(NamedTuple):
     send: Callable[[Command], object]
     subscribers: Callable[[], int]
     """how many take the commands"""
+
+
+class Search:
+    """Takes the ticks of a lost robot until its place is certain; what it sees meanwhile is not mapped.
+
+    Two places need one look alone, since something else says them: where the robot was, and where its odometry would be
+    if it had not begun anew.
+    """
+
+    def __init__(self, trace: Trace, last: Tick, anew: Anew) -> None:
+        """Begin with the map so far; `last` is the newest tick with a scan that the map has."""
+        assert trace.grid is not None
+        self.anew = anew
+        self._T_odom_map = last.odometry @ Pose.from_array(trace.estimates[-1]).inverse()
+        T_map_stood = self._T_odom_map.inverse()
+        expected = (T_map_stood, T_map_stood @ anew.T_stood_went)
+        self._relocalizer = Relocalizer(trace.grid.submap(), trace.config.grid, expected)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the robot has driven so far that its place is not in the map."""
+        return self._relocalizer.driven_m > MOST_DRIVEN_M
+
+    def take(self, tick: Tick) -> Pose | None:
+        """Look at a tick; how its odometry is to be moved to where the robot is, None before that is known."""
+        found = None if tick.scan is None else self._relocalizer.take(tick.scan, tick.odometry)
+        return None if found is None else self._T_odom_map @ found
+
+
+def placed(tick: Tick, T: Pose) -> Tick:
+    """The tick with its odometry moved by `T` to a place that was found; no wheel has measured the way there.
+
+    Its scan is left out: the next one is not distorted by the step.
+    """
+    cov = np.diag([_SIGMA_M, _SIGMA_M, _SIGMA_RAD]) ** 2
+    return dataclasses.replace(tick, odometry=T @ tick.odometry, scan=None, increment_cov=cov)
 
 
 class LiveRobot:
@@ -153,7 +194,7 @@ class LiveRobot:
             "its driver was started again" if self._is_restarted else "faster than --robot.speed and --robot.turn-rate"
         )
         text = f"odometry has jumped by {anew.jump_m:.1f} m after {anew.pause_s:.1f} s, {why}"
-        if anew.reach_m <= NEAR_M or self._last_scan is None or not self._trace.estimates:
+        if anew.reach_m <= _NEAR_M or self._last_scan is None or not self._trace.estimates:
             self._say("odometry jumped", f"{text}; the robot is taken to stand where it was")
             return
         if self._search is not None:

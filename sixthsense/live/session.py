@@ -19,12 +19,10 @@ from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
-from sixthsense.live.commands import Commands, Stamped
 from sixthsense.live.network import Network, Node
-from sixthsense.live.notices import Notices
 from sixthsense.live.others import check_one_publisher, command_type
-from sixthsense.live.publishing import Publisher
-from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, FrameReader, LaserReader, MessageReader, RobotPose
+from sixthsense.live.publishing import Commands, Publisher, Stamped
+from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic
 from sixthsense.loop import OnTick, recorded_drive
@@ -34,10 +32,10 @@ from sixthsense.navigation.navigator import Navigator, ReplayNavigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot, Steersman
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
+from sixthsense.sources.logs.log import found_turns
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.rosbag import described_laser
-from sixthsense.sources.logs.tf_odometry import FramePair
-from sixthsense.sources.logs.two_lasers import found_turns
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 ENDED_BY_USER = "ended by the user"
 """outcome of a run that was ended by Ctrl-C, which is how it is to end"""
@@ -83,7 +81,7 @@ class Session:
         """after `configure` with the robot's laser"""
         self.notices = Notices(say)
         self._reader = MessageReader(topics.frames)
-        self._frames = FrameReader(self._reader)
+        self._frames = TransformTree()
         self._scans = self._node.reader(Topic(topics.scan, LASER_SCAN, SENSOR))
         self._odometry = self._node.reader(topics.odometry)
         self._transforms = self._node.reader(Topic("/tf_static", TRANSFORMS, LATCHED._replace(depth=100)))
@@ -168,7 +166,7 @@ class Session:
         self._wait(timeout_s)
         for data in self._transforms.take():
             try:
-                self._frames.add(data)
+                self._reader.add_static(data, self._frames)
             except ValueError as error:
                 self.notices.unusable("/tf_static", error)
         for message in () if self.config.no_odometry else self._odometry.messages():

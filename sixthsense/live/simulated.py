@@ -19,6 +19,7 @@ from sixthsense.live.network import Network, Node
 from sixthsense.live.others import ANNOUNCED_S, check_alone
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
 from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.record.ending import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
@@ -110,7 +111,9 @@ class SimulatedRobot:
             begin_ns = stamp_ns + sweep_ns(len(tick.scan.ranges), tick.scan.time_increment)
             data = make.serialized(make.scan(begin_ns, tick.scan), LASER_SCAN)
             self._late += [(now_s + delay_s, data) for delay_s in self._disturbance.delays(self._rng)]
-        self._write_truth(stamp_ns, tick)
+        if self._file is not None and tick.truth is not None:
+            self._file.write(tum_line(stamp_ns, *tick.truth.array().tolist()))
+            self._file.flush()
         due = [data for due_s, data in self._late if due_s <= now_s]
         self._late = [entry for entry in self._late if entry[0] > now_s]
         for data in due:
@@ -129,14 +132,6 @@ class SimulatedRobot:
     def summary(self) -> str:
         """What was sent, in a line."""
         return f"scans sent: {self._sent}"
-
-    def _write_truth(self, stamp_ns: int, tick: Tick) -> None:
-        if self._file is None or tick.truth is None:
-            return
-        half, (seconds, nanoseconds) = 0.5 * tick.truth.theta, divmod(stamp_ns, 1_000_000_000)
-        x, y, z, w = tick.truth.x, tick.truth.y, np.sin(half), np.cos(half)
-        self._file.write(f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} 0 0 0 {z:.9f} {w:.9f}\n")
-        self._file.flush()
 
 
 def drive_by_commands(robot: SimulatedRobot, config: Config, scene: Scene, timeout_s: float) -> str:

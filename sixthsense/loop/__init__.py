@@ -23,11 +23,10 @@ from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
 from sixthsense.slam.slam import Slam, Step
-from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.log import Log, RewindableSource
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.mission import mission, with_people
 from sixthsense.sources.replay_input import recorded_scene
-from sixthsense.sources.rewindable import RewindableSource
 from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.walkers import walkers_of
 from sixthsense.sources.world import World

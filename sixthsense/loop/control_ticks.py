@@ -22,8 +22,7 @@ from sixthsense.navigation.pilot import Pilot, PilotLimits, Steering, commanded
 from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam, Step
-from sixthsense.sources.drive import Drive, Driving, driven_tick
-from sixthsense.sources.world import World
+from sixthsense.sources.world import Drive, Driving, World, driven_tick
 
 
 class State(NamedTuple):

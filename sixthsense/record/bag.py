@@ -12,16 +12,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import ControlTicks, Tick
-from sixthsense.record.message_form import ArrayForm, MessageForm, quaternion
-from sixthsense.record.messages import LASER, ROBOT, Messages, seconds_and_nanoseconds
+from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, quaternion
 from sixthsense.record.trace import Trace
-from sixthsense.sources.logs.observation_cloud import CLOUD
+from sixthsense.sources.logs.ros_messages import CLOUD
 
 TOPICS = {
     "/tf_static": "tf2_msgs/msg/TFMessage",
@@ -37,6 +35,7 @@ TOUR = "/tour"
 OBSERVATIONS = "/observations"
 """additional topic of a log with known landmark identities: observations, robot's frame"""
 
+_TYPES = {**TOPICS, TOUR: TOPICS["/plan"], OBSERVATIONS: CLOUD}
 _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
@@ -77,15 +76,18 @@ class BagWriter:
         # The chunk size is unlimited so that only `_flush` ends a chunk, never within a tick.
         self._writer = Writer(self._stream, chunk_size=1 << 62)
         self._writer.start("ros2")
-        self._names = dict(TOPICS)
-        self._channels = {topic: self._register(topic, name) for topic, name in self._names.items()}
+        self._channels: dict[str, int] = {}
+        for topic in TOPICS:
+            self._register(topic)
         odometry, truth = self._messages.odometry(0, Pose(), None), self._messages.pose_stamped(0, Pose())
-        self._odometry_form = self._make_form("/odom", odometry, odometry.pose.pose)
-        self._truth_form = self._make_form("/truth", truth, truth.pose)
-        self._scan_form: tuple[tuple[Any, ...], ArrayForm] | None = None  # with the laser that it is of
+        self._forms = {
+            "/odom": self._pose_form("/odom", odometry, odometry.pose.pose),
+            "/truth": self._pose_form("/truth", truth, truth.pose),
+        }
+        self._scan_form: tuple[tuple[Any, ...], MessageForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
-        self._pending = self._keyframes = self._plans = self._tours = 0
+        self._pending = 0  # bytes
         self._flushed = -math.inf  # the first tick is flushed at once
         self._failed = False
         self._before_flush = before_flush
@@ -94,12 +96,16 @@ class BagWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Close the bag; after a write error only the stream, which keeps the flushed chunks."""
-        if self._failed:
+        """Close the bag with its summary and metadata; after a write error only the stream, with the flushed chunks."""
+        try:
+            if not self._failed:
+                with self._failing():
+                    self._writer.finish()  # type: ignore[no-untyped-call]
+                    self._stream.close()
+                    self._write_metadata()
+        finally:
             with contextlib.suppress(OSError):
                 self._stream.close()
-            return
-        self.close()
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Record one tick and the trace's new estimates and plans."""
@@ -115,32 +121,18 @@ class BagWriter:
             for stamp_ns, by_wheels, truth in zip(
                 stamps_ns, ticks.odometry.tolist(), ticks.truths.tolist(), strict=True
             ):
-                self._write_pose("/odom", stamp_ns, by_wheels, self._odometry_form)
-                self._write_pose("/truth", stamp_ns, truth, self._truth_form)
+                self._write_pose("/odom", stamp_ns, by_wheels)
+                self._write_pose("/truth", stamp_ns, truth)
             self._record_new(stamps_ns[-1], trace)
-
-    def close(self) -> None:
-        """Write the bag's summary and its metadata."""
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.close()
-            self._write_metadata()
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                self._stream.close()
-            self._fail(error)
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
-            self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        self._failed = True
-        error.filename = error.filename or str(self._file)  # the error of a full disk names no file
-        raise error
+            self._failed = True
+            error.filename = error.filename or str(self._file)  # the error of a full disk names no file
+            raise
 
     def _flush(self) -> None:
         self._before_flush()
@@ -152,17 +144,14 @@ class BagWriter:
         stamp, make = tick.stamp_ns, self._messages
         self._begin(stamp, trace.config.laser.mount)
         if tick.increment_cov is None:
-            self._write_pose(
-                "/odom", stamp, (tick.odometry.x, tick.odometry.y, tick.odometry.theta), self._odometry_form
-            )
+            self._write_pose("/odom", stamp, (tick.odometry.x, tick.odometry.y, tick.odometry.theta))
         else:
             self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov))
         if tick.truth is not None:
-            self._write_pose("/truth", stamp, (tick.truth.x, tick.truth.y, tick.truth.theta), self._truth_form)
+            self._write_pose("/truth", stamp, (tick.truth.x, tick.truth.y, tick.truth.theta))
         if tick.scan is not None:
             self._add("/scan", stamp, self._scan(stamp, tick.scan, tick.log_stamp_s))
         if tick.observations is not None:
-            self._add_topic(OBSERVATIONS, CLOUD)
             self._write(OBSERVATIONS, stamp, make.cloud(stamp, tick.observations))
 
     def _begin(self, stamp_ns: int, mount: tuple[float, float, float]) -> None:
@@ -174,68 +163,62 @@ class BagWriter:
     def _record_new(self, stamp: int, trace: Trace) -> None:
         """Record what the trace has gained with a tick, and end the chunk if it is time."""
         make, self._last_ns = self._messages, stamp
-        for estimate in trace.key_estimates[self._keyframes :]:
+        for estimate in trace.key_estimates[self._counts["/estimate"] :]:
             self._write("/estimate", stamp, make.estimate(stamp, estimate.pose, estimate.pose_cov))
-        self._keyframes = len(trace.key_estimates)
-        for path in trace.plans[self._plans :]:
-            self._write("/plan", stamp, make.path(stamp, path))
-        self._plans = len(trace.plans)
-        for tour in trace.tours[self._tours :]:
-            self._add_topic(TOUR, TOPICS["/plan"])
-            self._write(TOUR, stamp, make.path(stamp, tour))
-        self._tours = len(trace.tours)
+        for topic, paths in (("/plan", trace.plans), (TOUR, trace.tours)):
+            for path in paths[self._counts[topic] :]:
+                self._write(topic, stamp, make.path(stamp, path))
         if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
             self._flush()
 
-    def _add_topic(self, topic: str, name: str) -> None:
-        """Register a topic that not every bag has, at its first message."""
-        if topic not in self._channels:
-            self._names[topic] = name
-            self._channels[topic] = self._register(topic, name)
-
-    def _register(self, topic: str, name: str) -> int:
-        definition = self._messages.store.generate_msgdef(name, ros_version=2)[0]
-        schema: int = self._writer.register_schema(name, "ros2msg", definition.encode())
-        return int(self._writer.register_channel(topic, "cdr", schema, {"offered_qos_profiles": _qos(topic)}))
+    def _register(self, topic: str) -> None:
+        definition = self._messages.store.generate_msgdef(_TYPES[topic], ros_version=2)[0]
+        schema: int = self._writer.register_schema(_TYPES[topic], "ros2msg", definition.encode())
+        qos = {"offered_qos_profiles": _qos(topic)}
+        self._channels[topic] = int(self._writer.register_channel(topic, "cdr", schema, qos))
 
     def _write(self, topic: str, stamp_ns: int, message: Any) -> None:
-        self._add(topic, stamp_ns, self._messages.serialized(message, self._names[topic]))
+        if topic not in self._channels:  # one that not every bag has
+            self._register(topic)
+        self._add(topic, stamp_ns, self._messages.serialized(message, _TYPES[topic]))
 
     def _add(self, topic: str, stamp_ns: int, data: bytes) -> None:
         self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns, self._counts[topic])
         self._counts[topic] += 1
         self._pending += len(data)
 
-    def _write_pose(self, topic: str, stamp_ns: int, pose: Sequence[float], form: MessageForm) -> None:
-        """Write a tick's pose, x, y and heading; of so many, without making the message's dozen objects."""
+    def _write_pose(self, topic: str, stamp_ns: int, pose: Sequence[float]) -> None:
+        """Write a tick's pose, x, y and heading."""
         x, y, theta = pose
-        z, w = quaternion(theta)
-        self._add(topic, stamp_ns, form.fill(*seconds_and_nanoseconds(stamp_ns), (x, y, z, w)))
+        self._add(topic, stamp_ns, self._forms[topic].fill(stamp_ns, (x, y, 0.0, 0.0, 0.0, *quaternion(theta))))
 
-    def _make_form(self, topic: str, message: Any, pose: Any) -> MessageForm:
+    def _pose_form(self, topic: str, message: Any, pose: Any) -> MessageForm:
         """The form of a message of which `pose`, a part of it, changes."""
 
-        def serialized(numbers: tuple[float, ...]) -> Any:
-            pose.position.x, pose.position.y, pose.orientation.z, pose.orientation.w = numbers
+        def serialized(numbers: NDArray[Any]) -> bytes:
+            for part, names in ((pose.position, "xyz"), (pose.orientation, "xyzw")):
+                for name in names:
+                    setattr(part, name, numbers[0])
+                    numbers = numbers[1:]
             return self._messages.serialized(message, TOPICS[topic])
 
-        return MessageForm(4, serialized)
+        return MessageForm(7, "<f8", serialized)
 
     def _scan(self, stamp_ns: int, scan: Scan, log_stamp_s: float | None) -> bytes:
         """A scan's message: of those from one laser only stamps and ranges differ."""
+        make = self._messages
         begin = max(stamp_ns + sweep_ns(len(scan.ranges), scan.time_increment), 0)
         header_ns = begin if log_stamp_s is None else round(Fraction(log_stamp_s) * 1_000_000_000)
         laser = (scan.angle_min, scan.angle_increment, scan.time_increment, scan.max_range, len(scan.ranges))
         if self._scan_form is None or laser != self._scan_form[0]:
-            self._scan_form = laser, self._make_scan_form(scan)
-        return self._scan_form[1].fill(*seconds_and_nanoseconds(header_ns), scan.ranges)
-
-    def _make_scan_form(self, scan: Scan) -> ArrayForm:
-        def serialized(ranges: NDArray[np.float32]) -> bytes:
-            message = self._messages.scan(0, dataclasses.replace(scan, ranges=ranges))
-            return self._messages.serialized(message, TOPICS["/scan"])
-
-        return ArrayForm(len(scan.ranges), serialized)
+            name = TOPICS["/scan"]
+            form = MessageForm(
+                len(scan.ranges),
+                "<f4",
+                lambda ranges: make.serialized(make.scan(0, dataclasses.replace(scan, ranges=ranges)), name),
+            )
+            self._scan_form = laser, form
+        return self._scan_form[1].fill(header_ns, scan.ranges)
 
     def _write_metadata(self) -> None:
         import yaml
@@ -247,13 +230,13 @@ class BagWriter:
             {
                 "topic_metadata": {
                     "name": topic,
-                    "type": name,
+                    "type": _TYPES[topic],
                     "serialization_format": "cdr",
                     "offered_qos_profiles": _qos(topic),
                 },
                 "message_count": self._counts[topic],
             }
-            for topic, name in self._names.items()
+            for topic in self._channels
         ]
         table = {
             "version": 5,

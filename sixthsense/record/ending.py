@@ -1,22 +1,23 @@
-"""What a run's folder keeps of its end, in arrays: `record.npz`, `landmarks.npz` and `grid.npz`."""
+"""The files that a run's folder keeps of its end: written, and its arrays read back."""
 
 from __future__ import annotations
 
 import contextlib
 import csv
-import struct
-import zipfile
-import zlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId
-from sixthsense.record.reading import RecordError
+from sixthsense.record.factors import factor_graph, links_of, write_graph
+from sixthsense.record.reading import RecordError, checked
+from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
 from sixthsense.slam.association.crookedness import MeanShape
@@ -26,9 +27,116 @@ from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
 from sixthsense.sources.logs.relations import Relations
-from sixthsense.sources.logs.tum import read_tum
 
+_COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
+"""fields of a landmark's record by the names of their arrays"""
 END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
+
+
+def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
+    """Write all files of a finished run but the figures; of the record its end, or all if it was not streamed."""
+    origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
+    write_tum(folder / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
+    write_tum(folder / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
+    if trace.truths:
+        write_tum(folder / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
+    write_landmarks(folder, trace)
+    write_graph(folder, factor_graph(trace), links_of(trace))
+    write_arrays(folder, trace)
+    if trace.grid is not None:
+        grid = trace.grid
+        with whole(folder / GRID_FILE) as file:
+            np.savez_compressed(file, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
+        write_map(folder, grid.occupancy(), grid.origin, trace.config.grid.cell_m)
+    if trace.outcome.startswith("explored"):
+        write_places_left(folder / "places_left.csv", trace)
+    with whole(folder / "metrics.json") as file:
+        file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+    write_end(folder, trace)
+
+
+def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
+
+    Stamps are relative because a double cannot resolve 1 ns in seconds since 1970.
+    """
+    with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
+        for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
+            out.write(tum_line(stamp - origin_ns, x, y, theta))
+
+
+def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:
+    """A pose as a line of a TUM trajectory."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    half = 0.5 * theta
+    return f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n"
+
+
+def write_places_left(file: Path, trace: Trace) -> None:
+    """Write the unseen places of an exploration, the largest first: x and y in m, area in m^2, and the reason."""
+    with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["x", "y", "area_m2", "reason"])
+        writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
+
+
+LANDMARK_COLUMNS = (
+    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
+)  # fmt: skip
+
+
+def write_landmarks(folder: Path, trace: Trace) -> None:
+    """Write `landmarks.csv`, and the joint mean and covariance as `landmarks.npz`."""
+    estimate, records = trace.final, trace.records
+    with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "observations", "from_x", "from_y", "to_x", "to_y"])
+        for k, i in enumerate(estimate.ids.tolist()):
+            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
+            record = records[i]
+            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
+            # A point has x and y. A wall has alpha and d, and the extent of its seen part.
+            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
+            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
+            writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
+    with whole(folder / "landmarks.npz") as file:
+        np.savez(
+            file,
+            ids=estimate.ids,
+            kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
+            mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
+            covariance=trace.joint_cov,
+        )
+
+
+def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
+    """Write (H, W) occupancy (-1 unknown, 0 free, 100 occupied) as map_server's PGM and YAML.
+
+    The image is cropped to the known cells.
+    """
+    import yaml
+    from PIL import Image
+
+    known = occupancy >= 0
+    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
+    if len(rows) == 0:
+        return
+    r0, c0 = int(rows[0]), int(cols[0])
+    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
+    grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
+    with whole(folder / "map.pgm") as file:
+        Image.fromarray(np.flipud(grey)).save(file)  # the first row of an image is the top of the map
+    meta = {
+        "image": "map.pgm",
+        "mode": "trinary",
+        "resolution": cell_m,
+        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+    }
+    with whole(folder / "map.yaml") as file:
+        file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
 
 
 def write_arrays(folder: Path, trace: Trace) -> None:
@@ -38,10 +146,7 @@ def write_arrays(folder: Path, trace: Trace) -> None:
         "trajectory": trace.trajectory,
         "since_key": np.reshape(trace.since_key, (-1, 3)),
         "ids": np.array(list(trace.records), dtype=np.int64),
-        "kinds": np.array([record.kind for record in records], dtype=np.int64),
-        "observations": np.array([record.observations for record in records], dtype=np.int64),
-        "first_scans": np.array([record.first_scan for record in records], dtype=np.int64),
-        "last_scans": np.array([record.last_scan for record in records], dtype=np.int64),
+        **{name: np.array([getattr(r, of) for r in records], dtype=np.int64) for name, of in _COUNTS.items()},
         "sigmas_m": np.array([record.sigma_m for record in records], dtype=np.float64),
         "extents": np.array([record.extent for record in records], dtype=np.float64).reshape(-1, 2, 2),
         "shapes": np.array([_shape_row(record.shape) for record in records], dtype=np.float64).reshape(-1, 5),
@@ -52,12 +157,6 @@ def write_arrays(folder: Path, trace: Trace) -> None:
         arrays |= {f"link_{name}": values for name, values in trace.links._asdict().items()}
     with whole(folder / END_FILE) as file:
         np.savez_compressed(file, **arrays)
-
-
-def write_grid(folder: Path, grid: Grid) -> None:
-    """Write `grid.npz`: scans that hit and passed each cell, whether it was seen, and where the cells lie."""
-    with whole(folder / GRID_FILE) as file:
-        np.savez_compressed(file, hits=grid.hits, passes=grid.passes, seen=grid.seen, origin=np.array(grid.origin))
 
 
 def read_arrays(file: Path, trace: Trace) -> None:
@@ -71,7 +170,10 @@ def read_arrays(file: Path, trace: Trace) -> None:
         if "link_ends" in arrays:
             ends = arrays["link_ends"].astype(np.int64).reshape(-1, 2)
             count = len(ends)
-            motions, covs = _floats(arrays, "link_motions", (count, 3)), _floats(arrays, "link_covs", (count, 3, 3))
+            motions, covs = (
+                _floats(arrays, "link_motions", (count, 3)),
+                _floats(arrays, "link_covs", (count, 3, 3)),
+            )
             if count and not 0 <= ends.min() <= ends.max() < len(trajectory):
                 raise ValueError(f"link_ends {ends.min()} to {ends.max()} of {len(trajectory)} keyframes")
             trace.links = PoseLinks(ends, motions, covs)
@@ -89,9 +191,9 @@ def read_records(file: Path) -> dict[LandmarkId, Record]:
 def _records(arrays: dict[str, Any]) -> dict[LandmarkId, Record]:
     ids = _integers(arrays, "ids")
     n = len(ids)
-    counts = "observations" if "observations" in arrays else "sightings"  # the name in older records
-    kinds, observations = _integers(arrays, "kinds", n).tolist(), _integers(arrays, counts, n).tolist()
-    first, last = _integers(arrays, "first_scans", n).tolist(), _integers(arrays, "last_scans", n).tolist()
+    older = {"observations": "sightings"}  # the name in older records
+    names = [name if name in arrays else older.get(name, name) for name in _COUNTS]
+    kinds, observations, first, last = (_integers(arrays, name, n).tolist() for name in names)
     sigmas_m, extents = arrays["sigmas_m"].astype(np.float64), _floats(arrays, "extents", (n, 2, 2))
     if sigmas_m.shape != (n,):
         raise ValueError(f"sigmas_m of shape {sigmas_m.shape}")
@@ -131,42 +233,6 @@ def read_grid(file: Path, config: Config, radius_m: float) -> Grid:
         return restore_grid(config.grid, radius_m, (x, y), hits, passes, arrays["seen"].astype(np.bool_))
 
 
-def read_landmark_table(file: Path) -> dict[LandmarkId, Record]:
-    """What `landmarks.csv` tells of each landmark; of a folder that was written before there was a `record.npz`.
-
-    Raises RecordError, naming the line, for a table that is damaged.
-    """
-    found: dict[LandmarkId, Record] = {}
-    number = 1
-    try:
-        with file.open(newline="", encoding="utf-8") as stream:
-            rows = csv.DictReader(stream)
-            for row in rows:
-                number = rows.line_num
-                kind = Kind[row["kind"].upper()]
-                ends = [float(row[name] or 0.0) for name in ("from_x", "from_y", "to_x", "to_y")]
-                extent = np.array(ends).reshape(2, 2)
-                found[int(row["id"])] = Record(
-                    kind, int(row.get("observations") or row["sightings"]), 0, 0, extent=extent
-                )
-    except OSError as error:
-        raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
-    except (LookupError, TypeError, ValueError, AttributeError, csv.Error):
-        raise RecordError(f"{file}: line {number}: found no landmark, allowed: a table of landmarks") from None
-    return found
-
-
-def read_planar_tum(file: Path, rows: int) -> Array:
-    """(rows, 3) poses of a TUM trajectory; raises an InputError, naming the line, for a file that is damaged."""
-    if rows == 0:
-        return np.zeros((0, 3))
-    _, poses = read_tum(file)
-    if len(poses) != rows:
-        raise RecordError(f"{file}: found {len(poses)} poses, allowed: {rows}")
-    x, y, _, _, _, z, w = poses.T
-    return np.column_stack([x, y, wrap_angle(2.0 * np.arctan2(z, w))])
-
-
 @contextlib.contextmanager
 def _loaded(file: Path) -> Iterator[dict[str, Any]]:
     """The arrays of an NPZ file; whatever is wrong with them within the block is a RecordError."""
@@ -180,15 +246,9 @@ def _loaded(file: Path) -> Iterator[dict[str, Any]]:
         raise RecordError(f"{file}: cannot be read ({error.strerror or 'damaged'})") from None
     except KeyError as error:
         raise RecordError(f"{file}: found no array {error.args[0]!r}, allowed: that of a run") from None
-    except (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, EOFError, MemoryError) as error:
-        raise _damaged(file, error) from None
-    except (RuntimeError, SyntaxError, zipfile.BadZipFile, zlib.error, struct.error) as error:  # of a damaged ZIP
-        raise _damaged(file, error) from None
-
-
-def _damaged(file: Path, error: Exception) -> RecordError:
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return RecordError(f"{file}: found {reason[:160]}, allowed: the arrays of a run")
+    except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise RecordError(f"{file}: found {reason[:160]}, allowed: the arrays of a run") from None
 
 
 def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> Any:
@@ -199,9 +259,4 @@ def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> An
 
 
 def _floats(arrays: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
-    """The finite numbers of that name in that shape, in which a first length of -1 is any."""
-    array = arrays[name]
-    expected = (*array.shape[:1], *shape[1:]) if shape[0] == -1 else shape
-    if array.dtype.kind != "f" or array.shape != expected or not np.isfinite(array).all():
-        raise ValueError(f"{name} of shape {array.shape} and type {array.dtype}")
-    return np.asarray(array, dtype=np.float64)
+    return checked(name, arrays[name], shape)

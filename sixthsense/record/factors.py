@@ -63,9 +63,8 @@ def factor_graph(trace: Trace) -> FactorGraph:
     """
     seen = np.isin(trace.final.ids, [i for association in trace.associations for i in association.observations])
     ids, landmarks, walls = trace.final.ids[seen], trace.final.landmarks[seen], trace.final.walls[seen]
-    point_rows = _observations_of(trace, ids[~walls].tolist())
-    wall_rows = _observations_of(trace, ids[walls].tolist())
-    polar = [observation.bearing_range() for _, _, observation in point_rows]
+    points, walls_seen = (_observations_of(trace, ids[kind].tolist()) for kind in (~walls, walls))
+    polar = [observation.bearing_range() for _, _, observation in points]
     motions = trace.key_odometry[1:]
     return FactorGraph(
         trace.trajectory.copy(),
@@ -73,16 +72,12 @@ def factor_graph(trace: Trace) -> FactorGraph:
         landmarks[~walls],
         np.array([m.motion.array() for m in motions]).reshape(-1, 3),
         np.array([_regularized_cov(m) for m in motions]).reshape(-1, 3, 3),
-        np.array([(k, j) for k, j, _ in point_rows], dtype=np.int64).reshape(-1, 2),
-        np.array([s.z for _, _, s in point_rows]).reshape(-1, 2),
-        np.array([s.cov for _, _, s in point_rows]).reshape(-1, 2, 2),
+        *_columns(points),
         np.array([(bearing, distance) for bearing, distance, _ in polar]).reshape(-1, 2),
         np.array([cov for _, _, cov in polar]).reshape(-1, 2, 2),
         ids[walls],
         landmarks[walls],
-        np.array([(k, j) for k, j, _ in wall_rows], dtype=np.int64).reshape(-1, 2),
-        np.array([s.z for _, _, s in wall_rows]).reshape(-1, 2),
-        np.array([s.cov for _, _, s in wall_rows]).reshape(-1, 2, 2),
+        *_columns(walls_seen),
     )
 
 
@@ -102,6 +97,15 @@ def _observations_of(trace: Trace, ids: list[LandmarkId]) -> list[tuple[int, int
         for i, observation in association.observations.items()
         if i in column
     ]
+
+
+def _columns(rows: list[tuple[int, int, Observation]]) -> tuple[NDArray[np.int64], Array, Array]:
+    """(N, 2) indices of observations, (N, 2) what is seen, and (N, 2, 2) covariances."""
+    return (
+        np.array([(k, j) for k, j, _ in rows], dtype=np.int64).reshape(-1, 2),
+        np.array([observation.z for _, _, observation in rows]).reshape(-1, 2),
+        np.array([observation.cov for _, _, observation in rows]).reshape(-1, 2, 2),
+    )
 
 
 def _regularized_cov(odometry: Odometry) -> Array:

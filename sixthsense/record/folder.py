@@ -1,30 +1,42 @@
-"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when it is complete."""
+"""The folder of a run: written as `OUT.partial`, renamed to `OUT` when it is complete.
+
+Only a folder that holds a run, and nothing else, may be replaced.
+"""
 
 from __future__ import annotations
 
-import csv
 import itertools
-import json
 import os
 import re
 import shutil
-from collections.abc import Mapping
+import stat
+import tomllib
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sixthsense.config import Config, save_config
 from sixthsense.config.errors import InputError
-from sixthsense.core.geometry import Array
-from sixthsense.record.contents import foreign_entries, has_record, reason_not_a_run, reason_not_started
-from sixthsense.record.ending import write_arrays, write_grid
-from sixthsense.record.factors import factor_graph, links_of, write_graph
-from sixthsense.record.folder_lock import FolderError, FolderLock
-from sixthsense.record.stream import write_end
+from sixthsense.record.ending import write_ending
+from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import whole
+from sixthsense.record.writing import FolderError, FolderLock, whole
+
+_FILES = frozenset(
+    {
+        "config.toml", FILE, "record.npz", "grid.npz", "metrics.json", "places_left.csv",
+        "estimate.tum", "smoothed.tum", "truth.tum", "landmarks.csv", "landmarks.npz",
+        "graph.g2o", "graph.npz", "map.pgm", "map.yaml",
+        "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html", "figures/animation.gif",
+    }
+)  # fmt: skip
+"""files of a run and of its report, but for the figures"""
+_FIGURES = frozenset({"map", "error", "rpe", "nees", "nis", "stages", "coverage", "exploration"})
+"""names of the figures, without suffix"""
+
+_FORMS = (".png", ".svg", ".pdf")
+_FOLDERS = ("bag", "figures")
+_RECORD_BEGINS = b'{"format":'
 
 
 class RunFolder:
@@ -130,28 +142,10 @@ class RunFolder:
         folder if it cannot be written.
         """
         try:
-            self._write(trace, metrics)
+            write_ending(self.partial, trace, metrics)
         except OSError as error:
             error.filename = error.filename or str(self.partial)  # the error of a full disk names no file
             raise
-
-    def _write(self, trace: Trace, metrics: Mapping[str, Any]) -> None:
-        origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
-        write_tum(self.partial / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
-        write_tum(self.partial / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
-        if trace.truths:
-            write_tum(self.partial / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
-        write_landmarks(self.partial, trace)
-        write_graph(self.partial, factor_graph(trace), links_of(trace))
-        write_arrays(self.partial, trace)
-        if trace.grid is not None:
-            write_grid(self.partial, trace.grid)
-            write_map(self.partial, trace.grid.occupancy(), trace.grid.origin, trace.config.grid.cell_m)
-        if trace.outcome.startswith("explored"):
-            write_places_left(self.partial / "places_left.csv", trace)
-        with whole(self.partial / "metrics.json") as file:
-            file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
-        write_end(self.partial, trace)
 
     def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.
@@ -189,80 +183,59 @@ def _not_a_run(folder: Path, reason: str) -> FolderError:
     return FolderError(f"--out: {folder} is not a run folder, it {reason}, allowed: a new folder, or a run folder")
 
 
-def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
-    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
-
-    Stamps are relative because a double cannot resolve 1 ns in seconds since 1970.
-    """
-    with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
-        for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
-            seconds, nanoseconds = divmod(stamp - origin_ns, 1_000_000_000)
-            half = 0.5 * theta
-            out.write(f"{seconds}.{nanoseconds:09d} {x:.17g} {y:.17g} 0 0 0 {np.sin(half):.17g} {np.cos(half):.17g}\n")
+def reason_not_a_run(folder: Path) -> str:
+    """Why a path is not the folder of one run and nothing else: "is a file", "holds notes.txt"; "" if it is."""
+    if reason := reason_not_started(folder):
+        return reason
+    if not has_record(folder):
+        return "holds no record of a run"
+    foreign = next(foreign_entries(folder), None)
+    return "" if foreign is None else f"holds {foreign}, which no run writes"
 
 
-def write_places_left(file: Path, trace: Trace) -> None:
-    """Write the unseen places of an exploration, the largest first: x and y in m, area in m^2, and the reason."""
-    with whole(file) as unfinished, unfinished.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.writer(out)
-        writer.writerow(["x", "y", "area_m2", "reason"])
-        writer.writerows([place.x, place.y, place.area_m2, place.reason] for place in trace.left)
+def reason_not_started(folder: Path) -> str:
+    """Why no run has begun in this path: "is a file", "holds no config.toml of a run"; "" if one has."""
+    if folder.is_symlink():
+        return "is a symbolic link"
+    if not folder.is_dir():
+        return "is a file"
+    return "" if _is_configuration(folder / "config.toml") else "holds no config.toml of a run"
 
 
-LANDMARK_COLUMNS = (
-    "x", "y", "cov_xx", "cov_xy", "cov_yy", "alpha", "d", "cov_alpha_alpha", "cov_alpha_d", "cov_d_d"
-)  # fmt: skip
+def has_record(folder: Path) -> bool:
+    """Whether a tick of a run has been recorded in the folder."""
+    try:
+        with (folder / FILE).open("rb") as stream:
+            return stream.read(len(_RECORD_BEGINS)) == _RECORD_BEGINS
+    except OSError:
+        return False
 
 
-def write_landmarks(folder: Path, trace: Trace) -> None:
-    """Write `landmarks.csv`, and the joint mean and covariance as `landmarks.npz`."""
-    estimate, records = trace.final, trace.records
-    with whole(folder / "landmarks.csv") as file, file.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.writer(out)
-        writer.writerow(["id", "kind", *LANDMARK_COLUMNS, "observations", "from_x", "from_y", "to_x", "to_y"])
-        for k, i in enumerate(estimate.ids.tolist()):
-            block = trace.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
-            record = records[i]
-            values = [*estimate.landmarks[k].tolist(), *map(float, (block[0, 0], block[0, 1], block[1, 1]))]
-            # A point has x and y. A wall has alpha and d, and the extent of its seen part.
-            columns = [""] * 5 + values if estimate.walls[k] else values + [""] * 5
-            extent = record.extent.ravel().tolist() if estimate.walls[k] else [""] * 4
-            writer.writerow([i, record.kind.name.lower(), *columns, record.observations, *extent])
-    with whole(folder / "landmarks.npz") as file:
-        np.savez(
-            file,
-            ids=estimate.ids,
-            kinds=np.array([records[i].kind for i in estimate.ids.tolist()], dtype=np.int64),
-            mean=np.concatenate([estimate.pose.array(), estimate.landmarks.ravel()]),
-            covariance=trace.joint_cov,
-        )
+def foreign_entries(folder: Path) -> Iterator[str]:
+    """The paths within a folder, relative to it, that neither a run nor its report writes."""
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        if entry.name in _FOLDERS and entry.is_dir(follow_symlinks=False):
+            yield from (
+                f"{entry.name}/{inner.name}" for inner in os.scandir(entry.path) if not _is_known(inner, entry.name)
+            )
+        elif not _is_known(entry):
+            yield entry.name
 
 
-def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> None:
-    """Write (H, W) occupancy (-1 unknown, 0 free, 100 occupied) as map_server's PGM and YAML.
+def _is_known(entry: os.DirEntry[str], within: str = "") -> bool:
+    if not entry.is_file(follow_symlinks=False):
+        return False
+    file = Path(entry.name)
+    is_figure = within == "figures" and file.stem in _FIGURES and file.suffix in _FORMS
+    return is_figure or (f"{within}/{entry.name}" if within else entry.name) in _FILES
 
-    The image is cropped to the known cells.
-    """
-    import yaml
-    from PIL import Image
 
-    known = occupancy >= 0
-    rows, cols = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
-    if len(rows) == 0:
-        return
-    r0, c0 = int(rows[0]), int(cols[0])
-    part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
-    grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
-    with whole(folder / "map.pgm") as file:
-        Image.fromarray(np.flipud(grey)).save(file)  # the first row of an image is the top of the map
-    meta = {
-        "image": "map.pgm",
-        "mode": "trinary",
-        "resolution": cell_m,
-        "origin": [origin[0] + c0 * cell_m, origin[1] + r0 * cell_m, 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.65,
-        "free_thresh": 0.196,
-    }
-    with whole(folder / "map.yaml") as file:
-        file.write_text(yaml.safe_dump(meta, sort_keys=False), encoding="utf-8")
+def _is_configuration(file: Path) -> bool:
+    """Whether a file is a configuration that a run saved: it names the version of this package that ran it."""
+    try:
+        if not stat.S_ISREG(file.lstat().st_mode):
+            return False
+        versions = tomllib.loads(file.read_text(encoding="utf-8-sig")).get("versions")
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(versions, dict) and isinstance(versions.get("sixthsense"), str)

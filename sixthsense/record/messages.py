@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+import math
+import struct
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.record.message_form import quaternion
-from sixthsense.sources.logs.observation_cloud import CLOUD, FIELDS, POINT_BYTES, to_bytes
-from sixthsense.sources.logs.ros_messages import increment_covariance, spatial_covariance
+from sixthsense.sources.logs.ros_messages import (
+    CLOUD,
+    FIELDS,
+    POINT_BYTES,
+    increment_covariance,
+    spatial_covariance,
+    to_bytes,
+)
 
 WORLD, ODOM, ROBOT, LASER = "map", "odom", "base_link", "laser"
 """names of the frames"""
 
+_STAMP_AT, _STAMP = 4, struct.Struct("<iI")  # behind four bytes that say how numbers are encoded
+_ULP_OFFSETS = sorted(itertools.product(range(-2, 3), repeat=2), key=lambda ij: abs(ij[0]) + abs(ij[1]))  # in ulp
 _LAST_STAMP_NS = (1 << 31) * 1_000_000_000 - 1  # ROS counts seconds in 32 bits
 
 
@@ -124,3 +134,38 @@ class Messages:
 def seconds_and_nanoseconds(stamp_ns: int) -> tuple[int, int]:
     """The two numbers of a stamp."""
     return divmod(min(stamp_ns, _LAST_STAMP_NS), 1_000_000_000)
+
+
+class MessageForm:
+    """A message with a header, in whose serialized form the stamp and some successive numbers are replaced.
+
+    Of so many messages that differ in nothing else, none is made of its dozen objects.
+    """
+
+    def __init__(self, count: int, kind: str, serialized: Callable[[NDArray[Any]], bytes]) -> None:
+        """Take the form of `serialized(numbers)`, little-endian CDR, of `count` numbers of a type such as <f4."""
+        marks = np.linspace(-2.345e30, -1.234e30, count, dtype=kind)  # numbers that stand nowhere else
+        self._data, self._type = serialized(marks), marks.dtype
+        self._begin = self._data.index(marks.tobytes())
+        self._end = self._begin + marks.nbytes
+
+    def fill(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
+        """The message with this stamp in its header, and these numbers."""
+        data = bytearray(self._data)
+        _STAMP.pack_into(data, _STAMP_AT, *seconds_and_nanoseconds(stamp_ns))
+        data[self._begin : self._end] = np.asarray(numbers, dtype=self._type).tobytes()
+        return bytes(data)
+
+
+def quaternion(theta: float) -> tuple[float, float]:
+    """Z and w of a rotation by `theta`, in [-pi, pi), about z, rounded so that 2 atan2(z, w) equals `theta` exactly.
+
+    Angles below 1e-300 are excepted. Sine and cosine alone lose the last bit, which can change the selection of
+    keyframes in a replay.
+    """
+    sin, cos = math.sin(0.5 * theta), math.cos(0.5 * theta)
+    for i, j in _ULP_OFFSETS:
+        z, w = sin + i * math.ulp(sin), cos + j * math.ulp(cos)
+        if 2.0 * math.atan2(z, w) == theta:
+            return z, w
+    return sin, cos

@@ -69,24 +69,19 @@ def prior_start(
 
     Raises ConfigError for a pose or sigmas that are not allowed, and without a folder; RecordError as `read_prior_map`.
     """
-    names = {"pose": pose, "pose_sigma": sigma}
-    if lost and folder is None:
-        raise ConfigError(
-            f"{prefix}lost: found without {prefix + ('prior-map' if prefix else 'prior_map')}, allowed: with it"
-        )
-    option = {name: prefix + (name.replace("_", "-") if prefix else name) for name in ("prior_map", *names)}
-    for name, value in names.items():
-        if value is None:
-            continue
-        if folder is None:
+    names = ("prior_map", "pose", "pose_sigma", "lost")
+    option = {name: prefix + (name.replace("_", "-") if prefix else name) for name in names}
+    given = {name: value for name, value in (("pose", pose), ("pose_sigma", sigma)) if value is not None}
+    if folder is None:
+        for name in ("lost",) if lost else given:
             raise ConfigError(f"{option[name]}: found without {option['prior_map']}, allowed: with it")
+        return None
+    for name, value in given.items():
         is_number = [isinstance(number, int | float) and math.isfinite(number) for number in value]
         if len(value) != 3 or not all(is_number):
             raise ConfigError(f"{option[name]}: found {' '.join(map(str, value))}, allowed: three finite numbers")
         if lost:
-            raise ConfigError(f"{option[name]}: found with {prefix}lost, allowed: one of both")
-    if folder is None:
-        return None
+            raise ConfigError(f"{option[name]}: found with {option['lost']}, allowed: one of both")
     if sigma is not None and min(sigma) < 0.0:
         raise ConfigError(f"{option['pose_sigma']}: found {' '.join(map(str, sigma))}, allowed: at least 0")
     x, y, theta = (0.0, 0.0, 0.0) if sigma is None else map(float, sigma)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.config.errors import InputError
@@ -20,7 +21,7 @@ from sixthsense.core.sensor import SENSOR_PARAMETERS
 from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
 from sixthsense.record.stopwatch import STAGES
-from sixthsense.record.stream import FORMAT, Line
+from sixthsense.record.stream import COUNTS, COUNTS_OF_DRIVES, FORMAT, Line
 from sixthsense.record.trace import Trace
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
@@ -38,8 +39,8 @@ class RecordError(InputError):
     """One line that names the file of a run's folder and its line, what was found and what is allowed."""
 
 
-def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
-    """The trace that a `record.jsonl` holds, and whether the run's end is in it; None for a file without a whole line.
+def read_stream(file: Path, config: Config) -> tuple[Trace, bool]:
+    """The trace that a `record.jsonl` holds, and whether the run's end is in it.
 
     The estimates at keyframes are read without their landmarks, which the file does not hold. Raises RecordError for a
     file that cannot be read, a line that is damaged, and a record without a scan.
@@ -62,9 +63,7 @@ def read_stream(file: Path, config: Config) -> tuple[Trace, bool] | None:
                 raise RecordError(f"{file}: line {number}: found {' '.join(found.split())}, {allowed}") from None
     except OSError as error:
         raise RecordError(f"{file}: cannot be read ({error.strerror})") from None
-    if trace is None:
-        return None
-    if not trace.stamps_ns:
+    if trace is None or not trace.stamps_ns:
         raise RecordError(f"{file}: found no scan, allowed: the record of a run")
     return trace, has_ended
 
@@ -130,54 +129,36 @@ def _take(table: Line, trace: Trace) -> bool:
 
 
 def _take_scan(table: Line, trace: Trace) -> None:
+    _take_truth(table, trace.stamps_ns, trace.truths)
     last_key = _whole(table, "last_key", -1)
     if last_key >= len(trace.key_stamps_ns):
         raise ValueError(f"last_key {last_key} after {len(trace.key_stamps_ns)} keyframes")
-    estimate, odometry = _array(table, "estimate", (3,)), _array(table, "odometry", (3,))
-    since_key, path_length_m = _array(table, "since_key", (3,)), _number(table, "path_length_m")
-    truth = _truth(table, bool(trace.stamps_ns), bool(trace.truths))
-    stamp_ns = _stamp(table, "scan", trace.stamps_ns)
-    log_stamp_s = np.nan if table["log_stamp_s"] is None else _number(table, "log_stamp_s")
-    trace.stamps_ns.append(stamp_ns)
-    trace.log_stamps_s.append(log_stamp_s)
-    trace.estimates.append(estimate)
-    trace.odometry.append(odometry)
-    if truth is not None:
-        trace.truths.append(truth)
+    trace.last_key.append(last_key)
+    trace.stamps_ns.append(_stamp(table, "scan", trace.stamps_ns))
+    trace.log_stamps_s.append(np.nan if table["log_stamp_s"] is None else _number(table, "log_stamp_s"))
+    trace.estimates.append(_array(table, "estimate", (3,)))
+    trace.odometry.append(_array(table, "odometry", (3,)))
+    trace.since_key.append(_array(table, "since_key", (3,)))
     if "walkers" in table:
         trace.walkers.append(_array(table, "walkers", (-1, 3)))
         by_robot, by_walkers = (int(count) for count in _array(table, "touches", (2,)))
         trace.touches = by_robot, by_walkers
-    trace.last_key.append(last_key)
-    trace.since_key.append(since_key)
-    trace.path_length_m = path_length_m
-    trace.last_position = (odometry if truth is None else truth)[:2]
+    trace.path_length_m = _number(table, "path_length_m")
+    trace.last_position = (trace.truths or trace.odometry)[-1][:2]
 
 
 def _take_keyframe(table: Line, trace: Trace) -> None:
-    motion = Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3)))
-    estimate = Estimate.of_pose(_pose(table, "pose"), _array(table, "pose_cov", (3, 3)))
-    observations = dict(map(_observation, _unpacked(table, "observations", (-1, 10)).tolist()))
-    association = Association(
-        observations,
-        _whole(table, "discarded"),
-        _number(table, "nis"),
-        _whole(table, "dof"),
-        _whole(table, "fused"),
-    )
-    predicted = Estimate.of_pose(_pose(table, "predicted_pose"), _array(table, "predicted_cov", (3, 3)))
-    walls, row, totals = _unpacked(table, "walls", (-1, 2, 2)), _times(table, "ms"), _times(table, "total_ms")
-    truth = _truth(table, bool(trace.key_stamps_ns), bool(trace.key_truths))
+    _take_truth(table, trace.key_stamps_ns, trace.key_truths)
     trace.key_stamps_ns.append(_stamp(table, "keyframe", trace.key_stamps_ns))
-    trace.key_odometry.append(motion)
-    trace.key_predicted.append(predicted)
-    trace.key_estimates.append(estimate)
-    if truth is not None:
-        trace.key_truths.append(truth)
-    trace.associations.append(association)
-    trace.walls_found.append(walls)
-    trace.stopwatch.rows.append(row)
-    trace.stopwatch.totals |= totals
+    trace.key_odometry.append(Odometry(_pose(table, "motion"), _array(table, "motion_cov", (3, 3))))
+    trace.key_predicted.append(_estimate(table, "predicted_pose", "predicted_cov"))
+    trace.key_estimates.append(_estimate(table, "pose", "pose_cov"))
+    observations = dict(map(_observation, _unpacked(table, "observations", (-1, 10)).tolist()))
+    discarded, dof, fused = (_whole(table, name) for name in ("discarded", "dof", "fused"))
+    trace.associations.append(Association(observations, discarded, _number(table, "nis"), dof, fused))
+    trace.walls_found.append(_unpacked(table, "walls", (-1, 2, 2)))
+    trace.stopwatch.rows.append(_times(table, "ms"))
+    trace.stopwatch.totals |= _times(table, "total_ms")
 
 
 def _take_plan(table: Line, trace: Trace) -> None:
@@ -192,11 +173,11 @@ def _take_end(table: Line, trace: Trace) -> None:
     if table["last_position"] is not None:
         trace.last_position = _array(table, "last_position", (2,))
     trace.stopwatch.totals |= _times(table, "total_ms")
-    trace.plans_below_margin = _count(table, "plans_below_margin")
-    trace.plans_by_astar, trace.guard_stops = _count(table, "plans_by_astar"), _count(table, "guard_stops")
     trace.left = [UnseenPlace(float(x), float(y), float(m2), as_reason(why)) for x, y, m2, why in table["left"]]
-    trace.culled, trace.walls_merged = _whole(table, "culled"), _whole(table, "walls_merged")
-    trace.rebuilds = _whole(table, "rebuilds")
+    for name in COUNTS:
+        setattr(trace, name, _whole(table, name))
+    for name in COUNTS_OF_DRIVES:
+        setattr(trace, name, None if table[name] is None else _whole(table, name))
     if (counts := table.get("loop_closures")) is not None:  # older records have none
         trace.loop_closures = LoopClosureCounts(*(_whole(counts, name) for name in LoopClosureCounts._fields))
     if "wheels" in table:
@@ -222,11 +203,12 @@ def _observation(row: list[float]) -> tuple[LandmarkId, Observation]:
     return int(landmark), Observation(Kind(int(kind)), np.array([x, y]), cov, (first, last))
 
 
-def _truth(table: Line, has_rows: bool, has_truth: bool) -> Array | None:
-    """The true pose, which all lines of a kind have, or none."""
-    if has_rows and has_truth != ("truth" in table):
+def _take_truth(table: Line, stamps_ns: Sequence[int], truths: list[Array]) -> None:
+    """Add the true pose, which all lines of a kind have, or none."""
+    if stamps_ns and bool(truths) != ("truth" in table):
         raise ValueError("the truth in some lines and not in others")
-    return _array(table, "truth", (3,)) if "truth" in table else None
+    if "truth" in table:
+        truths.append(_array(table, "truth", (3,)))
 
 
 def _stamp(table: Line, name: str, before: list[int]) -> int:
@@ -243,16 +225,16 @@ def _whole(table: Line, name: str, least: int = 0) -> int:
     return value
 
 
-def _count(table: Line, name: str) -> int | None:
-    return None if table[name] is None else _whole(table, name)
-
-
 def _number(table: Line, name: str) -> float:
     return float(_array(table, name, ()))
 
 
 def _pose(table: Line, name: str) -> Pose:
     return Pose.from_array(_array(table, name, (3,)))
+
+
+def _estimate(table: Line, pose: str, cov: str) -> Estimate:
+    return Estimate.of_pose(_pose(table, pose), _array(table, cov, (3, 3)))
 
 
 def _times(table: Line, name: str) -> dict[str, float]:
@@ -263,25 +245,26 @@ def _times(table: Line, name: str) -> dict[str, float]:
 
 
 def _unpacked(table: Line, name: str, shape: tuple[int, ...]) -> Array:
-    """The finite numbers of that name, packed in base64, in a shape whose first length is any."""
+    """The numbers of that name, packed in base64, in a shape whose first length is any."""
     try:
         array = np.frombuffer(base64.b64decode(table[name], validate=True), dtype="<f8").reshape(shape)
     except (TypeError, ValueError):
         raise ValueError(f"{name} {shown(table[name])}") from None
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} with a number that is not finite")
-    return np.array(array, dtype=np.float64)
+    return checked(name, array, shape)
 
 
 def _array(table: Line, name: str, shape: tuple[int, ...]) -> Array:
-    """The finite numbers of that name in that shape, in which a first length of -1 is any."""
+    """The numbers of that name in that shape, in which a first length of -1 is any."""
     try:
         array = np.array(table[name], dtype=np.float64)
-        if array.size == 0 and shape[:1] == (-1,):
-            array = array.reshape(0, *shape[1:])
-        expected = (len(array), *shape[1:]) if shape[:1] == (-1,) else shape
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} {shown(table[name])}") from None
-    if array.shape != expected or not np.isfinite(array).all():
-        raise ValueError(f"{name} {shown(table[name])}")
-    return array
+    return checked(name, array.reshape(0, *shape[1:]) if array.size == 0 and shape[:1] == (-1,) else array, shape)
+
+
+def checked(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> Array:
+    """Finite numbers in that shape, in which a first length of -1 is any; ValueError for any others."""
+    expected = (*array.shape[:1], *shape[1:]) if shape[:1] == (-1,) else shape
+    if array.dtype.kind != "f" or array.shape != expected or not np.isfinite(array).all():
+        raise ValueError(f"{name} of shape {array.shape} and type {array.dtype}, or with a number that is not finite")
+    return np.array(array, dtype=np.float64)

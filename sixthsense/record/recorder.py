@@ -7,8 +7,7 @@ import time
 from sixthsense.core.geometry import Array
 from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.navigation.pilot import Steersman
-from sixthsense.record.live import Live
-from sixthsense.record.trace import Trace
+from sixthsense.record.trace import Live, Trace
 from sixthsense.slam.slam import Slam, Step
 
 

@@ -27,6 +27,10 @@ from sixthsense.sources.scene import Scene
 
 FILE = "record.jsonl"
 FORMAT = 1
+COUNTS = ("culled", "walls_merged", "rebuilds")
+"""of the trace, in the last line"""
+COUNTS_OF_DRIVES = ("plans_below_margin", "plans_by_astar", "guard_stops")
+"""the same, None for a log"""
 
 _PERIOD_S = 0.5  # of wall time between two writes
 
@@ -63,27 +67,24 @@ class RecordWriter:
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Write what the trace has gained, if it is time."""
+        self._see(trace)
+
+    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
+        """Write what the trace has gained with ticks without a scan, if it is time."""
+        self._see(trace)
+
+    def _see(self, trace: Trace) -> None:
         self._trace = trace
         if time.monotonic() - self._flushed >= _PERIOD_S:
             self.flush()
 
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        """Write what the trace has gained with ticks without a scan, if it is time."""
-        if time.monotonic() - self._flushed >= _PERIOD_S:
-            self.flush()
-
     def flush(self) -> None:
-        """Write what the trace has gained until now."""
-        if self._trace is not None:
-            self.add(self._trace)
-            self._flushed = time.monotonic()
-
-    def add(self, trace: Trace) -> None:
         """Write every keyframe, plan and scan of the trace that has not been written yet."""
-        lines: list[Line] = []
-        if not self._has_begun:
-            self._has_begun = True
-            lines.append(_run_line(trace))
+        if (trace := self._trace) is None:
+            return
+        self._flushed = time.monotonic()
+        lines: list[Line] = [] if self._has_begun else [_run_line(trace)]
+        self._has_begun = True
         lines += [_keyframe_line(trace, k) for k in range(self._keyframes, len(trace.key_stamps_ns))]
         lines += [{"plan": path.tolist()} for path in trace.plans[self._plans :]]
         lines += [_scan_line(trace, k) for k in range(self._scans, len(trace.stamps_ns))]
@@ -92,7 +93,8 @@ class RecordWriter:
 
     def end(self, trace: Trace) -> None:
         """Write the last line of a run that is over."""
-        self.add(trace)
+        self._trace = trace
+        self.flush()
         self._write([_end_line(trace)])
 
     def _write(self, lines: list[Line]) -> None:
@@ -203,13 +205,8 @@ def _end_line(trace: Trace) -> Line:
         "path_length_m": trace.path_length_m,
         "last_position": None if last_position is None else last_position.tolist(),
         "total_ms": trace.stopwatch.totals,
-        "plans_below_margin": trace.plans_below_margin,
-        "plans_by_astar": trace.plans_by_astar,
-        "guard_stops": trace.guard_stops,
         "left": [[place.x, place.y, place.area_m2, place.reason] for place in trace.left],
-        "culled": trace.culled,
-        "walls_merged": trace.walls_merged,
-        "rebuilds": trace.rebuilds,
+        **{name: getattr(trace, name) for name in (*COUNTS, *COUNTS_OF_DRIVES)},
         "loop_closures": None if trace.loop_closures is None else trace.loop_closures._asdict(),
         **({} if trace.wheels is None else {"wheels": trace.wheels.tolist()}),
         **({} if trace.sensor is None else {"sensor": trace.sensor.tolist()}),

@@ -13,22 +13,45 @@ from sixthsense.config import Config
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
+from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry, are_carried
 from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
-from sixthsense.record.live import Live
 from sixthsense.record.stopwatch import Stopwatch
+from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association, Record
-from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.estimators import Estimate, Estimator
+from sixthsense.slam.features import Features
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step
 from sixthsense.sources.logs.relations import Relations
 from sixthsense.sources.scene import Scene
 
-_EMPTY_ESTIMATE = Estimate(
-    Pose(), np.zeros((3, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
-)
+
+@dataclass(slots=True)
+class Live:
+    """`Trace.live`: valid during the call of `on_tick`; copy the values that you keep."""
+
+    estimator: Estimator
+    """the estimator, which computes the landmarks' covariances"""
+    records: Mapping[LandmarkId, Record]
+    """records of the landmarks in the estimate"""
+    associator: Associator
+    """the associator, whose inputs can be observed"""
+    scan: Scan | None = None
+    """the last scan, deskewed; robot's frame"""
+    features: Features | None = None
+    """features of the last keyframe; robot's frame"""
+    since_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) of the motion since the last keyframe, axes of the keyframe"""
+
+    def point_covariances(self, estimate: Estimate) -> Array:
+        """(m, 2, 2) covariances of the m point landmarks of the latest estimate, world frame."""
+        ids = estimate.ids[~estimate.walls].tolist()
+        joint = self.estimator.joint_covariance(ids)[3:, 3:].reshape(len(ids), 2, len(ids), 2)
+        each = np.arange(len(ids))
+        return np.asarray(joint[each, :, each, :])
 
 
 @dataclass(slots=True, repr=False)
@@ -97,7 +120,7 @@ class Trace:
     """places that an exploration has not seen"""
     trajectory: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(K, 3) final pose at each keyframe"""
-    final: Estimate = field(default_factory=lambda: _EMPTY_ESTIMATE)
+    final: Estimate = field(default_factory=lambda: Estimate.of_pose(Pose(), np.zeros((3, 3))))
     """estimate at the end of the run"""
     joint_cov: Array = field(default_factory=lambda: np.zeros((3, 3)))
     """(3 + 2n, 3 + 2n) joint covariance of the final estimate"""

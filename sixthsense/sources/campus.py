@@ -7,18 +7,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array
-from sixthsense.sources.scene_fields import Point, check_keys, read_numbers, read_positive
-from sixthsense.sources.scene_names import SceneError
 
-Wall = list[Point]
-
-_KEYS = ("blocks", "block_m", "corridor_m", "halls", "furniture", "seed")
-_MOST_BLOCKS, _LEAST_BLOCK_M, _LEAST_CORRIDOR_M = 400, 20.0, 1.5
+_MOST_BLOCKS = 400
 _DOOR_M, _HALL_DOOR_M = (0.9, 1.2), 2.0
 _BAND_M = (5.0, 7.0)  # depth of the rooms along two sides of a block
 _ROOM_M = (4.5, 6.5)  # their width, about
@@ -26,113 +24,87 @@ _PILLAR_M, _PILLARS_APART_M = 0.6, 6.0
 _PIECE_M, _PIECE_CLEAR_M = (0.5, 1.6), 1.0  # furniture, and its distance from walls: no door is blocked
 
 
-class Campus(NamedTuple):
-    """The numbers that a campus is drawn from."""
+@dataclass(frozen=True)
+class Campus(Section):
+    """The numbers that a campus is drawn from: the table `campus` of a scene."""
 
-    blocks: tuple[int, int]
+    blocks: tuple[Annotated[int, Range(1, _MOST_BLOCKS)], Annotated[int, Range(1, _MOST_BLOCKS)]]
     """along x and y"""
-    block_m: float
+    block_m: Annotated[float, Range(20.0, 1e6)]
     """side of a block"""
-    corridor_m: float
+    corridor_m: Annotated[float, Range(1.5, 1e6)]
     """width of the corridors around the blocks"""
-    halls: float
+    halls: Annotated[float, Range(0.0, 1.0)]
     """share of the blocks that are a hall with pillars"""
-    furniture: float
+    furniture: Annotated[float, Range(0.0, 3.0)]
     """mean number of pieces in a room"""
-    seed: int
+    seed: Annotated[int, Range(0)]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.blocks[0] * self.blocks[1] > _MOST_BLOCKS:
+            found = f"{self.blocks[0]} x {self.blocks[1]}"
+            raise ConfigError(f"blocks: found {found}, allowed: at most {_MOST_BLOCKS} in all")
 
 
-def read_campus(table: Any) -> Campus:
-    """The table `campus` of a scene; SceneError that names the field."""
-    if not isinstance(table, dict):
-        raise SceneError(f"campus: found {table!r}, allowed: a table with {', '.join(_KEYS)}")
-    check_keys("campus.", table, _KEYS, _KEYS)
-    blocks = read_numbers("campus.blocks", table["blocks"], "x y")
-    seed, halls, furniture = (
-        read_numbers(f"campus.{name}", [table[name]], name)[0] for name in ("seed", "halls", "furniture")
-    )
-    whole = all(number == int(number) for number in (*blocks, seed))
-    if not whole or min(blocks) < 1 or blocks[0] * blocks[1] > _MOST_BLOCKS or seed < 0:
-        found = f"{blocks[0]:g} x {blocks[1]:g} and {seed:g}"
-        allowed = f"whole numbers, at most {_MOST_BLOCKS} blocks and a seed of at least 0"
-        raise SceneError(f"campus.blocks, campus.seed: found {found}, allowed: {allowed}")
-    if not 0.0 <= halls <= 1.0 or not 0.0 <= furniture <= 3.0:
-        raise SceneError(f"campus.halls, campus.furniture: found {halls:g}, {furniture:g}, allowed: 0 to 1, 0 to 3")
-    block_m, corridor_m = (read_positive(f"campus.{name}", table[name]) for name in ("block_m", "corridor_m"))
-    if block_m < _LEAST_BLOCK_M or corridor_m < _LEAST_CORRIDOR_M:
-        allowed = f"at least {_LEAST_BLOCK_M:g} and {_LEAST_CORRIDOR_M:g}"
-        raise SceneError(f"campus.block_m, campus.corridor_m: found {block_m:g}, {corridor_m:g}, allowed: {allowed}")
-    return Campus((int(blocks[0]), int(blocks[1])), block_m, corridor_m, halls, furniture, int(seed))
-
-
-def campus_walls(campus: Campus) -> list[Wall]:
-    """The walls, from (0, 0) on; one seed is one campus."""
+def campus_walls(campus: Campus) -> Array:
+    """The walls (N, 2, 2), from (0, 0) on; one seed is one campus."""
     rng = np.random.default_rng(campus.seed)
     pitch = campus.block_m + campus.corridor_m
-    size = np.array(campus.blocks) * pitch + campus.corridor_m
-    walls = _box((0.0, 0.0), (float(size[0]), float(size[1])))
-    for i in range(campus.blocks[0]):
-        for j in range(campus.blocks[1]):
-            low = campus.corridor_m + pitch * np.array([i, j], dtype=np.float64)
-            walls += _hall(low, campus, rng) if rng.random() < campus.halls else _rooms(low, campus, rng)
-    return walls
+    walls = [_box(np.zeros(2), np.array(campus.blocks) * pitch + campus.corridor_m)]
+    for i, j in itertools.product(*map(range, campus.blocks)):
+        low = campus.corridor_m + pitch * np.array([i, j], dtype=np.float64)
+        walls.append(low + (_hall(campus, rng) if rng.random() < campus.halls else _rooms(campus, rng)))
+    return np.concatenate(walls)
 
 
-def _rooms(low: Array, campus: Campus, rng: np.random.Generator) -> list[Wall]:
+def _rooms(campus: Campus, rng: np.random.Generator) -> Array:
     """A block of rooms: a row along its lower and its upper side, and between them two on either hand."""
     side = campus.block_m
     bottom, top = rng.uniform(*_BAND_M, 2)
     middle, across = rng.uniform(0.45, 0.55, 2)
-    walls: list[Wall] = []
+    walls: list[Array] = []
     for depth, outer, inner in ((bottom, 0.0, bottom), (top, side, side - top)):
         count = round(side / rng.uniform(*_ROOM_M))
         edges = np.concatenate([[0.0], np.arange(1, count) + rng.uniform(-0.1, 0.1, count - 1), [count]]) * side / count
-        walls.append([(0.0, inner), (side, inner)])
+        walls.append(_walls([(0.0, inner), (side, inner)]))
         for left, right in itertools.pairwise(edges):
-            walls += _with_door((left, outer), (right, outer), _DOOR_M, rng)
+            walls.append(_with_door((left, outer), (right, outer), _DOOR_M, rng))
             walls += _furniture((left, min(outer, inner)), (right - left, depth), campus.furniture, rng)
-        walls += [[(float(x), outer), (float(x), inner)] for x in edges]
+        walls.append(_walls(*([(x, outer), (x, inner)] for x in edges)))
     height, x = side - top - bottom, middle * side
     y = bottom + across * height
-    walls += [[(x, bottom), (x, side - top)], [(0.0, y), (side, y)]]
+    walls.append(_walls([(x, bottom), (x, side - top)], [(0.0, y), (side, y)]))
     for below, above in ((bottom, y), (y, side - top)):
-        walls += _with_door((0.0, below), (0.0, above), _DOOR_M, rng) + _with_door(
-            (side, below), (side, above), _DOOR_M, rng
-        )
+        walls += [_with_door((at, below), (at, above), _DOOR_M, rng) for at in (0.0, side)]
         walls += _furniture((0.0, below), (x, above - below), campus.furniture, rng)
         walls += _furniture((x, below), (side - x, above - below), campus.furniture, rng)
-    return _moved(walls, low)
+    return np.concatenate(walls)
 
 
-def _hall(low: Array, campus: Campus, rng: np.random.Generator) -> list[Wall]:
+def _hall(campus: Campus, rng: np.random.Generator) -> Array:
     """A hall with a wide door in each side and rows of pillars."""
     side = campus.block_m
-    corners = [(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)]
-    walls: list[Wall] = []
-    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
-        walls += _with_door(a, b, (_HALL_DOOR_M, _HALL_DOOR_M), rng)
+    walls = [_with_door(a, b, (_HALL_DOOR_M, _HALL_DOOR_M), rng) for a, b in _box(np.zeros(2), np.array([side, side]))]
     count = int(side / _PILLARS_APART_M) - 1
     first = 0.5 * (side - (count - 1) * _PILLARS_APART_M - _PILLAR_M)
-    for i in range(count):
-        for j in range(count):
-            x, y = first + _PILLARS_APART_M * i, first + _PILLARS_APART_M * j
-            walls += _box((x, y), (_PILLAR_M, _PILLAR_M))
-    return _moved(walls, low)
+    for place in itertools.product(range(count), repeat=2):
+        walls.append(_box(first + _PILLARS_APART_M * np.array(place), np.array([_PILLAR_M, _PILLAR_M])))
+    return np.concatenate(walls)
 
 
-def _with_door(a: Point, b: Point, width_m: tuple[float, float], rng: np.random.Generator) -> list[Wall]:
-    """A wall from a to b with a door, away from its ends."""
-    begin, there = np.array(a), np.array(b) - np.array(a)
+def _with_door(a: ArrayLike, b: ArrayLike, width_m: tuple[float, float], rng: np.random.Generator) -> Array:
+    """A wall (2, 2, 2) from a to b with a door, away from its ends."""
+    begin = np.asarray(a, dtype=np.float64)
+    there = np.asarray(b, dtype=np.float64) - begin
     length, width = float(np.hypot(*there)), float(rng.uniform(*width_m))
     at = float(rng.uniform(0.5, length - 0.5 - width))
-    ends = [begin, begin + at / length * there, begin + (at + width) / length * there, begin + there]
-    points = [(float(x), float(y)) for x, y in ends]
-    return [points[:2], points[2:]]
+    shares = np.array([0.0, at / length, (at + width) / length, 1.0])
+    return (begin + shares[:, None] * there).reshape(2, 2, 2)
 
 
-def _furniture(low: Point, size: Sequence[float], mean: float, rng: np.random.Generator) -> list[Wall]:
+def _furniture(low: ArrayLike, size: ArrayLike, mean: float, rng: np.random.Generator) -> list[Array]:
     """Pieces of furniture in a room, away from its walls and from each other; those without a place are left out."""
-    walls: list[Wall] = []
     kept: list[tuple[Array, Array]] = []
     for _ in range(rng.poisson(mean)):
         piece = rng.uniform(*_PIECE_M, 2)
@@ -141,16 +113,14 @@ def _furniture(low: Point, size: Sequence[float], mean: float, rng: np.random.Ge
         gaps = [np.maximum(at - (p + s), p - (at + piece)).max() for p, s in kept]
         if (room > 0.0).all() and min(gaps, default=np.inf) > _PIECE_CLEAR_M:
             kept.append((at, piece))
-            walls += _box((float(at[0]), float(at[1])), (float(piece[0]), float(piece[1])))
-    return walls
+    return [_box(at, piece) for at, piece in kept]
 
 
-def _box(low: Point, size: Point) -> list[Wall]:
-    (x, y), (w, h) = low, size
-    corners = [(x, y), (x + w, y), (x + w, y + h), (x, y + h)]
-    return [[a, b] for a, b in zip(corners, [*corners[1:], corners[0]], strict=True)]
+def _box(low: Array, size: Array) -> Array:
+    """The sides (4, 2, 2) of a rectangle, counter-clockwise."""
+    corners = low + np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * size
+    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
-def _moved(walls: list[Wall], by: Array) -> list[Wall]:
-    x, y = float(by[0]), float(by[1])
-    return [[(float(ax) + x, float(ay) + y), (float(bx) + x, float(by_) + y)] for (ax, ay), (bx, by_) in walls]
+def _walls(*walls: Sequence[tuple[float, float]]) -> Array:
+    return np.array(walls, dtype=np.float64)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 
-TOLERANCE_CELLS = 0.5
-"""Largest distance of a corner of the cells' outline from the simplified outline."""
+# Largest distance of a corner of the cells' outline from the simplified outline.
+_TOLERANCE_CELLS = 0.5
 # The cost of a segment is 1 plus this times the squared distances, in cells, of the outline's corners from it. Above 2,
 # so that removing the end of a wall one cell thick (two corners half a cell off, one segment less) raises the cost.
 # Below 4, so that one line replaces a staircase (two corners half a cell off for every two segments).
@@ -20,38 +20,28 @@ _DEVIATION_COST = 3.0
 _LOOK_AHEAD = 2000
 
 
-def outlines(occupied: NDArray[np.bool_]) -> list[Array]:
+def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """The closed outlines of the occupied cells, the image's border included.
 
-    `occupied` (H, W), row 0 at the bottom. Returns for each outline its corners (K, 2), x and y in cells from the
-    lower left corner of the grid, occupied cells on the left: counter-clockwise around a solid, clockwise around
-    a hole. Cells that touch diagonally are connected, so that no ray passes between them.
+    `occupied` (H, W), row 0 at the bottom. Returns the corners (K, 2) of all outlines in sequence, x and y in cells
+    from the lower left corner of the grid, and the end index of each outline. Occupied cells are on the left:
+    counter-clockwise around a solid, clockwise around a hole. Cells that touch diagonally are connected, so that no
+    ray passes between them.
     """
-    corners, ends = outline_corners(occupied)
-    return [loop.astype(np.float64) for loop in np.split(corners, ends[:-1])] if len(ends) else []
-
-
-def outline_corners(occupied: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Corners (K, 2) of all outlines in sequence, and the end index of each."""
     corners, ends = _trace(np.pad(np.asarray(occupied, dtype=np.uint8), 1))
     return corners, ends
 
 
-def simplify(loop: Array) -> Array:
-    """Simplify a closed outline (K, 2) of cells, in cells, to fewer corners (M, 2), M <= K.
+@numba.njit(cache=True, error_model="numpy")
+def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
+    """Closed outlines of cells with fewer corners: these in sequence, and the end index of each outline.
 
-    The result has the least cost among all polygons through corners and midpoints of the outline's sides that stay
+    The result has the least cost among all polygons through corners and midpoints of an outline's sides that stay
     within half a cell of every corner. The cost is the number of segments plus the weighted squared distances of the
     corners. Midpoints are candidates because a slanted wall is a staircase whose line passes through the midpoints of
     its steps. The shortest path over candidate points and the wedge test of a segment follow Imai and Iri, "Polygonal
     approximations of a curve" (1988).
     """
-    return np.asarray(simplified(np.asarray(loop, dtype=np.float64), np.array([len(loop)]))[0])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """The simplified outlines: their corners in sequence, and the end index of each; a map may have many thousands."""
     kept = np.empty_like(corners)
     kept_ends = np.empty_like(ends)
     begin, filled = 0, 0
@@ -63,7 +53,7 @@ def simplified(corners: Array, ends: NDArray[np.int64]) -> tuple[Array, NDArray[
             points[2 * i] = here
             points[2 * i + 1] = (here + ahead) / 2
         points[2 * n] = points[0]
-        for i in _cheapest(points, TOLERANCE_CELLS, _DEVIATION_COST):
+        for i in _cheapest(points, _TOLERANCE_CELLS, _DEVIATION_COST):
             kept[filled] = points[i]
             filled += 1
         begin, kept_ends[k] = ends[k], filled

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from sixthsense.config import Config, ConfigError, load_config, merge
 from sixthsense.config.files import absolute
 from sixthsense.config.names import OF_THE_ROBOT
-from sixthsense.sources.logs import is_bag, is_graph, is_mrclam, is_run_folder
+from sixthsense.sources.logs import kind_of
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
 
@@ -56,12 +56,10 @@ def base_of(log: str | Path | None) -> str | Config:
     """The base configuration for a log: that of the run folder, else the preset of its kind."""
     if log is None:
         return "log"
-    path = Path(log)
-    if is_run_folder(path):
-        return load_config(path / "config.toml")
-    if is_graph(path):
-        return "victoria"
-    return "mrclam" if is_mrclam(path) else "log"
+    kind = kind_of(Path(log))
+    if kind == "run":
+        return load_config(Path(log) / "config.toml")
+    return {"graph": "victoria", "mrclam": "mrclam"}.get(kind, "log")
 
 
 class Chosen(NamedTuple):
@@ -87,37 +85,28 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Cho
             raise ConfigError(f"{prefix}{name}: found on replay, allowed: {allowed}")
     if log is None:
         return
-    path = Path(log)
-    is_run = is_run_folder(path)
-    frames = "odometry-frames" if prefix else "odometry_frames"
-    for name, value in (("topic", chosen.topics), (frames, chosen.odometry_frames)):
-        if value and (is_run or not is_bag(path)):
-            raise ConfigError(f"{prefix}{name}: found on a log that is not a ROS bag, allowed: on a bag")
-    if is_run and "preset" in fields:
-        raise ConfigError(f"{prefix}preset: found on a run folder, allowed: single fields over its config.toml")
-    if is_run or is_bag(path):
-        for name in fields.get("laser", {}):
-            if name != "mount":
-                allowed = f"allowed: {prefix}laser.mount"
-                raise ConfigError(f"{prefix}laser.{name}: found on a bag, which describes its laser, {allowed}")
-    _check_landmark_options(path, fields, chosen.robot is not None, prefix)
-
-
-def _check_landmark_options(path: Path, fields: Mapping[str, Any], has_robot: bool, prefix: str) -> None:
-    """Raise ConfigError for options that do not apply to a log of landmarks with known ids."""
-    graph = is_graph(path)
-    mrclam = not graph and not is_run_folder(path) and not is_bag(path) and is_mrclam(path)
-    if has_robot and not mrclam:
-        raise ConfigError(f"{prefix}robot: found on a log that is not a MRCLAM folder, allowed: on a MRCLAM folder")
-    if not graph and not mrclam:
-        return
-    if fields.get("no_odometry", fields.get("no-odometry")):
-        name = "no-odometry" if prefix else "no_odometry"
-        raise ConfigError(f"{prefix}{name}: found on a log that has landmarks and no scans, allowed: on a log of scans")
-    for name in ("laser", "keyframes", "features", "grid", *(["assumed"] if graph else [])):
-        for field_name in fields.get(name, {}):
-            has = "contains its own noise" if name == "assumed" else "has landmarks and no scans"
-            raise ConfigError(f"{prefix}{name}.{field_name}: found on a log that {has}, allowed: on a log of scans")
+    kind = kind_of(Path(log))
+    frames, no_odometry = (name if prefix else name.replace("-", "_") for name in ("odometry-frames", "no-odometry"))
+    refused: list[tuple[str, str]] = []
+    if kind != "bag":
+        given = (("topic", chosen.topics), (frames, chosen.odometry_frames))
+        refused += [(name, "a log that is not a ROS bag, allowed: on a bag") for name, value in given if value]
+    if kind == "run" and "preset" in fields:
+        refused.append(("preset", "a run folder, allowed: single fields over its config.toml"))
+    if kind in ("run", "bag"):
+        where = f"a bag, which describes its laser, allowed: {prefix}laser.mount"
+        refused += [(f"laser.{name}", where) for name in fields.get("laser", {}) if name != "mount"]
+    if kind != "mrclam" and chosen.robot is not None:
+        refused.append(("robot", "a log that is not a MRCLAM folder, allowed: on a MRCLAM folder"))
+    if kind in ("graph", "mrclam"):
+        where = "a log that {}, allowed: on a log of scans"
+        if fields.get("no_odometry", fields.get("no-odometry")):
+            refused.append((no_odometry, where.format("has landmarks and no scans")))
+        for section in ("laser", "keyframes", "features", "grid", *(["assumed"] if kind == "graph" else [])):
+            has = "contains its own noise" if section == "assumed" else "has landmarks and no scans"
+            refused += [(f"{section}.{name}", where.format(has)) for name in fields.get(section, {})]
+    for name, where in refused:
+        raise ConfigError(f"{prefix}{name}: found on {where}")
 
 
 def check_out(log: str | Path, out: Path | None) -> None:
@@ -142,9 +131,7 @@ def open_recorded(
     LogError for an invalid file, and for relations none of which has stamps of scans.
     """
     from sixthsense.sources.logs import open_log
-    from sixthsense.sources.logs.mrclam import MrclamLog
     from sixthsense.sources.logs.relations import read_relations
-    from sixthsense.sources.logs.rosbag import BagLog
 
     files = {"log": str(absolute(log))}
     topics, robot, frames = chosen or Chosen()
@@ -164,10 +151,6 @@ def open_recorded(
     notes: list[str] = []
     if given is not None:
         given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
-    if isinstance(opened, BagLog) and opened.cut_short:
-        notes.append(f"the recording is incomplete; its first {opened.duration_s:.1f} s are used")
-    if isinstance(opened, MrclamLog) and opened.misread:
-        notes.append(f"{opened.misread} measurements with an unknown barcode are skipped")
     notes += opened.remarks()
     config = of_log(config, opened)
     if config.no_odometry:

@@ -3,27 +3,47 @@
 from __future__ import annotations
 
 import itertools
-import math
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.section import shown
+from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.sources.outlines import outline_corners, simplified
-from sixthsense.sources.scene_fields import check_count, check_keys, read_name, read_text
-from sixthsense.sources.scene_names import SceneError
+from sixthsense.sources.scene_files import Coordinate, SceneError, check_count, read_floats, read_section, read_text
 
 MAX_PIXELS = 100_000_000
-_REQUIRED = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
 _FORMATS = ("PPM", "PNG", "BMP", "JPEG")
 _LONGEST = 1 << 16  # characters
 _LONGEST_NAME = 1000
 _LONGEST_REASON = 300
 _DEEPEST = 20  # nested lists; a YAML parser is slow on deeper ones
+
+
+@dataclass(frozen=True)
+class _Map(Section):
+    """The fields of a map."""
+
+    image: str
+    resolution: Annotated[float, Range(1e-4, 100.0)]
+    """metres a cell"""
+    origin: tuple[Coordinate, Coordinate, Coordinate]
+    """x, y and yaw of the lower left corner"""
+    negate: Literal["0", "1", "false", "true"]
+    occupied_thresh: Annotated[float, Range(0.0, 1.0)]
+    free_thresh: Annotated[float, Range(0.0, 1.0)]
+    mode: Literal["trinary", "scale"] = "trinary"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < len(self.image) <= _LONGEST_NAME:
+            raise ConfigError(f"image: found a name of {len(self.image)} characters, allowed: the name of a file")
+        if self.free_thresh > self.occupied_thresh:
+            raise ConfigError(f"free_thresh: found {self.free_thresh:g}, allowed: at most occupied_thresh")
 
 
 def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
@@ -36,34 +56,18 @@ def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
     and for an image that is missing, damaged, huge, entirely free or entirely solid.
     """
     table = _read_yaml(file)
-    check_keys("", table, (*_REQUIRED, "mode"), _REQUIRED)
-    name = read_name("image", table["image"])
-    if len(name) > _LONGEST_NAME:
-        raise SceneError(f"image: found a name of {len(name)} characters, allowed: the name of a file")
-    resolution = _number("resolution", table["resolution"])
-    if not 1e-4 <= resolution <= 100.0:
-        raise SceneError(f"resolution: found {resolution:g}, allowed: 0.0001 to 100 metres a cell")
-    origin = table["origin"]
-    if not isinstance(origin, list) or len(origin) != 3:
-        raise SceneError(f"origin: found {shown(origin)}, allowed: [x, y, yaw]")
-    T_world_map = Pose(*(_number(f"origin, entry {k}", value) for k, value in enumerate(origin, 1)))
-    negate = str(table["negate"]).lower()
-    if negate not in ("0", "1", "false", "true"):
-        raise SceneError(f"negate: found {shown(table['negate'])}, allowed: 0 or 1")
-    occupied_threshold = _fraction("occupied_thresh", table["occupied_thresh"])
-    free_threshold = _fraction("free_thresh", table["free_thresh"])
-    if free_threshold > occupied_threshold:
-        raise SceneError(f"free_thresh: found {free_threshold:g}, allowed: at most occupied_thresh")
-    mode = table.get("mode", "trinary")
-    if mode not in ("trinary", "scale"):
-        raise SceneError(f"mode: found {shown(mode)}, allowed: trinary, scale")
+    if isinstance(table, dict):
+        table = {key: _read_value(key, text) for key, text in table.items()}
+    stated = read_section("", table, _Map)
+    T_world_map = Pose(*stated.origin)
 
-    image = file.parent / name
-    values = _read_image(image, with_alpha=mode == "trinary")  # (H, W, channels)
+    image = file.parent / stated.image
+    values = _read_image(image, with_alpha=stated.mode == "trinary")  # (H, W, channels)
     total = values.sum(axis=2, dtype=np.uint16)
     shade = np.arange(255 * values.shape[2] + 1) / (255.0 * values.shape[2])  # mean of each sum, 0 black to 1 white
-    occupancy = shade if negate in ("1", "true") else 1.0 - shade
-    occupied = (occupancy > occupied_threshold if unknown == "free" else occupancy >= free_threshold)[total]
+    occupancy = shade if stated.negate in ("1", "true") else 1.0 - shade
+    is_occupied = occupancy > stated.occupied_thresh if unknown == "free" else occupancy >= stated.free_thresh
+    occupied = is_occupied[total]
     if not occupied.any():
         raise SceneError(f"{image}: found no occupied pixel, allowed: at least one above occupied_thresh")
     if occupied.all():
@@ -76,7 +80,7 @@ def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
     check_count(str(image), len(corners))
     following = np.arange(1, len(corners) + 1)
     following[ends - 1] = np.concatenate([[0], ends[:-1]])  # the last corner of an outline is followed by its first
-    corners_world = T_world_map @ np.asarray((corners - beyond) * resolution, dtype=np.float64)
+    corners_world = T_world_map @ np.asarray((corners - beyond) * stated.resolution, dtype=np.float64)
     return np.stack([corners_world, corners_world[following]], axis=1)
 
 
@@ -86,42 +90,31 @@ def _is_cut_off(solid: NDArray[np.bool_]) -> bool:
     return bool(0.5 < border.mean() < 1.0)
 
 
-def _read_yaml(file: Path) -> dict[Any, Any]:
+def _read_yaml(file: Path) -> Any:
     import yaml
 
     text = read_text(file)
     if len(text) > _LONGEST:
-        raise SceneError(f"found over {_LONGEST} characters, allowed: a table with {', '.join(_REQUIRED)}")
+        raise SceneError(f"found over {_LONGEST} characters, allowed: the fields of a map")
     depth = itertools.accumulate(1 if letter in "[{" else -1 for letter in text if letter in "[]{}")
     if max(depth, default=0) > _DEEPEST:
-        raise SceneError(f"found lists over {_DEEPEST} deep, allowed: a table with {', '.join(_REQUIRED)}")
+        raise SceneError(f"found lists over {_DEEPEST} deep, allowed: the fields of a map")
     try:
         # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
-        table = yaml.load(text, Loader=yaml.BaseLoader)
+        return yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
         shortened = reason if len(reason) <= _LONGEST_REASON else f"{reason[:_LONGEST_REASON]}..."
         raise SceneError(f"is not YAML ({shortened})") from None
-    if not isinstance(table, dict):
-        raise SceneError(f"found {shown(table)}, allowed: a table with {', '.join(_REQUIRED)}")
-    return table
 
 
-def _number(where: str, text: Any) -> float:
-    try:
-        value = float(text)
-    except (TypeError, ValueError):
-        value = math.nan
-    if not abs(value) <= 1e6:  # NaN as well
-        raise SceneError(f"{where}: found {shown(text)}, allowed: a number, none beyond 1e+06")
-    return value
-
-
-def _fraction(where: str, text: Any) -> float:
-    value = _number(where, text)
-    if not 0.0 <= value <= 1.0:
-        raise SceneError(f"{where}: found {value:g}, allowed: 0 to 1")
-    return value
+def _read_value(key: Any, text: Any) -> Any:
+    """The value of a field as its type has it, as far as the text allows."""
+    if key in ("resolution", "occupied_thresh", "free_thresh"):
+        return read_floats([text])[0]
+    if key == "origin" and isinstance(text, list):
+        return read_floats(text)
+    return text.lower() if key == "negate" and isinstance(text, str) else text
 
 
 def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:

@@ -6,6 +6,7 @@ Three formats are read: TOML (walls and polygons, the format of the shipped scen
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -17,23 +18,26 @@ import numpy as np
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.config.toml import parse_toml
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.sources.scene_fields import (
+from sixthsense.sources.scene_files import (
     Point,
     Region,
+    SceneError,
     check_count,
     check_keys,
+    read_each,
     read_floats,
-    read_list,
     read_numbers,
     read_point,
     read_polygon,
     read_positive,
     read_region,
+    read_section,
     read_text,
     read_wall,
+    scene_file,
+    shipped_scenes,
 )
-from sixthsense.sources.scene_names import SceneError, scene_file, shipped_scenes
-from sixthsense.sources.scripted_walk import ScriptedWalk, check_walks, read_walks
+from sixthsense.sources.walking_space import ScriptedWalk, check_walks, read_walks
 
 __all__ = ["Scene", "SceneError", "check_placement", "load_scene", "shipped_scenes"]
 
@@ -148,25 +152,17 @@ def _from_toml(path: Path) -> Scene:
     except ValueError as error:
         raise SceneError(str(error)) from None
     check_keys("", table, _SCENE_KEYS, ("start", "radius"))
-    segments = [
-        read_wall(f"walls, entry {k}", values) for k, values in enumerate(read_list("walls", table.get("walls", [])), 1)
-    ]
-    for k, polygon in enumerate(read_list("polygons", table.get("polygons", [])), 1):
-        segments += read_polygon(f"polygons, entry {k}", polygon)
+    segments = read_each("walls", table.get("walls", []), read_wall)
+    segments += itertools.chain(*read_each("polygons", table.get("polygons", []), read_polygon))
     if "campus" in table:
-        from sixthsense.sources.campus import campus_walls, read_campus
+        from sixthsense.sources.campus import Campus, campus_walls
 
-        segments += campus_walls(read_campus(table["campus"]))
+        segments += campus_walls(read_section("campus", table["campus"], Campus)).tolist()
     if not segments:
         raise SceneError("walls: found none, allowed: at least one wall, polygon or campus")
-    walls = np.array(segments)
-    glass = [
-        read_wall(f"glass, entry {k}", values) for k, values in enumerate(read_list("glass", table.get("glass", [])), 1)
-    ]
+    walls, glass = np.array(segments), read_each("glass", table.get("glass", []), read_wall)
     region = read_region("region", table["region"]) if "region" in table else _bounds(walls)
-    tour = tuple(
-        read_point(f"tour, entry {k}", values) for k, values in enumerate(read_list("tour", table.get("tour", [])), 1)
-    )
+    tour = tuple(read_each("tour", table.get("tour", []), read_point))
     goal = read_point("goal", table["goal"]) if "goal" in table else None
     start = Pose(*read_numbers("start", table["start"], "x y theta"))
     scene = Scene(
@@ -178,7 +174,7 @@ def _from_toml(path: Path) -> Scene:
         tour,
         region,
         glass=np.array(glass).reshape(-1, 2, 2),
-        walkers=read_walks(read_list("walkers", table.get("walkers", []))),
+        walkers=read_walks(table.get("walkers", [])),
     )
     _check_inside("start", (start.x, start.y), region)
     check_placement(scene, goal=goal, tour=tour)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from sixthsense.config import Config, WorldConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.random_streams import random_streams
 from sixthsense.sources.scene import Scene, SceneError
-from sixthsense.sources.scripted_walk import ScriptedWalk
-from sixthsense.sources.walking_space import BODY_M, Cells, WalkingSpace
+from sixthsense.sources.walking_space import BODY_M, Cells, ScriptedWalk, WalkingSpace
 
 LEG_M = 0.06
 """radius of a leg"""
@@ -35,37 +34,25 @@ _PARTED_M = 0.05  # gap after which the next touch is another one
 _TURNS = np.radians([0.0, -20.0, 20.0, -40.0, 40.0, -60.0, 60.0, -80.0, 80.0])  # people keep to the right
 
 
-class Itinerary(Protocol):
-    """Where someone goes next."""
-
-    def next(self) -> tuple[Array, float]:
-        """The next goal (2,), and the pause there in seconds."""
-        ...
+Itinerary = Iterator[tuple[Array, float]]
+"""the next goals (2,) of someone, and the pauses there in seconds, without end"""
 
 
-class _Rounds:
-    """The way points of a scene, again and again."""
-
-    def __init__(self, walk: ScriptedWalk) -> None:
-        self._walk, self._k = walk, 0
-
-    def next(self) -> tuple[Array, float]:
-        self._k = (self._k + 1) % len(self._walk.points)
-        return np.array(self._walk.points[self._k]), self._walk.pauses_s[self._k]
+def _rounds(walk: ScriptedWalk) -> Itinerary:
+    """The way points of a scene after the first, again and again."""
+    for k in itertools.count(1):
+        k %= len(walk.points)
+        yield np.array(walk.points[k]), walk.pause_s(k)
 
 
-class _FromRoomToRoom:
+def _from_room_to_room(space: WalkingSpace, rooms: Sequence[Cells], rng: np.random.Generator) -> Itinerary:
     """A random place of another room each time; of the same room if there is only one."""
-
-    def __init__(self, space: WalkingSpace, rooms: Sequence[Cells], rng: np.random.Generator) -> None:
-        self._space, self._rooms, self._rng = space, rooms, rng
-        self._room = -1
-
-    def next(self) -> tuple[Array, float]:
-        others = [k for k in range(len(self._rooms)) if k != self._room] or [self._room]
-        self._room = others[self._rng.integers(len(others))]
-        cells = self._rooms[self._room]
-        return self._space.centres(cells[self._rng.integers(len(cells))]), float(self._rng.uniform(*_PAUSES_S))
+    room = -1
+    while True:
+        others = [k for k in range(len(rooms)) if k != room] or [room]
+        room = others[rng.integers(len(others))]
+        cells = rooms[room]
+        yield space.centres(cells[rng.integers(len(cells))]), float(rng.uniform(*_PAUSES_S))
 
 
 @dataclass(slots=True)
@@ -108,9 +95,9 @@ class Walkers:
                 f"world.walkers: found {config.walkers}, allowed: at most {len(found)}, for whom there is room in "
                 f"{scene.name}"
             )
-        self._people = [_Walker(_Rounds(walk), walk.speed, walk.pauses_s[0], _NOWHERE) for walk in scene.walkers]
+        self._people = [_Walker(_rounds(walk), walk.speed, walk.pause_s(0), _NOWHERE) for walk in scene.walkers]
         for _ in found:
-            walk, speed = _FromRoomToRoom(space, rooms, rng), float(rng.uniform(*_SPEEDS))
+            walk, speed = _from_room_to_room(space, rooms, rng), float(rng.uniform(*_SPEEDS))
             self._people.append(_Walker(walk, speed, float(rng.uniform(*_PAUSES_S)), _NOWHERE))
         self.at = np.array([*places, *found]).reshape(-1, 2)
         """(N, 2) where they are"""
@@ -232,7 +219,7 @@ class Walkers:
         for _ in range(_TRIES):
             if way is not None:
                 break
-            goal, walker.pause_s = walker.itinerary.next()
+            goal, walker.pause_s = next(walker.itinerary)
             way = self._space.way(here, goal, avoid)
         if way is not None:
             walker.way, walker.ahead = way, 1
@@ -240,7 +227,7 @@ class Walkers:
     def _set_out(self, walker: _Walker, here: Array, goal: Array | None = None) -> None:
         """Take the shortest way to a goal, by default the next one."""
         if goal is None:
-            goal, walker.pause_s = walker.itinerary.next()
+            goal, walker.pause_s = next(walker.itinerary)
         way = self._space.way(here, goal)
         if way is not None:
             walker.way, walker.ahead = way, 1

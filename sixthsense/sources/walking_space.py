@@ -1,26 +1,30 @@
-"""Where people can walk in a building: its free cells, its rooms, and shortest ways between them."""
+"""Where people walk in a building: its free cells, its rooms, shortest ways, and the walks that a scene states."""
 
 from __future__ import annotations
 
+import functools
 import heapq
 import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array
+from sixthsense.sources.scene_files import Coordinate, Region, SceneError, read_each, read_section
 
 BODY_M = 0.25
 """radius of the disc that a person's body is"""
 
 Bools = NDArray[np.bool_]
 Cells = NDArray[np.int64]
-Region = tuple[float, float, float, float]
 
+_MOST_WALKS = 200
 _CELL_M = 0.1
 # Rooms are what remains when all places as narrow are closed: doors, and corridors where people cannot pass each other.
 _DOOR_M = 1.4
@@ -169,3 +173,52 @@ class WalkingSpace:
         points = a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)
         cols, rows = np.floor((points - self._origin) / _CELL_M).astype(np.int64).T
         return bool(free[rows.clip(0, free.shape[0] - 1), cols.clip(0, free.shape[1] - 1)].all())
+
+
+@dataclass(frozen=True)
+class ScriptedWalk(Section):
+    """A walk that a scene states: way points that someone visits again and again, each by the shortest way."""
+
+    points: tuple[tuple[Coordinate, Coordinate], ...]
+    speed: Annotated[float, Range(0.0, 3.0, open_low=True)] = 1.0
+    """m/s"""
+    pauses: tuple[Annotated[float, Range(0.0, 1e6)], ...] | None = None
+    """at each way point, s; None: none"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.pauses is not None and len(self.pauses) != len(self.points):
+            allowed = f"a time for each of the {len(self.points)} way points"
+            raise ConfigError(f"pauses: found {len(self.pauses)}, allowed: {allowed}")
+
+    def pause_s(self, k: int) -> float:
+        """The pause at way point k."""
+        return 0.0 if self.pauses is None else self.pauses[k]
+
+
+def read_walks(tables: Any) -> tuple[ScriptedWalk, ...]:
+    """The tables `walkers` of a scene; SceneError that names the field."""
+    walks = read_each("walkers", tables, functools.partial(read_section, kind=ScriptedWalk))
+    if len(walks) > _MOST_WALKS:
+        raise SceneError(f"walkers: found {len(walks)}, allowed: at most {_MOST_WALKS}")
+    return tuple(walks)
+
+
+def check_walks(walks: Sequence[ScriptedWalk], solid: Array, region: Region) -> None:
+    """Raise SceneError for a way point in a wall or outside the region, and for two between which no way leads."""
+    if not walks:
+        return
+    space = WalkingSpace(solid, region)
+    for k, walk in enumerate(walks, 1):
+        points = np.array(walk.points)
+        for number, (point, free) in enumerate(zip(points, space.is_free(points), strict=True), 1):
+            if not free:
+                found = f"({point[0]:g}, {point[1]:g}), in a wall or outside the region"
+                allowed = f"a place with room for a body of {BODY_M:g} m"
+                raise SceneError(f"walkers, entry {k}, point {number}: found {found}, allowed: {allowed}")
+        for number, (a, b) in enumerate(zip(points, np.roll(points, -1, axis=0), strict=True), 1):
+            if space.way(a, b) is None:
+                there = f"from ({a[0]:g}, {a[1]:g}) to ({b[0]:g}, {b[1]:g})"
+                raise SceneError(
+                    f"walkers, entry {k}, point {number}: found no way {there}, allowed: points that ways join"
+                )

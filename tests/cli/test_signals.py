@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import sixthsense as ss
-from sixthsense.record.contents import has_record, reason_not_a_run
+from sixthsense.record.folder import has_record, reason_not_a_run
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 

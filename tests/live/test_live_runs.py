@@ -17,7 +17,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.cli import main
-from sixthsense.record.contents import has_record, reason_not_a_run
+from sixthsense.record.folder import has_record, reason_not_a_run
 from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.logs.ros_messages import stamp_ns
 

@@ -9,8 +9,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.live.network import Message
-from sixthsense.live.notices import Notices
-from sixthsense.live.reading import LaserReader, MessageReader
+from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.guard import Guard

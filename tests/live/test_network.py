@@ -1,8 +1,10 @@
-"""Topics on a real network of this machine, and their bytes."""
+"""Topics on a real network of this machine, their bytes, and who else is there."""
 
+import math
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -10,30 +12,33 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.commands import TIMEOUT_S, Commands
+from sixthsense.core.source import Command
 from sixthsense.live.network import Network, Node
-from sixthsense.live.publishing import MAP, POSE
+from sixthsense.live.others import check_alone, check_one_publisher, command_type
+from sixthsense.live.publishing import MAP, POSE, TIMEOUT_S, Commands
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
-from sixthsense.live.simulated import ODOM, SCAN
-from sixthsense.live.topics import SENSOR, dds_type
+from sixthsense.live.session import Session, Topics
+from sixthsense.live.simulated import ODOM, SCAN, cmd_vel
+from sixthsense.live.topics import SENSOR, NetworkError, dds_type
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
+DOMAIN = 60 + os.getpid() % 40  # one for each process of tests, as they must not hear each other
 
 needs_dds = pytest.mark.skipif(
-    find_spec("cyclonedds") is None,
-    reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'",
+    find_spec("cyclonedds") is None, reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'"
 )
 
 
 @pytest.fixture
-def domain() -> int:
-    """One for each process of tests, as they must not hear each other."""
-    return 60 + os.getpid() % 40
+def node():
+    with Node(Network(DOMAIN)) as found:
+        yield found
 
 
 def a_scan(beams: int = 360) -> Scan:
@@ -72,63 +77,116 @@ def test_the_structure_that_is_announced_has_the_bytes_that_are_sent(name):
 
 
 @needs_dds
-def test_a_scan_comes_through_byte_by_byte(domain):
-    with Node(Network(domain)) as node:
-        reader, writer = node.reader(SCAN._replace(quality=SENSOR)), node.writer(SCAN)
-        wait_for(lambda: writer.readers)
-        sent = [MAKE.serialized(MAKE.scan(STAMP + k, a_scan()), LASER_SCAN) for k in range(20)]
-        for data in sent:
-            writer.send(data)
-        got: list[bytes] = []
-        wait_for(lambda: got.extend(reader.take()) or len(got) == len(sent))
-        assert [MessageReader().read(data, LASER_SCAN).header.stamp.nanosec for data in got] == [
-            STAMP % 1_000_000_000 + k for k in range(20)
-        ]
-        assert all(a[: len(b)] == b for a, b in zip(got, sent, strict=True))
+def test_a_scan_comes_through_byte_by_byte(node):
+    reader, writer = node.reader(SCAN._replace(quality=SENSOR)), node.writer(SCAN)
+    wait_for(lambda: writer.readers)
+    sent = [MAKE.serialized(MAKE.scan(STAMP + k, a_scan()), LASER_SCAN) for k in range(20)]
+    for data in sent:
+        writer.send(data)
+    got: list[bytes] = []
+    wait_for(lambda: got.extend(reader.take()) or len(got) == len(sent))
+    assert [MessageReader().read(data, LASER_SCAN).header.stamp.nanosec for data in got] == [
+        STAMP % 1_000_000_000 + k for k in range(20)
+    ]
+    assert all(a[: len(b)] == b for a, b in zip(got, sent, strict=True))
 
 
 @needs_dds
-def test_who_comes_late_gets_the_last_map(domain):
-    with Node(Network(domain)) as node:
-        writer = node.writer(MAP)
-        for k in range(3):
-            cells = np.full((200, 300), k, dtype=np.int8)
-            writer.send(MAKE.serialized(MAKE.occupancy(STAMP, cells, (0.0, 0.0), 0.05), MAP.type))
-        reader = node.reader(MAP)
-        got: list[bytes] = []
-        wait_for(lambda: got.extend(reader.take()) or got)
-        (only,) = got
-        message = MAKE.store.deserialize_cdr(only, MAP.type)
-        assert (message.info.width, message.info.height) == (300, 200) and set(message.data.tolist()) == {2}
+def test_who_comes_late_gets_the_last_map(node):
+    writer = node.writer(MAP)
+    for k in range(3):
+        cells = np.full((200, 300), k, dtype=np.int8)
+        writer.send(MAKE.serialized(MAKE.occupancy(STAMP, cells, (0.0, 0.0), 0.05), MAP.type))
+    reader = node.reader(MAP)
+    got: list[bytes] = []
+    wait_for(lambda: got.extend(reader.take()) or got)
+    (only,) = got
+    message = MAKE.store.deserialize_cdr(only, MAP.type)
+    assert (message.info.width, message.info.height) == (300, 200) and set(message.data.tolist()) == {2}
 
 
 @needs_dds
-def test_two_processes_of_this_machine_find_each_other(domain):
-    program = (
-        "import sys, time\n"
-        "from sixthsense.live.network import *\n"
-        "from sixthsense.live.simulated import ODOM\n"
-        "with Node(Network(int(sys.argv[1]))) as node:\n"
-        "    writer = node.writer(ODOM)\n"
-        "    while True:\n"
-        "        writer.send(bytes.fromhex(sys.argv[2])); time.sleep(0.02)\n"
-    )
-    data = MAKE.serialized(MESSAGES[ODOMETRY], ODOMETRY)
-    other = subprocess.Popen([sys.executable, "-c", program, str(domain), data.hex()])
-    try:
-        with Node(Network(domain)) as node:
-            reader = node.reader(ODOM._replace(quality=SENSOR))
-            got: list[bytes] = []
-            wait_for(lambda: got.extend(reader.take()) or got)
-            assert MessageReader().odometry(got[0]).T_odom_robot.x == 1.0
-    finally:
-        other.kill()
-        other.wait()
+def test_two_publishers_of_a_topic_are_refused(node):
+    reader = node.reader(SCAN)
+    check_one_publisher(reader)
+    node.writer(SCAN)
+    wait_for(lambda: reader.publishers == 1)
+    check_one_publisher(reader)
+    node.writer(SCAN)
+    wait_for(lambda: reader.publishers == 2)
+    with pytest.raises(NetworkError, match="/scan: found 2 publishers, allowed: one robot"):
+        check_one_publisher(reader)
+
+
+@needs_dds
+@pytest.mark.parametrize(
+    ("topics", "message"),
+    [
+        ((cmd_vel(TWIST), cmd_vel(TWIST_STAMPED)), "/cmd_vel: found 2 subscribers, allowed: one"),
+        (
+            (cmd_vel()._replace(type=ODOM.type),),
+            "/cmd_vel: found a subscriber of 'nav_msgs/msg/Odometry', allowed: geo",
+        ),
+    ],
+)
+def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
+    for topic in topics:
+        node.reader(topic)
+    wait_for(lambda: len(node.subscribers("/cmd_vel")) == len(topics))
+    with pytest.raises(NetworkError, match=message):
+        command_type(node, "/cmd_vel", False)
+
+
+@needs_dds
+def test_a_second_simulator_finds_the_topics_of_the_first(node):
+    check_alone(node, (SCAN, ODOM), (cmd_vel(),))
+    node.reader(cmd_vel())
+    wait_for(lambda: node.subscribers("/cmd_vel"))
+    with pytest.raises(NetworkError, match="/cmd_vel: found another subscriber"):
+        check_alone(node, (SCAN, ODOM), (cmd_vel(),))
+
+
+@needs_dds
+def test_the_messages_of_two_publishers_are_told_apart(node):
+    reader, data = node.reader(ODOM), MAKE.serialized(MESSAGES[ODOMETRY], ODOMETRY)
+    writers = [node.writer(ODOM) for _ in range(2)]
+    wait_for(lambda: reader.publishers == 2)
+    names: list[str] = []
+    for count, writer in enumerate((writers[0], writers[1], writers[0]), start=1):
+        writer.send(data)
+        while len(names) < count:
+            node.wait(0.05)
+            names += [message.publisher for message in reader.messages()]
+    assert names[0] == names[2] != names[1]
+
+
+@needs_dds
+def test_two_lasers_in_turn_are_told_in_one_line():
+    is_over = threading.Event()
+    with Session(Network(DOMAIN), Topics().checked(), preset("log", no_odometry=True), print) as session:
+        writer = session._node.writer(SCAN)
+
+        def publish() -> None:
+            k = 0
+            while not is_over.wait(0.02):
+                k += 1
+                ranges = np.full(180, 4.0 if k % 2 else 2.0, np.float32)
+                scan = Scan(ranges, np.float32(-math.pi), np.float32(2.0 * math.pi / 180), 10.0)
+                writer.send(MAKE.serialized(MAKE.scan(10**18 + k * 20_000_000, scan), LASER_SCAN))
+
+        robot = threading.Thread(target=publish)
+        robot.start()
+        try:
+            with pytest.raises(NetworkError, match=r"^/scan: found scans of two lasers in turn, all of frame .*$"):
+                session.configure((), False)
+        finally:
+            is_over.set()
+            robot.join()
 
 
 @needs_dds
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/net")
-def test_no_socket_of_the_default_network_can_be_reached_from_another_machine(domain):
+def test_no_socket_of_the_default_network_can_be_reached_from_another_machine():
     program = (
         "import socket, os, sys\n"
         "from sixthsense.live.network import *\n"
@@ -139,7 +197,7 @@ def test_no_socket_of_the_default_network_can_be_reached_from_another_machine(do
         "        device = found.getsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, 16)\n"
         "        print(found.getsockname()[0], device.rstrip(bytes(1)).decode() or '-')\n"
     )
-    out = subprocess.run([sys.executable, "-c", program, str(domain)], capture_output=True, text=True, check=True)
+    out = subprocess.run([sys.executable, "-c", program, str(DOMAIN)], capture_output=True, text=True, check=True)
     places = [line.split() for line in out.stdout.splitlines()]
     assert len(places) >= 2
     assert all(address.startswith("127.") or device == "lo" for address, device in places)
@@ -156,8 +214,6 @@ class Sent:
 
 
 def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
-    from sixthsense.core.source import Command
-
     sent = Sent()
     with Commands(sent) as commands:
         commands.send(Command(0.5, 0.0))

@@ -8,10 +8,10 @@ import pytest
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.reading import TRANSFORMS, TWIST, FrameReader, LaserReader, MessageReader
+from sixthsense.live.reading import TRANSFORMS, TWIST, LaserReader, MessageReader
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.logs.tf_odometry import FramePair
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
@@ -96,8 +96,13 @@ def test_damaged_bytes_are_a_value_error(name, seed):
         TWIST: MAKE.serialized(MAKE.twist(1.0, 2.0), TWIST),
     }[name]
     rng = np.random.default_rng(seed)
-    reader, frames = MessageReader(), FrameReader(MessageReader())
-    read = {LASER_SCAN: laser().scan, ODOMETRY: reader.odometry, TRANSFORMS: frames.add, TWIST: reader.command}[name]
+    reader, tree = MessageReader(), TransformTree()
+    read = {
+        LASER_SCAN: laser().scan,
+        ODOMETRY: reader.odometry,
+        TRANSFORMS: lambda data: reader.add_static(data, tree),
+        TWIST: reader.command,
+    }[name]
     for _ in range(50):
         data = bytearray(whole[: rng.integers(0, len(whole) + 1)] if rng.random() < 0.5 else whole)
         for _ in range(rng.integers(0, 6)):
@@ -110,10 +115,10 @@ def test_damaged_bytes_are_a_value_error(name, seed):
 
 
 def test_the_mount_follows_the_chain_of_static_transforms():
-    frames = FrameReader(MessageReader())
+    reader, frames = MessageReader(), TransformTree()
     assert frames.mount("base_link", "laser") is None
     for parent, child, pose in (("base_link", "plate", Pose(0.1, 0.0, 0.0)), ("plate", "laser", Pose(0.0, 0.2, 1.0))):
-        frames.add(MAKE.serialized(MAKE.transform(STAMP, parent, child, pose), TRANSFORMS))
+        reader.add_static(MAKE.serialized(MAKE.transform(STAMP, parent, child, pose), TRANSFORMS), frames)
     found = frames.mount("base_link", "laser")
     assert found is not None and not found[1]
     np.testing.assert_allclose(found[0].array(), [0.1, 0.2, 1.0])

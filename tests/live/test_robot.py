@@ -11,9 +11,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.live.network import Message
-from sixthsense.live.notices import Notices
-from sixthsense.live.presence import SILENT_NS
-from sixthsense.live.reading import LaserReader, MessageReader
+from sixthsense.live.others import SILENT_NS
+from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import ReplayNavigator

@@ -19,7 +19,7 @@ from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import PriorMap, PriorMapError, PriorStart
 from sixthsense.slam.relocalization import Relocalizer
-from sixthsense.sources.rewindable import RewindableSource
+from sixthsense.sources.logs.log import RewindableSource
 from sixthsense.sources.scene import load_scene
 
 LASER, GRID = LaserConfig(max_range=6.0), GridConfig()

@@ -1,29 +1,56 @@
+"""CARMEN logs: their lines, and what they say of the laser of unlike robots and loggers."""
+
 import bz2
 import gzip
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import sixthsense as ss
+from sixthsense import cli
 from sixthsense.config import LaserConfig
+from sixthsense.core.geometry import Pose
+from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
 from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.laser_geometry import max_range_of
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.relations import read_relations
 
-LASER = LaserConfig(beams=4, fov=math.pi / 2, max_range=50.0)
+LASER = LaserConfig(beams=4, fov=math.pi, max_range=50.0)
 HEADER = "# message_name [message contents] ipc_timestamp\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"
+PLACE, CENTRE = Pose(4.0, 5.0, 0.6), Pose()
+ROOM = np.array([[[-3, -2], [4, -2]], [[4, -2], [4, 3]], [[4, 3], [-3, 3]], [[-3, 3], [-3, -2]]], dtype=np.float64)
 
 
-def odom(stamp: object = 1.0, x: object = 0.0, y: object = 0.0, theta: object = 0.0) -> str:
-    return f"ODOM {x} {y} {theta} 0.1 0.2 0.0 {stamp} nohost 0.5\n"
+def pose_text(pose: Pose) -> str:
+    return " ".join(f"{value:.6f}" for value in (pose.x, pose.y, pose.theta))
 
 
-def flaser(stamp: object = 1.0, ranges: str = "1.0 2.0 3.0 81.83", robot: str = "4.0 5.0 0.6") -> str:
-    return f"FLASER {len(ranges.split())} {ranges} 9.0 9.0 0.9 {robot} {stamp} nohost 0.5\n"
+def odom(stamp: float = 1.0, x: float = 0.0) -> str:
+    return f"ODOM {x} 0.0 0.0 0.1 0.2 0.0 {stamp} nohost 0.5\n"
+
+
+def flaser(
+    stamp: float = 1.0,
+    ranges: Sequence[float] = (1.0, 2.0, 3.0, 81.83),
+    robot: Pose = PLACE,
+    mount: Pose = CENTRE,
+) -> str:
+    poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
+    return f"FLASER {len(ranges)} {' '.join(f'{r:.2f}' for r in ranges)} {poses} {stamp} nohost {stamp}\n"
+
+
+def robotlaser(ranges: Sequence[float], stamp: float, robot: Pose, mount: Pose) -> str:
+    poses = f"{pose_text(robot @ mount)} {pose_text(robot)}"
+    text = " ".join(f"{r:.2f}" for r in ranges)
+    rest = f"0.1 0.0 0.4 0.2 1.0 {stamp:.6f} nohost {stamp:.6f}"
+    return f"ROBOTLASER1 0 -2.356194 4.712389 1.570796 30.00 0.01 0 {len(ranges)} {text} 0 {poses} {rest}\n"
 
 
 def written(folder: Path, text: str | bytes, name: str = "some.log") -> Path:
@@ -32,46 +59,30 @@ def written(folder: Path, text: str | bytes, name: str = "some.log") -> Path:
     return file
 
 
-def stamps(log: Log) -> list[int]:
-    return [tick.stamp_ns for tick in log.ticks]
+def read(folder: Path, text: str, laser: LaserConfig | None = None) -> Log:
+    return read_carmen(written(folder, text), laser)
 
 
-def error_of(file: Path, laser: LaserConfig = LASER) -> str:
-    with pytest.raises(LogError) as caught:
-        read_carmen(file, laser)
-    assert "\n" not in str(caught.value)
-    assert str(file) in str(caught.value)
-    return str(caught.value)
+def path_of(count: int) -> list[Pose]:
+    return [Pose(0.05 * k, 0.02 * k, 0.03 * k) for k in range(count)]
 
 
 def test_a_log_has_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(tmp_path: Path) -> None:
     lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2), "\n", "RLASER 1 2.0\n", "NMEA-GGA x\n", odom(3, x=7)]
-    log = read_carmen(written(tmp_path, "".join(lines)), LASER)
+    log = read(tmp_path, "".join(lines), LASER)
     seen = []
     while (tick := log.step(Command(1.0, 1.0))) is not None:
         seen.append(tick)
     assert [tick.odometry.x for tick in seen] == [1.0, 4.0, 7.0]
     assert [tick.scan is not None for tick in seen] == [False, True, False]
     assert log.step(Command()) is None
-    assert len(log.scans) == 1
-    assert log.start == seen[0].odometry
-    assert log.duration_s == pytest.approx(2.0)
+    assert log.start == seen[0].odometry and log.duration_s == pytest.approx(2.0)
 
 
-def test_the_odometry_of_a_scan_is_the_robots_and_not_the_lasers(tmp_path: Path) -> None:
-    tick = read_carmen(written(tmp_path, flaser(robot="1.0 -2.0 0.5")), LASER).step(Command())
-    assert tick is not None
-    assert tick.odometry.array() == pytest.approx([1.0, -2.0, 0.5])
-
-
-def test_ranges_at_or_beyond_the_maximum_are_no_returns(tmp_path: Path) -> None:
-    scan = read_carmen(written(tmp_path, flaser(ranges="0.0 49.99 50.0 inf")), LASER).scans[0]
-    assert scan.ranges.tolist() == [0.0, pytest.approx(49.99), math.inf, math.inf]
-
-
-def test_a_scan_has_the_mount_and_the_bearings_of_the_laser(tmp_path: Path) -> None:
+def test_a_stated_laser_has_its_mount_its_bearings_and_no_returns_beyond_its_range(tmp_path: Path) -> None:
     laser = LaserConfig(beams=4, fov=math.pi, max_range=50.0, mount=(0.1, 0.0, 0.2))
-    scan = read_carmen(written(tmp_path, flaser()), laser).scans[0]
+    scan = read(tmp_path, flaser(ranges=(0.0, 49.99, 50.0, math.inf)), laser).scans[0]
+    assert scan.ranges.tolist() == [0.0, pytest.approx(49.99), math.inf, math.inf]
     assert scan.T_robot_laser.array() == pytest.approx([0.1, 0.0, 0.2])
     assert scan.bearings == pytest.approx(np.linspace(-math.pi / 2, math.pi / 2, 4), abs=1e-6)
 
@@ -79,8 +90,8 @@ def test_a_scan_has_the_mount_and_the_bearings_of_the_laser(tmp_path: Path) -> N
 def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
     for seed in range(10):
         own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)
-        log = read_carmen(written(tmp_path, "".join(flaser(stamp) for stamp in own)), LASER)
-        assert np.all(np.diff(np.array(stamps(log))) > 0)
+        log = read(tmp_path, "".join(flaser(stamp) for stamp in own), LASER)
+        assert np.all(np.diff([tick.stamp_ns for tick in log.ticks]) > 0)
         assert log.backward_stamps == np.count_nonzero(np.diff(own) < 0)
 
 
@@ -89,13 +100,13 @@ def test_plain_and_compressed_logs_give_the_same_result_under_any_name(tmp_path:
     text = (HEADER + odom() + flaser(2)).encode()
     for content in (text, gzip.compress(text), bz2.compress(text)):
         log = open_log(written(tmp_path, content, name), LASER)
-        assert stamps(log) == [10**9, 2 * 10**9]
+        assert [tick.stamp_ns for tick in log.ticks] == [10**9, 2 * 10**9]
 
 
 @pytest.mark.parametrize("line", [odom(12.5), flaser(12.5)])
 def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: str) -> None:
     for length in range(1, line.rindex(" ") + 1):
-        log = read_carmen(written(tmp_path, flaser() + line[:length]), LASER)
+        log = read(tmp_path, flaser() + line[:length], LASER)
         assert len(log.ticks) == 1
         assert log.remarks()[0].startswith("the last line is damaged and left out (line 2: found ")
         assert "\n" not in log.remarks()[0]
@@ -103,13 +114,13 @@ def test_a_last_line_cut_short_is_left_out_with_a_remark(tmp_path: Path, line: s
 
 @pytest.mark.parametrize("compress", [gzip.compress, bz2.compress])
 def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None:
-    ranges = np.random.default_rng(0).uniform(0, 9, (40, 4)).round(3)
-    content = compress("".join(flaser(i, " ".join(map(str, row))) for i, row in enumerate(ranges)).encode())
+    ranges = np.random.default_rng(0).uniform(0, 9, (40, 4))
+    content = compress("".join(flaser(i, row) for i, row in enumerate(ranges)).encode())
     for length in range(len(content) - 1, 3, -17):
-        error_of(written(tmp_path, content[:length], "a.log.gz"))
-    damaged = bytearray(content)
-    damaged[len(content) // 2] ^= 0xFF
-    error_of(written(tmp_path, bytes(damaged)))
+        file = written(tmp_path, content[:length], "a.log.gz")
+        with pytest.raises(LogError) as caught:
+            read_carmen(file, LASER)
+        assert "\n" not in str(caught.value) and str(file) in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -118,11 +129,103 @@ def test_a_truncated_compressed_log_is_refused(tmp_path: Path, compress) -> None
         ("1 2 3 4 5 6 7 8\n1 2 3\n", "line 2: found 3 fields, allowed: 8"),
         ("1 2 3 4 5 6 7 x\n", "line 1: found 'x', allowed: a number"),
         ("1 2 nan 4 5 6 7 8\n", "line 1: found 'nan', allowed: a finite number"),
-        ("# nothing\n", "found no relation"),
+        ("# nothing\n", "found no line of numbers"),
     ],
 )
-def test_bad_relations_are_named(tmp_path: Path, text: str, said: str) -> None:
+def test_a_bad_table_of_numbers_is_named(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(LogError) as caught:
         read_relations(written(tmp_path, text, "a.relations"))
     assert said in str(caught.value)
     assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(("count", "last_deg", "step_deg"), [(181, 90.0, 1.0), (360, 89.5, 0.5)])
+def test_the_beams_of_a_flaser_line_follow_from_their_number(
+    tmp_path: Path, count: int, last_deg: float, step_deg: float
+) -> None:
+    log = read(tmp_path, flaser(ranges=np.linspace(1.0, 2.0, count)))
+    bearings = np.degrees(log.scans[0].bearings)
+    assert bearings[0] == pytest.approx(-90.0, abs=1e-5)
+    assert bearings[-1] == pytest.approx(last_deg, abs=1e-4)
+    assert np.diff(bearings) == pytest.approx(np.full(count - 1, step_deg), abs=1e-5)
+    assert log.laser is not None and log.laser.beams == count
+    assert log.laser.fov == pytest.approx(math.radians(last_deg + 90.0))
+    assert any(f"{count} beams from -90 to {last_deg:g} degrees" in line for line in log.remarks())
+
+
+def test_the_configuration_of_a_replay_reads_the_same_log_again(tmp_path: Path) -> None:
+    mount = Pose(-0.04, 0.0, 0.1)
+    text = "".join(flaser(k, [1.0, 2.0, 3.0, 4.0], p, mount) for k, p in enumerate(path_of(5)))
+    log = read(tmp_path, text)
+    again = read(tmp_path, text, log.laser)
+    assert again.laser == log.laser
+    assert all(np.array_equal(a.bearings, b.bearings) for a, b in zip(again.scans, log.scans, strict=True))
+
+
+@pytest.mark.parametrize("mount", [Pose(), Pose(-0.04, 0.0, 0.0), Pose(0.2, -0.1, 0.4), Pose(0.1, 0.0, math.pi)])
+def test_the_mount_is_the_difference_of_the_two_poses_of_a_scan(tmp_path: Path, mount: Pose) -> None:
+    log = read(tmp_path, "".join(flaser(k, [1, 2, 3, 4], p, mount) for k, p in enumerate(path_of(40))))
+    found = log.scans[0].T_robot_laser
+    assert (found.x, found.y) == pytest.approx((mount.x, mount.y), abs=2e-6)
+    assert math.cos(found.theta - mount.theta) == pytest.approx(1.0, abs=1e-9)
+    assert log.ticks[3].odometry.array() == pytest.approx(path_of(4)[3].array(), abs=1e-6)
+    assert not any("laser.mount" in line for line in log.remarks())
+
+
+@pytest.mark.parametrize("max_range", [4.0, 80.0])
+@pytest.mark.parametrize("beyond", [0.0, 0.02])
+def test_the_value_that_beams_without_a_return_repeat_is_found(max_range: float, beyond: float) -> None:
+    """In a room whose far side is beyond reach."""
+    code, far, scans = max_range * (1.0 + beyond), ROOM * max_range / 3.2, []
+    for k in range(60):
+        ranges = cast_rays(Pose(0.02 * k, 0.0, 0.05 * k), np.linspace(-1.57, 1.57, 181), far, max_range)
+        scans.append(np.where(np.isfinite(ranges), ranges.round(2), code).astype(np.float32))
+    assert sum((scan == np.float32(code)).sum() for scan in scans) > 100
+    assert 0.996 * code <= max_range_of(scans) <= code  # what is lost are the last thousandths of the reach
+
+
+def test_a_robotlaser_line_states_its_own_geometry(tmp_path: Path) -> None:
+    mount, poses = Pose(0.1, 0.02, 0.3), path_of(6)
+    log = read(tmp_path, "".join(robotlaser([1, 2, 3, 4], k, p, mount) for k, p in enumerate(poses)))
+    scan = log.scans[0]
+    assert scan.bearings == pytest.approx([-2.356194, -0.785398, 0.785398, 2.356194], abs=1e-5)
+    assert scan.max_range == 30.0
+    assert (scan.T_robot_laser.x, scan.T_robot_laser.theta) == pytest.approx((0.1, 0.3), abs=2e-6)
+    assert [tick.odometry.x for tick in log.ticks] == pytest.approx([pose.x for pose in poses])
+    assert log.ticks[3].log_stamp_s == 3.0
+    assert log.remarks() == []
+
+
+def test_an_unknown_log_is_replayed_with_the_defaults(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A drive around a room with a scanner of 180 degrees, 181 beams, reach 8 m, code 8.19."""
+    mount, lines = Pose(0.2, 0.05, 0.0), []
+    poses = [Pose(0.5 * math.sin(0.1 * k), 0.3 * math.sin(0.07 * k), 0.05 * k) for k in range(60)]
+    for k, robot in enumerate(poses):
+        ranges = cast_rays(robot @ mount, np.linspace(-math.pi / 2, math.pi / 2, 181), ROOM[:3], 8.0)
+        lines.append(flaser(100.0 + 0.2 * k, np.where(np.isfinite(ranges), ranges, 8.19), robot, mount))
+    file, relations = written(tmp_path, "".join(lines), "drive.log"), tmp_path / "some.relations"
+    between = poses[0].inverse() @ poses[50]
+    relations.write_text(f"100 110 {between.x} {between.y} 0 0 0 {between.theta}\n")
+    args = ["replay", str(file), "--relations", str(relations), "--out", str(tmp_path / "out")]
+    assert cli.main(args) == cli.DONE
+    said = capsys.readouterr().err
+    assert "181 beams from -90 to 90 degrees" in said and "ranges from 8.17 m on are no returns" in said
+    run = ss.load(tmp_path / "out")
+    assert run.trace.config.laser.mount == (0.2, 0.05, 0.0)
+    assert run.outcome == "log ended"
+    assert run.metrics["relations_trans_m_mean"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("name", "beams", "first_deg", "mount", "code"),
+    [("intel", 180, -90.0, (0.0, 0.0, 0.0), 81.83), ("fr079", 360, -90.0, (-0.04, 0.0, 0.0), 81.91)],
+)
+def test_real_logs_say_what_their_lasers_are(
+    data_dir: Path, name: str, beams: int, first_deg: float, mount: tuple[float, float, float], code: float
+) -> None:
+    log = ss.open_log(data_dir / name / f"{name}.clf.bz2")
+    assert log.laser is not None
+    assert (log.laser.beams, log.laser.mount) == (beams, mount)
+    assert np.degrees(log.scans[0].bearings[0]) == pytest.approx(first_deg, abs=1e-5)
+    assert 0.996 * code < log.laser.max_range < code
+    assert max(float(scan.ranges[np.isfinite(scan.ranges)].max()) for scan in log.scans[::10]) < 40.0

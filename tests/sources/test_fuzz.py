@@ -189,10 +189,10 @@ def chunked(data: bytes, compression: str, size: int) -> bytes:
 def test_chunks_that_would_fill_the_memory_are_refused_in_one_line(here, monkeypatch, capsys):
     from lz4.frame import compress
 
-    from sixthsense.sources.logs import decompress
+    from sixthsense.sources.logs import bag_file
 
     zeros = 1 << 25
-    monkeypatch.setattr(decompress, "_LARGEST_CHUNK", zeros - 1)
+    monkeypatch.setattr(bag_file, "_LARGEST_CHUNK", zeros - 1)
     for name, size in (("lies.mcap", 100), ("honest.mcap", zeros)):
         Path(name).write_bytes(chunked(compress(bytes(zeros)), "lz4", size))
         assert f"found a chunk of over {zeros - 1} bytes" in one_line(["replay", name], capsys)

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,17 +7,21 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
+from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.sources.outlines import outlines
+from sixthsense.sources.campus import Campus, campus_walls
+from sixthsense.sources.mission import connected, mission
+from sixthsense.sources.outlines import outline_corners
 from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
 
 SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]
-DRAWN = [name for name in SHIPPED if name != "campus"]
-"""those whose walls are in their file"""
-CELL_M = 0.05
 GOOD = "start = [1, 1, 0]\nradius = 0.2\ngoal = [3, 1]\ntour = [[3, 1], [1, 1]]\nregion = [0, 0, 4, 2]\n"
 ROOM = "walls = [[0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 0, 2], [0, 2, 0, 0]]\n"
+SMALL = Campus((3, 2), 27.0, 3.0, 0.3, 1.0, 4)
+CELL_M = 0.1
+SQUARE = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
+SHAFT = [[[3, 3], [4.5, 3]], [[4.5, 3], [4.5, 4.5]], [[4.5, 4.5], [3, 4.5]]]
 MAP = {
     "image": "m.png",
     "resolution": "0.1",
@@ -25,28 +30,6 @@ MAP = {
     "occupied_thresh": "0.65",
     "free_thresh": "0.196",
 }
-
-
-class Raster:
-    """A scene's walls on a fine grid that reaches half a metre beyond its region."""
-
-    def __init__(self, scene: Scene) -> None:
-        x0, y0, x1, y1 = scene.region
-        self.low = np.array([x0, y0]) - 0.5
-        self.blocked = np.zeros((int((y1 - y0 + 1) / CELL_M) + 1, int((x1 - x0 + 1) / CELL_M) + 1), bool)
-        for a, b in scene.walls:
-            along = np.linspace(0.0, 1.0, int(np.linalg.norm(b - a) / CELL_M * 4) + 2)[:, None]
-            self.blocked[tuple(self.cells(a + along * (b - a)).T)] = True
-
-    def cells(self, points: np.ndarray) -> np.ndarray:
-        return np.floor((np.asarray(points) - self.low) / CELL_M).astype(int)[..., ::-1]
-
-    def reached(self, free: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """The cells of `free` joined to the start by steps to the four neighbours."""
-        labels, _ = ndimage.label(free)
-        row, column = self.cells(start)
-        assert free[row, column]
-        return labels == labels[row, column]
 
 
 def write(folder: Path, name: str, text: str) -> Path:
@@ -69,19 +52,7 @@ def sides(scene: Scene) -> set[tuple[tuple[float, float], ...]]:
 
 def test_the_shipped_scenes_are_listed_by_name() -> None:
     assert list(shipped_scenes()) == SHIPPED
-
-
-@pytest.mark.parametrize("name", DRAWN)
-def test_no_path_leads_out_of_a_scene(name: str) -> None:
-    scene = load_scene(name)
-    raster = Raster(scene)
-    inside = raster.reached(~raster.blocked, scene.start.position)
-    rows, columns = np.nonzero(inside)
-    x = raster.low[0] + (columns + 0.5) * CELL_M
-    y = raster.low[1] + (rows + 0.5) * CELL_M
-    x0, y0, x1, y1 = scene.region
-    assert x0 <= x.min() and x.max() <= x1 and y0 <= y.min() and y.max() <= y1
-    assert np.allclose(scene.region, [*scene.walls.min(axis=(0, 1)), *scene.walls.max(axis=(0, 1))])
+    assert load_scene("campus").region == (0.0, 0.0, 303.0, 303.0)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -160,7 +131,8 @@ def random_images() -> list[np.ndarray]:
 def test_outlines_are_the_edges_between_occupied_and_free_cells() -> None:
     for occupied in random_images():
         found = set()
-        for loop in outlines(occupied):
+        corners, ends = outline_corners(occupied)
+        for loop in np.split(corners.astype(np.float64), ends[:-1]):
             for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True):
                 steps = int(np.abs(b - a).sum())
                 along = a + np.arange(steps + 1)[:, None] * np.sign(b - a)
@@ -248,3 +220,54 @@ def test_glass_is_solid_and_no_wall(tmp_path: Path) -> None:
         load_scene(file)
     with pytest.raises(SceneError, match="glass: expected shape"):
         Scene("s", scene.walls, None, 0.2, None, (), scene.region, glass=np.zeros((1, 4)))
+
+
+# --- a campus that is drawn from a few numbers
+
+
+def drawn(walls, size):
+    """Cells that walls cross."""
+    cells = np.zeros(np.round(np.array(size) / CELL_M).astype(int) + 2, dtype=bool)
+    for a, b in np.array(walls):
+        points = a + np.linspace(0.0, 1.0, int(np.hypot(*(b - a)) / 0.03) + 2)[:, None] * (b - a)
+        cells[tuple(np.floor(points / CELL_M).astype(int).T)] = True
+    return cells
+
+
+def test_every_room_and_hall_is_reached_through_doors():
+    cells = drawn(campus_walls(SMALL), (93.0, 63.0))
+    areas, _ = ndimage.label(~cells[1:-2, 1:-2])
+    sizes = np.bincount(areas.ravel())[1:] * CELL_M**2
+    assert sizes.max() > 0.95 * 93.0 * 63.0 - 200.0  # without the walls
+    assert np.sort(sizes)[-2] < 2.0  # the inside of furniture and pillars
+
+
+def test_one_seed_is_one_campus_and_another_is_another():
+    assert np.array_equal(campus_walls(SMALL), campus_walls(SMALL))
+    assert not np.array_equal(campus_walls(SMALL), campus_walls(replace(SMALL, seed=5)))
+
+
+# --- goals that no way leads to
+
+
+@pytest.mark.parametrize(("gap", "is_reached"), [(0.0, False), (0.2, False), (0.45, True), (1.5, True)])
+def test_a_shaft_is_reached_through_a_door_that_the_robot_fits_through(gap, is_reached):
+    walls = np.array([*SQUARE, *SHAFT, [[3.0, 3.0 + gap], [3.0, 4.5]]], dtype=np.float64)
+    assert connected(walls, np.array([1.0, 1.0]), np.array([[3.8, 3.8]]), 0.2).tolist() == [is_reached]
+
+
+def test_goals_of_every_shipped_scene_are_reached():
+    for name in SHIPPED:
+        scene = load_scene(name)
+        for task, given in (("goal", scene.goal), ("tour", scene.tour)):
+            if given:
+                mission(scene, preset(scene=name, task=task))
+
+
+def test_a_goal_in_a_shaft_without_a_door_is_told_in_one_line(tmp_path):
+    walls = [*SQUARE, *SHAFT, [[3, 3], [3, 4.5]]]
+    rows = ", ".join(str([x for point in wall for x in point]) for wall in walls)
+    (tmp_path / "shaft.toml").write_text(f"start = [1.0, 1.0, 0.0]\nradius = 0.2\nwalls = [{rows}]\n")
+    config = preset(scene=str(tmp_path / "shaft.toml"), task="goal", goal=(3.8, 3.8))
+    with pytest.raises(SceneError, match=r"goal: found \(3.8, 3.8\), which no way leads to from the start \(1, 1\)"):
+        mission(load_scene(config.scene), config)

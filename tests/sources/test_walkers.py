@@ -10,9 +10,8 @@ from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
 from sixthsense.loop import run
 from sixthsense.sources.scene import Scene, load_scene
-from sixthsense.sources.scripted_walk import ScriptedWalk
 from sixthsense.sources.walkers import LEG_M, Walkers, walkers_of
-from sixthsense.sources.walking_space import BODY_M, WalkingSpace
+from sixthsense.sources.walking_space import BODY_M, ScriptedWalk, WalkingSpace
 from sixthsense.sources.world import World
 
 HALL = np.array([[[0, 0], [8, 0]], [[8, 0], [8, 4]], [[8, 4], [0, 4]], [[0, 4], [0, 0]]], dtype=float)
@@ -29,7 +28,7 @@ def walkers(*walks: ScriptedWalk, walls: Array = HALL, start: Pose = AWAY, **wor
 
 
 def walk(*points: tuple[float, float], speed: float = 1.0) -> ScriptedWalk:
-    return ScriptedWalk(points, speed, (0.0,) * len(points))
+    return ScriptedWalk(points, speed)
 
 
 def tracks(people: Walkers, seconds: float, robot: Pose = AWAY) -> Array:

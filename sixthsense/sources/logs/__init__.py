@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from sixthsense.sources.logs.errors import LogError
 
@@ -16,6 +16,7 @@ _CARMEN = (".log", ".clf", ".carmen")
 _COMPRESSED = (".gz", ".bz2")
 _BAGS = (".bag", ".mcap", ".db3")
 _GRAPHS = (".graph", ".g2o", ".toro")
+_MRCLAM = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
 
 
 def open_log(
@@ -39,29 +40,28 @@ def open_log(
     from sixthsense.config import LaserConfig
 
     path = Path(file)
-    suffix = _suffix(path)
-    if suffix in _CARMEN and not path.is_dir():
+    kind = kind_of(path)
+    if kind == "carmen":
         from sixthsense.sources.logs.carmen import read_carmen
 
         return read_carmen(path, laser, stated)
-    if is_graph(path):
+    if kind == "graph":
         from sixthsense.sources.logs.graph import read_graph
 
         return read_graph(path)
     if not path.exists():
         raise LogError(f"{path}: no such file")
-    if is_run_folder(path):
+    if kind == "run":
         from sixthsense.sources.logs.runfolder import read_run
 
         return read_run(path, laser or LaserConfig())
-    if is_bag(path):
-        from sixthsense.sources.logs.bag_recording import BagOptions
-        from sixthsense.sources.logs.rosbag import read_bag
-        from sixthsense.sources.logs.tf_odometry import frame_pair
+    if kind == "bag":
+        from sixthsense.sources.logs.rosbag import BagOptions, read_bag
+        from sixthsense.sources.logs.transforms import frame_pair
 
         options = BagOptions(topics, frame_pair(odometry_frames), odometry)
         return read_bag(path, laser or LaserConfig(), options, "mount" in stated)
-    if is_mrclam(path):
+    if kind == "mrclam":
         from sixthsense.config import preset
         from sixthsense.sources.logs.mrclam import read_mrclam
 
@@ -82,28 +82,25 @@ def _suffix(path: Path) -> str:
     return suffixes[-1] if suffixes else ""
 
 
+def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
+    """How a log is read, by its name or what is in the folder; "" if that is not known."""
+    if not path.is_dir():
+        if _suffix(path) in _CARMEN:
+            return "carmen"
+        if _suffix(path) == ".txt":
+            from sixthsense.sources.logs.graph import begins_as_graph
+
+            return "graph" if begins_as_graph(path) else ""
+        if _suffix(path) in _GRAPHS:
+            return "graph"
+        return "bag" if path.suffix.lower() in _BAGS else ""
+    if is_run_folder(path):
+        return "run"
+    if (path / "metadata.yaml").is_file():
+        return "bag"
+    return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
+
+
 def is_run_folder(path: Path) -> bool:
     """Whether a path is a run folder, finished or not."""
     return (path / "config.toml").is_file()
-
-
-def is_bag(path: Path) -> bool:
-    """Whether a path is a ROS bag, by its name."""
-    return (path / "metadata.yaml").is_file() if path.is_dir() else path.suffix.lower() in _BAGS
-
-
-def is_graph(path: Path) -> bool:
-    """Whether a path is a graph of poses and landmarks, by its name, or by the first tag of a .txt file."""
-    if path.is_dir():
-        return False
-    if _suffix(path) == ".txt":
-        from sixthsense.sources.logs.graph import begins_as_graph
-
-        return begins_as_graph(path)
-    return _suffix(path) in _GRAPHS
-
-
-def is_mrclam(path: Path) -> bool:
-    """Whether a path is a folder with at least one file of MRCLAM."""
-    names = ("Barcodes.dat*", "Robot*_Odometry.dat*", "Robot*_Measurement.dat*")
-    return path.is_dir() and any(next(path.glob(name), None) is not None for name in names)

@@ -7,34 +7,33 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import Record, lines, shown
+from sixthsense.sources.logs.text_lines import Record, records, shown
 
 _STEP_NS = 1_000_000_000
 _FARTHEST = 1e6
-_LARGEST_ID = (1 << 31) - 1
 _LARGEST_ENTRY = 1e12
 """largest entry of a covariance or information matrix"""
 _SLACK = 1e-12
 """tolerance of an eigenvalue for rounding, relative to the largest entry"""
 
-# Places of the numbers of the upper triangle in the matrix, in the order of the file.
-_BY_ROWS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-_TORO = ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
-_PLANE = ((0, 0), (0, 1), (1, 1))
+# Rows and columns of the numbers of the upper triangle in the matrix, in the order of the file.
+_BY_ROWS, _PLANE = np.triu_indices(3), np.triu_indices(2)
+_TORO = tuple(np.array(index)[[0, 1, 3, 5, 2, 4]] for index in _BY_ROWS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
     """Format of the covariance of an edge."""
 
-    order: tuple[tuple[int, int], ...]
-    """places of the numbers in the matrix"""
+    order: tuple[NDArray[np.int64], ...]
+    """rows and columns of the numbers in the matrix"""
     is_information: bool
     """whether the numbers are an information matrix, else a covariance"""
 
@@ -48,11 +47,9 @@ _TAGS = (*_MOTIONS, *_POINTS, b"BR", *_POSES, b"VERTEX_XY")
 def begins_as_graph(file: Path) -> bool:
     """Whether the first line that is not blank or a comment begins with a tag of a graph."""
     try:
-        words = (line.split() for _, line in lines(file))
-        first = next((fields[0] for fields in words if fields and not fields[0].startswith(b"#")), b"")
+        return next((record.fields[0] in _TAGS for record in records(file)), False)
     except LogError:
         return False
-    return first in _TAGS
 
 
 def read_graph(file: str | Path) -> Log:
@@ -85,12 +82,8 @@ def read_graph(file: str | Path) -> Log:
     """
     path = Path(file)
     graph = _Graph()
-    for number, line in lines(path):
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            continue
-        record = Record(path, number, fields)
-        tag = fields[0]
+    for record in records(path):
+        tag = record.fields[0]
         if tag not in _TAGS:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
         _READERS[tag](graph, record)
@@ -118,34 +111,29 @@ class _Graph:
     poses: dict[int, _Node] = field(default_factory=dict)
     """by id, in order"""
     newest: int = -1
-    landmarks: set[int] = field(default_factory=set)
-    guessed: set[int] = field(default_factory=set)
-    """ids of poses with an initial value"""
-    guessed_landmarks: set[int] = field(default_factory=set)
-    """ids of landmarks with an initial value"""
+    kinds: dict[int, str] = field(default_factory=dict)
+    """pose or landmark, by id"""
+    guessed: dict[int, str] = field(default_factory=dict)
+    """the same of those with an initial value"""
 
     def begin(self, pose: int) -> None:
         self.poses[pose] = _Node(Pose(), None)
         self.newest = pose
 
-    def check_pose(self, record: Record, pose: int) -> None:
-        """Fail for a pose with the id of a landmark."""
-        if pose in self.landmarks or pose in self.guessed_landmarks:
-            record.fail(f"found pose {pose}, allowed: an id that no landmark has")
-
-    def check_landmark(self, record: Record, landmark: int) -> None:
-        """Fail for a landmark with the id of a pose."""
-        if landmark in self.poses or landmark in self.guessed:
-            record.fail(f"found landmark {landmark}, allowed: an id that no pose has")
+    def check_kind(self, record: Record, vertex: int, kind: str) -> None:
+        """Fail for a pose with the id of a landmark, and the other way round."""
+        other = "landmark" if kind == "pose" else "pose"
+        if self.kinds.setdefault(vertex, kind) == other:
+            record.fail(f"found {kind} {vertex}, allowed: an id that no {other} has")
 
 
 def _read_motion(graph: _Graph, record: Record) -> None:
     form = _MOTIONS[record.fields[0]]
-    before, after = _ids(record, 5 + len(form.order))
+    before, after = _ids(record, 5 + len(form.order[0]))
     motion = _bounded(record, record.numbers(record.fields[3:6]))
     cov = _covariance(record, form, record.fields[6:], definite=False)
     for pose in (before, after):
-        graph.check_pose(record, pose)
+        graph.check_kind(record, pose, "pose")
     if not graph.poses:
         graph.begin(before)
     if after in graph.poses:
@@ -161,7 +149,7 @@ def _read_motion(graph: _Graph, record: Record) -> None:
 def _read_landmark(graph: _Graph, record: Record) -> None:
     tag = record.fields[0]
     form = _POINTS.get(tag)
-    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order))
+    pose, landmark = _ids(record, 6 if form is None else 4 + len(form.order[0]))
     first, second = _bounded(record, record.numbers(record.fields[3:5])).tolist()
     if form is None:
         sigmas = record.numbers(record.fields[5:7])
@@ -172,28 +160,26 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
     else:
         cov = _covariance(record, form, record.fields[5:], definite=True)
         observation = Observation(Kind.CORNER, np.array([first, second]), cov)
-    graph.check_landmark(record, landmark)
-    if not graph.poses and (not graph.guessed or pose in graph.guessed):
+    graph.check_kind(record, landmark, "landmark")
+    if not graph.poses and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
         graph.begin(pose)
     if pose not in graph.poses:
         record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
     seen = graph.poses[pose].observations
     if landmark in seen:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
-    graph.landmarks.add(landmark)
     seen[landmark] = observation
 
 
 def _read_vertex(graph: _Graph, record: Record) -> None:
-    is_pose = record.fields[0] in _POSES
-    _expect(record, 4 if is_pose else 3)
-    vertex = _id(record, 1)
+    kind = "pose" if record.fields[0] in _POSES else "landmark"
+    _expect(record, 4 if kind == "pose" else 3)
+    vertex = record.whole(1, "id")
     record.numbers(record.fields[2:])
-    known = graph.guessed if is_pose else graph.guessed_landmarks
-    if vertex in known:
-        record.fail(f"found {'pose' if is_pose else 'landmark'} {vertex} again, allowed: a new one")
-    (graph.check_pose if is_pose else graph.check_landmark)(record, vertex)
-    known.add(vertex)
+    if graph.guessed.get(vertex) == kind:
+        record.fail(f"found {kind} {vertex} again, allowed: a new one")
+    graph.check_kind(record, vertex, kind)
+    graph.guessed[vertex] = kind
 
 
 _READERS: dict[bytes, Callable[[_Graph, Record], None]] = {
@@ -212,14 +198,7 @@ def _expect(record: Record, count: int) -> None:
 
 def _ids(record: Record, count: int) -> tuple[int, int]:
     _expect(record, count)
-    return _id(record, 1), _id(record, 2)
-
-
-def _id(record: Record, column: int) -> int:
-    text = record.fields[column]
-    if not text.isdigit() or len(text) > 10 or int(text) > _LARGEST_ID:
-        record.fail(f"found id {shown(text)}, allowed: a whole number, 0 to {_LARGEST_ID}")
-    return int(text)
+    return record.whole(1, "id"), record.whole(2, "id")
 
 
 def _bounded(record: Record, values: Array) -> Array:
@@ -231,10 +210,9 @@ def _bounded(record: Record, values: Array) -> Array:
 def _covariance(record: Record, form: _Form, fields: list[bytes], definite: bool) -> Array:
     """(n, n) covariance; all its eigenvalues are positive if `definite`, as those of an information matrix must be."""
     values = record.numbers(fields)
-    size = 1 + max(row for row, _ in form.order)
-    matrix = np.zeros((size, size))
-    for (row, column), value in zip(form.order, values, strict=True):
-        matrix[row, column] = matrix[column, row] = value
+    rows, columns = form.order
+    matrix = np.zeros((1 + rows.max(), 1 + rows.max()))
+    matrix[rows, columns] = matrix[columns, rows] = values
     definite = definite or form.is_information
     largest = float(np.abs(matrix).max())
     fits = 1.0 / _LARGEST_ENTRY <= largest <= _LARGEST_ENTRY if definite else largest <= _LARGEST_ENTRY

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 
 LARGEST_RANGE_M = 1000.0
@@ -58,6 +60,13 @@ def beams_as_stated(count: int, start: float, fov: float, resolution: float) -> 
     if not (step > 0.0 and abs(step * (count - 1) - fov) <= 1.5 * step):
         step = beams_over(fov, count).step
     return Beams(start, step)
+
+
+def described(given: LaserConfig, count: int, step: float, max_range: float, mount: Pose) -> LaserConfig:
+    """The configuration of a laser of `count` beams, whose field of view is centred on the mount's x axis."""
+    is_closed = abs(step * count - 2.0 * math.pi) < 0.5 * step
+    fov = 2.0 * math.pi if is_closed else min(step * (count - 1), 2.0 * math.pi)
+    return replace(given, beams=count, fov=fov, max_range=max_range, mount=(mount.x, mount.y, mount.theta))
 
 
 def mount_from_poses(laser: Array, robot: Array) -> Pose | None:

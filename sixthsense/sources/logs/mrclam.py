@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import Record, lines, shown
+from sixthsense.sources.logs.text_lines import Record, Table, read_table, shown
 
 _ROBOTS = range(1, 6)
 """ids of robots among the subjects"""
@@ -31,53 +31,12 @@ _MISREAD = 0.01
 _NAME = re.compile(r"Robot([1-9][0-9]{0,8})_Odometry\.dat(\.gz)?")
 
 
-class MrclamLog(Log):
-    """A `Source` that replays one robot of a MRCLAM folder."""
-
-    landmarks: Mapping[LandmarkId, Array]
-    """True positions (2,), world frame, metres; empty if the folder has none. For evaluation only."""
-    misread: int
-    """Number of measurements skipped because their barcode is unknown."""
-
-    def __init__(self, ticks: Sequence[Tick], landmarks: Mapping[LandmarkId, Array], misread: int) -> None:
-        super().__init__(ticks)
-        self.landmarks, self.misread = landmarks, misread
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """The rows of one file."""
-
-    records: list[Record]
-    numbers: Array
-    """(N, columns)"""
-
-    def stamps_ns(self) -> list[int]:
-        """(N,) stamps that do not decrease."""
-        stamps: list[int] = []
-        for record in self.records:
-            stamps.append(record.stamp_ns(record.fields[0]))
-            if len(stamps) > 1 and stamps[-1] < stamps[-2]:
-                record.fail(f"found stamp {shown(record.fields[0])}, allowed: not before that of the previous line")
-        return stamps
-
-    def check(self, column: int, name: str, low: float, high: float) -> None:
-        """Fail at the first line with a number outside [low, high] in a column."""
-        values = self.numbers[:, column]
-        bad = np.flatnonzero((values < low) | (values > high))
-        if len(bad):
-            record = self.records[bad[0]]
-            record.fail(f"found {name} {shown(record.fields[column])}, allowed: {low:g} to {high:g}")
-
-
 def robots(folder: Path) -> list[int]:
     """The numbers of the robots with odometry in a folder."""
     return sorted({int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))})
 
 
-def read_mrclam(
-    folder: str | Path, assumed: AssumedConfig, robot: int | None = None, as_depth: bool = True
-) -> MrclamLog:
+def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = None, as_depth: bool = True) -> Log:
     """Read `Barcodes.dat` and one robot's `RobotN_Odometry.dat`, `_Measurement.dat` and `_Groundtruth.dat`.
 
     Each file is plain or gzip; `_Groundtruth.dat` and `Landmark_Groundtruth.dat` are optional. `robot` is optional if
@@ -101,7 +60,7 @@ def read_mrclam(
         if sigma <= 0.0:
             raise LogError(f"{path}: found assumed.laser.{name} {sigma:g}, allowed on ranges and bearings: above 0")
     subjects = _subjects(_file(path, "Barcodes.dat"))
-    drive = _table(_file(path, f"Robot{robot}_Odometry.dat"), ("stamp", "forward speed", "turn rate"))
+    drive = read_table(_file(path, f"Robot{robot}_Odometry.dat"), "stamp speed turn-rate")
     drive.check(1, "forward speed", -_FASTEST, _FASTEST)
     drive.check(2, "turn rate", -_FASTEST, _FASTEST)
     seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed, as_depth)
@@ -110,18 +69,18 @@ def read_mrclam(
     ticks = _ticks(drive, seen, truth)
     if not ticks:
         raise LogError(f"{vicon}: found truth at no stamp of the odometry, allowed: of the same drive")
-    places = _existing(path, "Landmark_Groundtruth.dat")
-    return MrclamLog(ticks, {} if places is None else _landmarks(places), misread)
+    unread = [f"{misread} measurements with an unknown barcode are skipped"] if misread else []
+    return Log(ticks, remarks=unread)
 
 
 class _Truth:
     """The poses measured by Vicon."""
 
     def __init__(self, file: Path) -> None:
-        table = _table(file, ("stamp", "x", "y", "orientation"))
+        table = read_table(file, "stamp x y orientation")
         for column, name in enumerate(("x", "y", "orientation"), start=1):
             table.check(column, name, -_OUTERMOST_M, _OUTERMOST_M)
-        stamps = table.stamps_ns()
+        stamps = _ascending_ns(table)
         self.first_ns, self.last_ns = stamps[0], stamps[-1]
         self._times = 1e-9 * (
             np.array(stamps) - self.first_ns
@@ -136,8 +95,8 @@ class _Truth:
         return [Pose(x, y, theta) for x, y, theta in zip(*columns, strict=True)]
 
 
-def _ticks(drive: _Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: _Truth | None) -> list[Tick]:
-    rates = dict(zip(drive.stamps_ns(), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
+def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], truth: _Truth | None) -> list[Tick]:
+    rates = dict(zip(_ascending_ns(drive), drive.numbers[:, 1:].tolist(), strict=True))  # the last record of each stamp
     first, last = min(rates), max(rates)
     if truth is not None:
         first, last = max(first, truth.first_ns), min(last, truth.last_ns)
@@ -161,15 +120,15 @@ def _observations(
     file: Path, subjects: Mapping[int, int], assumed: AssumedConfig, as_depth: bool
 ) -> tuple[dict[int, dict[LandmarkId, Observation]], int]:
     """Observations of landmarks by stamp (ns), and the number of measurements with an unknown barcode."""
-    table = _table(file, ("stamp", "barcode", "range", "bearing"))
+    table = read_table(file, "stamp barcode range bearing")
     table.check(2, "range", 1e-3, _FARTHEST_M)
     table.check(3, "bearing", -_WIDEST_RAD, _WIDEST_RAD)
     laser = assumed.laser
     variances = variance(laser.distribution, laser.range_m), variance(laser.distribution, laser.bearing_rad)
     seen: dict[int, dict[LandmarkId, Observation]] = {}
     unknown: list[Record] = []
-    for record, stamp, row in zip(table.records, table.stamps_ns(), table.numbers.tolist(), strict=True):
-        barcode = _whole(record, 1, "barcode")
+    for record, stamp, row in zip(table.records, _ascending_ns(table), table.numbers.tolist(), strict=True):
+        barcode = record.whole(1, "barcode")
         if barcode not in subjects:
             unknown.append(record)
             continue
@@ -192,19 +151,23 @@ def _observations(
 def _subjects(file: Path) -> dict[int, int]:
     """Subject of each barcode, by barcode."""
     subjects: dict[int, int] = {}
-    for record in _table(file, ("subject", "barcode")).records:
-        subject, barcode = _whole(record, 0, "subject"), _whole(record, 1, "barcode")
+    for record in read_table(file, "subject barcode").records:
+        subject, barcode = record.whole(0, "subject"), record.whole(1, "barcode")
         if barcode in subjects or subject in subjects.values():
             record.fail(f"found subject {subject} with barcode {barcode}, allowed: each once")
         subjects[barcode] = subject
     return subjects
 
 
-def _landmarks(file: Path) -> dict[LandmarkId, Array]:
-    table = _table(file, ("subject", "x", "y", "sigma of x", "sigma of y"))
+def true_landmarks(folder: Path) -> dict[LandmarkId, Array]:
+    """True positions (2,) of the landmarks, world frame, metres; none if the folder has none. For evaluation only."""
+    file = _existing(folder, "Landmark_Groundtruth.dat")
+    if file is None:
+        return {}
+    table = read_table(file, "subject x y sigma-x sigma-y")
     places: dict[LandmarkId, Array] = {}
     for record, row in zip(table.records, table.numbers, strict=True):
-        subject = _whole(record, 0, "subject")
+        subject = record.whole(0, "subject")
         if subject in places:
             record.fail(f"found subject {subject} again, allowed: each once")
         places[subject] = row[1:3].copy()
@@ -235,25 +198,10 @@ def _file(folder: Path, name: str) -> Path:
     return file
 
 
-def _table(file: Path, columns: Sequence[str]) -> _Table:
-    """Lines with a number for each column; blank lines and lines that begin with # are skipped."""
-    records, rows = [], []
-    for number, line in lines(file):
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            continue
-        record = Record(file, number, fields)
-        if len(fields) != len(columns):
-            record.fail(f"found {len(fields)} columns, allowed: {len(columns)} ({', '.join(columns)})")
-        records.append(record)
-        rows.append(record.numbers(fields))
-    if not records:
-        raise LogError(f"{file}: found no line of numbers, allowed: lines of {', '.join(columns)}")
-    return _Table(records, np.stack(rows))
-
-
-def _whole(record: Record, column: int, name: str) -> int:
-    field = record.fields[column]
-    if not field.isdigit() or len(field) > 9:
-        record.fail(f"found {name} {shown(field)}, allowed: a whole number")
-    return int(field)
+def _ascending_ns(table: Table) -> list[int]:
+    """(N,) stamps that do not decrease."""
+    stamps = table.stamps_ns()
+    for (before, after), record in zip(itertools.pairwise(stamps), table.records[1:], strict=True):
+        if after < before:
+            record.fail(f"found stamp {shown(record.fields[0])}, allowed: not before that of the previous line")
+    return stamps

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
-from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.text_lines import Record, lines
+from sixthsense.sources.logs.text_lines import read_table
 
 _STAMP_SLACK_S = 1e-6
 
@@ -31,19 +30,7 @@ def read_relations(file: str | Path) -> Relations:
     Seconds, metres, radians; dz, roll and pitch are ignored. Raises LogError for a file that
     cannot be read, a line that is not eight finite numbers, or a file without a relation.
     """
-    path = Path(file)
-    rows: list[Array] = []
-    for number, line in lines(path):
-        fields = line.split()
-        if not fields or fields[0].startswith(b"#"):
-            continue
-        record = Record(path, number, fields)
-        if len(fields) != 8:
-            record.fail(f"found {len(fields)} fields, allowed: 8 (t1 t2 dx dy dz roll pitch yaw)")
-        rows.append(record.numbers(fields))
-    if not rows:
-        raise LogError(f"{path}: found no relation, allowed: lines of t1 t2 dx dy dz roll pitch yaw")
-    table = np.stack(rows)
+    table = read_table(Path(file), "t1 t2 dx dy dz roll pitch yaw").numbers
     poses = np.stack([table[:, 2], table[:, 3], wrap_angle(table[:, 7])], axis=1)
     return Relations(table[:, :2].copy(), poses)
 

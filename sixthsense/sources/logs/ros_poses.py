@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,12 +13,11 @@ from numpy.typing import NDArray
 from sixthsense.config.section import shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
-from sixthsense.sources.logs.bag_recording import LARGEST_STAMP_NS, TRANSFORM_TYPES, as_log_error, check_first_line
-from sixthsense.sources.logs.decompress import bounded, check_regular
+from sixthsense.sources.logs.bag_file import checked_stamp, opened
 from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.ros_frames import frame_name
-from sixthsense.sources.logs.ros_messages import ODOMETRY, stamp_ns
+from sixthsense.sources.logs.ros_messages import ODOMETRY, frame_name, stamp_ns
 from sixthsense.sources.logs.text_lines import LARGEST
+from sixthsense.sources.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -46,16 +44,6 @@ class PoseTopic:
     """name of the frame whose poses they are; empty where the type does not say"""
 
 
-@dataclass(slots=True)
-class _Link:
-    """The transforms from a frame to its parent."""
-
-    parent: str
-    is_static: bool
-    stamps_ns: list[int] = field(default_factory=list)
-    poses: list[list[float]] = field(default_factory=list)
-
-
 def read_poses(path: Path, topic: str = "", with_covariance: bool = True, besides: Collection[str] = ()) -> PoseTopic:
     """Read the poses of a topic, by default of the only one with poses, `besides` excepted.
 
@@ -66,11 +54,11 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, beside
     covs: list[Any] = []
     stamps: list[int] = []
     parent = child = ""
-    with _opened(path) as reader:
+    with opened(path) as reader:
         name = _chosen(path, reader, topic, kinds, besides)
         for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
             message: Any = reader.deserialize(raw, connection.msgtype)
-            stamps.append(stamp_ns(message) or record_ns)
+            stamps.append(checked_stamp(f"{path} {name}", stamp_ns(message) or record_ns))
             parent = parent or frame_name(message.header.frame_id)
             if connection.msgtype in WITH_COVARIANCE:
                 rows.append(_numbers(message.pose.pose))
@@ -80,60 +68,27 @@ def read_poses(path: Path, topic: str = "", with_covariance: bool = True, beside
             child = child or frame_name(getattr(message, "child_frame_id", ""))
     where = f"{path} {name}"
     found = np.array(covs, dtype=np.float64).reshape(-1, 6, 6) if covs else None
-    return PoseTopic(name, _checked_stamps(where, stamps), _checked(where, rows), found, parent, child)
+    return PoseTopic(name, np.array(stamps, dtype=np.int64), _checked(where, rows), found, parent, child)
 
 
 def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[np.int64], Array]]:
     """Read the chain of transforms from `child` to `parent` in /tf and /tf_static, the link nearest `parent` first.
 
-    Each link has stamps (N,), ns, and poses (N, 7) of its frame in its parent; a static one has a single pose. Raises
-    LogError, with the frames that there are, where no chain leads from one to the other.
+    Each link has stamps (N,), ns, and poses (N, 4, 4) of its frame in its parent; a static one has a single pose.
+    Raises LogError, with the frames that there are, where no chain leads from one to the other.
     """
-    links: dict[str, _Link] = {}
-    with _opened(path) as reader:
+    tree, pair = TransformTree(), FramePair(frame_name(parent), frame_name(child))
+    with opened(path) as reader:
         known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
         for connection, record_ns, raw in reader.messages(known) if known else ():
-            message: Any = reader.deserialize(raw, connection.msgtype)
-            is_static = connection.topic.endswith("tf_static")
-            for one in message.transforms:
-                link = links.setdefault(
-                    frame_name(one.child_frame_id), _Link(frame_name(one.header.frame_id), is_static)
-                )
-                link.stamps_ns.append(stamp_ns(one) or record_ns)
-                link.poses.append(_numbers(one.transform))
-    chain: list[_Link] = []
-    frame = frame_name(child)
-    while frame != frame_name(parent):
-        if frame not in links or len(chain) > len(links):
-            pairs = ", ".join(f"{shown_name(link.parent)} {shown_name(name)}" for name, link in sorted(links.items()))
-            raise LogError(
-                f"{path}: found no transforms from {shown_name(child)} to {shown_name(parent)}, "
-                f"allowed: frames of /tf, parent and child {pairs or '(there is none)'}"
-            )
-        chain.insert(0, links[frame])
-        frame = links[frame].parent
-    if not chain or all(link.is_static for link in chain):
+            tree.take(str(path), connection.topic, reader.deserialize(raw, connection.msgtype), record_ns)
+    try:
+        links = [tree.transforms(link) for link in tree.chain(pair)]
+    except ValueError as error:
+        raise LogError(f"{path} /tf: {error}") from None
+    if all(len(link) == 1 for link in links):
         raise LogError(f"{path}: found {shown_name(child)} at rest in {shown_name(parent)}, allowed: a moving frame")
-    found = []
-    for link in chain:
-        rows = slice(-1, None) if link.is_static else slice(None)
-        where = f"{path} /tf"
-        found.append((_checked_stamps(where, link.stamps_ns[rows]), _checked(where, link.poses[rows])))
-    return found
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[AnyReader]:
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    if not path.exists():
-        raise LogError(f"{path}: no such file")
-    with as_log_error(path):
-        check_regular(path)
-        check_first_line(path)
-        with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
+    return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
 
 
 def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], besides: Collection[str]) -> str:
@@ -179,10 +134,3 @@ def _checked(where: str, rows: list[list[float]]) -> Array:
             "zero"
         )
     return poses
-
-
-def _checked_stamps(where: str, stamps: list[int]) -> NDArray[np.int64]:
-    bad = next((stamp for stamp in stamps if not 0 <= stamp <= LARGEST_STAMP_NS), None)
-    if bad is not None:
-        raise LogError(f"{where}: found stamp {bad} ns, allowed: 0 to {LARGEST_STAMP_NS} ns")
-    return np.array(stamps, dtype=np.int64)

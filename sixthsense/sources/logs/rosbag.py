@@ -3,54 +3,45 @@
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.config.suggestion import allowed_names, nearest
+from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_recording import (
-    BagOptions,
-    Recording,
-    as_log_error,
-    check_first_line,
-    read_recording,
-)
-from sixthsense.sources.logs.decompress import check_regular
+from sixthsense.sources.logs.bag_file import checked_stamp, opened
 from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.laser_geometry import max_range_of
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.ros_messages import FARTHEST_M, scan
-from sixthsense.sources.logs.two_lasers import found_turns
+from sixthsense.sources.logs.laser_geometry import described, max_range_of
+from sixthsense.sources.logs.log import Log, found_turns, remarks_on
+from sixthsense.sources.logs.ros_messages import FARTHEST_M, LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns
+from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
 
 
-class BagLog(Log):
-    """A `Source` that replays a bag."""
+class BagOptions(NamedTuple):
+    """What is read of a bag."""
 
-    plans: tuple[Array, ...] = ()
-    """Planned paths, (N, 2) each; only in the bag of a run."""
-    plan_stamps_ns: tuple[int, ...] = ()
-    """Record time of each plan."""
-    tours: tuple[Array, ...] = ()
-    """Tours of an exploration, (N, 2) each; only in the bag of a run."""
-    tour_stamps_ns: tuple[int, ...] = ()
-    """Record time of each tour."""
-    estimates: tuple[tuple[int, Pose, Array], ...] = ()
-    """Record time, pose and its covariance (3, 3) at each keyframe; only in the bag of a run."""
-    cut_short: bool = False
-    """Whether the bag is incomplete because its writer was stopped."""
+    topics: Sequence[str] = ()
+    """chosen among several of one type"""
+    frames: FramePair | None = None
+    """of odometry in /tf; None: a topic of Odometry, else the frames that are found"""
+    odometry: bool = True
+    """whether odometry is read"""
 
 
 def read_bag(
     file: str | Path, laser: LaserConfig, options: BagOptions | None = None, is_mount_given: bool = False
-) -> BagLog:
+) -> Log:
     """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
     Scans and odometry are the topics of type LaserScan and Odometry; `options.topics` selects among several. Without a
@@ -63,15 +54,141 @@ def read_bag(
     Raises LogError for a bag that cannot be read, is damaged or truncated, or lacks a topic of scans.
     """
     path = Path(file)
-    # All of it: a bag may define a type with a known name but without the expected fields.
-    with as_log_error(path):
-        check_regular(path)
-        check_first_line(path)
-        return _read_log(path, laser, options or BagOptions(), is_mount_given)
+    with opened(path) as reader:
+        return _log(path, _recording(path, reader, options or BagOptions()), laser, is_mount_given)
 
 
-def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_given: bool) -> BagLog:
-    recording = read_recording(path, options)
+@dataclass(slots=True)
+class _Recording:
+    """The messages of a bag in the order of its records."""
+
+    records: list[tuple[int, Any]] = field(default_factory=list)
+    """stamp of the header, ns, and T_odom_robot or the message of a scan"""
+    tree: TransformTree = field(default_factory=TransformTree)
+    robot: str = ""
+    """frame of the odometry"""
+    laser: str = ""
+    """frame of the first scan"""
+    other_frames: Counter[str] = field(default_factory=Counter)
+    """number of scans of frames other than that of the first scan"""
+    remarks: list[str] = field(default_factory=list)
+    has_odometry: bool = True
+    """whether the bag has odometry that is used; without it, the robot is said to stand at the first scan"""
+
+    @property
+    def odometry(self) -> list[tuple[int, Pose]]:
+        """The records of odometry alone."""
+        return [(own, value) for own, value in self.records if isinstance(value, Pose)]
+
+    @property
+    def scans(self) -> list[tuple[int, Any]]:
+        """The records of scans alone."""
+        return [(own, value) for own, value in self.records if not isinstance(value, Pose)]
+
+
+def _recording(path: Path, reader: AnyReader, options: BagOptions) -> _Recording:
+    """Read the messages; LogError for a topic that is missing or ambiguous, and for one that cannot be used."""
+    recording = _Recording()
+    chosen = _choose(path, reader, options)
+    uses_tree = options.odometry and ODOMETRY not in chosen
+    known = [c for c in reader.connections if c.topic in chosen.values() or _has_transforms(c, uses_tree)]
+    rows: dict[int, int] = {}  # of the transforms of /tf by their record
+    for connection, record_ns, raw in reader.messages(connections=known):
+        message: Any = reader.deserialize(raw, connection.msgtype)
+        if connection.msgtype in TRANSFORM_TYPES:
+            for row in recording.tree.take(str(path), connection.topic, message, record_ns):
+                rows[len(recording.records)] = row
+                recording.records.append((recording.tree.stamped[row][0], Pose()))
+        elif connection.topic == chosen.get(connection.msgtype):
+            own = checked_stamp(str(path), stamp_ns(message) or record_ns)  # some drivers leave the stamp at zero
+            if connection.msgtype == LASER_SCAN:
+                _add_scan(recording, own, message)
+            else:
+                _add_odometry(path, recording, own, message)
+    if uses_tree and (recording.tree.stamped or options.frames is not None):
+        _take_odometry(path, recording, rows, options.frames)
+    elif ODOMETRY not in chosen and recording.scans:
+        recording.has_odometry = False
+        recording.robot = recording.tree.root(recording.laser)
+        recording.records = [each for own, message in recording.scans for each in ((own, Pose()), (own, message))]
+    if recording.has_odometry:
+        recording.remarks += remarks_on(recording.odometry)
+    return recording
+
+
+def _has_transforms(connection: Any, with_moving: bool) -> bool:
+    name = connection.topic
+    return connection.msgtype in TRANSFORM_TYPES and (name.endswith("tf_static") or with_moving)
+
+
+def _take_odometry(path: Path, recording: _Recording, rows: Mapping[int, int], named: FramePair | None) -> None:
+    """Keep the transforms that are odometry."""
+    try:
+        pair, poses = recording.tree.odometry(recording.laser, named)
+    except ValueError as error:
+        raise LogError(f"{path} /tf: {error}") from None
+    recording.robot = pair.child
+    recording.records = [
+        (own, poses[rows[k]] if k in rows else value)
+        for k, (own, value) in enumerate(recording.records)
+        if k not in rows or rows[k] in poses
+    ]
+    recording.remarks.append(f"odometry: /tf {pair}, {len(poses)} transforms (otherwise {OPTION})")
+
+
+def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str]:
+    """The topic of each type; LogError with the candidates unless there is one, or one is selected."""
+    topics = options.topics
+    types = {c.topic: c.msgtype for c in reader.connections}
+    fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
+    for topic in topics:
+        if types.get(topic) not in fitting:
+            found = (
+                f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else f"{topic!r}, no topic of {path}"
+            )
+            offered = sorted(itertools.chain(*fitting.values()))
+            allowed = (
+                allowed_names(map(shown_name, offered), nearest(topic, offered)) if offered else "allowed: none here"
+            )
+            raise LogError(f"--topic: found {found}, {allowed}")
+    chosen = {}
+    for kind, names in fitting.items():
+        short = kind.rpartition("/")[2]
+        if kind == ODOMETRY and (not names or options.frames is not None or not options.odometry):
+            continue
+        if not names:
+            held = (
+                ", ".join(f"{shown_name(t)} ({shown_name(n.rpartition('/')[2])})" for t, n in sorted(types.items())[:8])
+                or "no topic at all"
+            )
+            raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
+        left = [name for name in names if name in topics] or names
+        if len(left) > 1:
+            either = " or ".join(map(shown_name, left))
+            raise LogError(f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {either}")
+        chosen[kind] = left[0]
+    return chosen
+
+
+def _add_scan(recording: _Recording, own: int, message: Any) -> None:
+    frame = frame_name(message.header.frame_id)
+    recording.laser = recording.laser or frame
+    if frame == recording.laser:
+        recording.records.append((own, message))
+    else:
+        recording.other_frames[frame] += 1
+
+
+def _add_odometry(path: Path, recording: _Recording, own: int, message: Any) -> None:
+    recording.robot = recording.robot or frame_name(message.child_frame_id)
+    try:
+        pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+    except ValueError as error:
+        raise LogError(f"{path} odometry {len(recording.odometry) + 1}: {error}") from None
+    recording.records.append((own, pose))
+
+
+def _log(path: Path, recording: _Recording, laser: LaserConfig, is_mount_given: bool) -> Log:
     if not recording.scans or not recording.odometry:
         missing = "LaserScan" if not recording.scans else "Odometry"
         raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
@@ -85,38 +202,36 @@ def _read_log(path: Path, laser: LaserConfig, options: BagOptions, is_mount_give
             raise LogError(f"{path} scan {number}: {error}") from None
     if not any((s.ranges <= np.float32(s.max_range)).any() for s in scans):
         raise LogError(f"{path}: found no return in {len(scans)} scans, allowed: ranges from range_min to range_max")
-    if turns := found_turns(scans, recording.frames.laser):
+    if turns := found_turns(scans, recording.laser):
         raise LogError(f"{path}: {turns}")
     for frame, count in recording.other_frames.items():
         recording.remarks.append(
-            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.frames.laser)} "
+            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.laser)} "
             "are of another laser"
         )
     ticks = _ticks(path, recording, scans)
-    log = BagLog(ticks, described_laser(scans[0], laser), recording.remarks)
-    log.has_odometry = recording.has_odometry
-    return log
+    return Log(ticks, described_laser(scans[0], laser), recording.remarks, recording.has_odometry)
 
 
-def _mount(path: Path, recording: Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:
+def _mount(path: Path, recording: _Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:
     """The mount of the laser on the robot, and whether the laser is upside down."""
-    frames = recording.frames
     try:
-        found = frames.mount()
+        found = recording.tree.mount(recording.robot, recording.laser)
     except ValueError as error:
         raise LogError(f"{path} /tf_static: {error}") from None
     place, upside_down = found or (Pose(), False)
     if is_given or any(laser.mount):
         return Pose(*laser.mount), upside_down
     if found is None and recording.has_odometry:
+        frames = f"{shown_name(recording.robot)} to {shown_name(recording.laser)}"
         recording.remarks.append(
-            f"assumed: the laser at the robot's centre, since no /tf_static leads from {shown_name(frames.robot)} to "
-            f"{shown_name(frames.laser)} (otherwise set laser.mount)"
+            f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames} "
+            "(otherwise set laser.mount)"
         )
     return place, upside_down
 
 
-def _max_range(recording: Recording) -> float | None:
+def _max_range(recording: _Recording) -> float | None:
     """Metres, by the ranges themselves where the first message has no plausible `range_max`; None where it has one."""
     if not float(recording.scans[0][1].range_max) > FARTHEST_M:
         return None
@@ -128,47 +243,36 @@ def _max_range(recording: Recording) -> float | None:
 
 def described_laser(first: Scan, laser: LaserConfig) -> LaserConfig:
     """The configuration of the laser that took a scan."""
-    step, count = float(first.angle_increment), len(first.ranges)
-    fov = 2.0 * math.pi if first.closed else min(step * (count - 1), 2.0 * math.pi)
-    place = first.T_robot_laser
-    return replace(laser, beams=count, fov=fov, max_range=first.max_range, mount=(place.x, place.y, place.theta))
+    step, place = float(first.angle_increment), first.T_robot_laser
+    return described(laser, len(first.ranges), step, first.max_range, place)
 
 
-def _ticks(path: Path, recording: Recording, scans: Sequence[Scan]) -> list[Tick]:
+def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tick]:
     """One tick per message, and one for odometry and scan with the same stamp, from the first odometry on."""
-    odometry = recording.odometry
-
-    ends = [own - sweep_ns(len(s.ranges), s.time_increment) for (own, _), s in zip(recording.scans, scans, strict=True)]
-
-    def stamp(entry: tuple[bool, int]) -> int:
-        return ends[entry[1]] if entry[0] else odometry[entry[1]][0]
-
-    order = recording.order
-    if _ascends(recording.scans) and _ascends(odometry):
-        if recording.scans[0][0] > odometry[-1][0] or recording.scans[-1][0] < odometry[0][0]:
-            spans = [f"{s[0][0] * 1e-9:.3f} to {s[-1][0] * 1e-9:.3f} s" for s in (recording.scans, odometry)]
+    odometry, stamped = recording.odometry, recording.scans
+    left = iter(scans)
+    entries: list[tuple[int, Pose | Scan, int]] = []  # time of the tick, pose or scan, stamp of the message
+    for own, value in recording.records:
+        made = value if isinstance(value, Pose) else next(left)
+        ends = own if isinstance(made, Pose) else own - sweep_ns(len(made.ranges), made.time_increment)
+        entries.append((ends, made, own))
+    if _ascends(stamped) and _ascends(odometry):
+        if stamped[0][0] > odometry[-1][0] or stamped[-1][0] < odometry[0][0]:
+            spans = [f"{s[0][0] * 1e-9:.3f} to {s[-1][0] * 1e-9:.3f} s" for s in (stamped, odometry)]
             raise LogError(f"{path}: found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
-        order = sorted(order, key=lambda entry: (stamp(entry), entry[0]))
+        entries.sort(key=lambda entry: (entry[0], isinstance(entry[1], Scan)))
     ticks: list[Tick] = []
     clock, last = -1, -1
-    for entry in order:
-        is_scan, number = entry
-        own = stamp(entry)
-        if not is_scan:
-            last = number
-        if last < 0:
-            continue  # the pose of the robot is not known yet
-        if is_scan:
-            log_stamp_s = recording.scans[number][0] / 1e9
-            if ticks and ticks[-1].scan is None and own == odometry[last][0]:
-                ticks[-1] = replace(ticks[-1], scan=scans[number], log_stamp_s=log_stamp_s)
-                continue
-            clock = max(own, clock + 1)
-            pose = _interpolate(odometry, last, own)
-            ticks.append(Tick(clock, pose, scans[number], log_stamp_s=log_stamp_s))
-        else:
-            clock = max(own, clock + 1)
-            ticks.append(Tick(clock, odometry[number][1]))
+    for ends, made, own in entries:
+        if isinstance(made, Pose):
+            last += 1
+            clock = max(ends, clock + 1)
+            ticks.append(Tick(clock, made))
+        elif ticks and ticks[-1].scan is None and ends == odometry[last][0]:
+            ticks[-1] = replace(ticks[-1], scan=made, log_stamp_s=own / 1e9)
+        elif ticks:  # else the pose of the robot is not known yet
+            clock = max(ends, clock + 1)
+            ticks.append(Tick(clock, _interpolate(odometry, last, ends), made, log_stamp_s=own / 1e9))
     if not any(tick.scan is not None for tick in ticks):
         raise LogError(f"{path}: found no scan after the first odometry, allowed: a log with both")
     return ticks

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
@@ -14,31 +14,44 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_recording import LARGEST_STAMP_NS
-from sixthsense.sources.logs.decompress import check_regular, decompressed
-from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.observation_cloud import CLOUD, from_cloud
-from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, planar, read_increment_covariance, scan, stamp_ns
-from sixthsense.sources.logs.rosbag import BagLog
+from sixthsense.sources.logs.bag_file import checked_stamp, decompressed
+from sixthsense.sources.logs.errors import LogError, check_regular
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.ros_messages import (
+    CLOUD,
+    LASER_SCAN,
+    ODOMETRY,
+    from_cloud,
+    planar,
+    read_increment_covariance,
+    scan,
+    stamp_ns,
+)
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
-ESTIMATE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _TYPES = {
     "/odom": ODOMETRY,
     "/truth": TRUTH,
     "/scan": LASER_SCAN,
-    "/estimate": ESTIMATE,
     "/plan": PLAN,
     "/tour": PLAN,
     "/observations": CLOUD,
     "/sightings": CLOUD,  # the name in older bags
 }
-_PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # of x y z roll pitch yaw
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
 
-def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
-    """Read the bag of a run folder, or of its `.partial`: evidence, truth, estimated poses, plans and tours.
+class RunLog(Log):
+    """A `Source` that replays the bag of a run."""
+
+    plans: Sequence[tuple[int, Array]] = ()
+    """Record time and planned path (N, 2)."""
+    tours: Sequence[tuple[int, Array]] = ()
+    """The same of the tours of an exploration."""
+
+
+def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
+    """Read the bag of a run folder, or of its `.partial`: evidence, truth, plans and tours.
 
     `laser` is that of the folder's configuration; beams and ranges come from the bag. An incomplete bag is read up to
     its last whole chunk. Raises LogError for a folder without a bag, or a bag without a scan or an observation.
@@ -46,7 +59,6 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     file = Path(folder) / "bag" / "bag_0.mcap"
     ticks: list[Tick] = []
     paths: dict[str, list[tuple[int, Array]]] = {"/plan": [], "/tour": []}
-    estimates: list[tuple[int, Pose, Array]] = []
     reader = _Chunks(file)
     place = Pose(*laser.mount)
     try:
@@ -54,15 +66,12 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
             if topic == "/odom":
                 pose = planar(message.pose.pose.position, message.pose.pose.orientation)
                 last_ns = ticks[-1].stamp_ns if ticks else -1
-                if not last_ns < record_ns <= LARGEST_STAMP_NS:
+                if checked_stamp(str(file), record_ns) <= last_ns:
                     raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
                 ticks.append(Tick(record_ns, pose, increment_cov=read_increment_covariance(message)))
             elif topic in paths:
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
-            elif topic == "/estimate":
-                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
-                estimates.append((record_ns, pose, np.array(message.pose.covariance).reshape(6, 6)[_PLANE]))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
             elif ticks and topic in ("/observations", "/sightings"):
@@ -80,11 +89,10 @@ def read_run(folder: str | Path, laser: LaserConfig) -> BagLog:
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
-    log = BagLog(ticks, laser)
-    (log.plan_stamps_ns, log.plans), (log.tour_stamps_ns, log.tours) = (
-        (tuple(stamp for stamp, _ in found), tuple(path for _, path in found)) for found in paths.values()
-    )
-    log.estimates, log.cut_short = tuple(estimates), reader.cut_short
+    log = RunLog(ticks, laser)
+    if reader.cut_short:
+        log = RunLog(ticks, laser, [f"the recording is incomplete; its first {log.duration_s:.1f} s are used"])
+    log.plans, log.tours = paths["/plan"], paths["/tour"]
     return log
 
 

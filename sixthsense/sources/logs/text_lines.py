@@ -1,4 +1,4 @@
-"""Text logs: lines of a plain or compressed file, and numbers with errors that name file and line."""
+"""Text logs: records, tables and trajectories of a plain or compressed file, with errors that name file and line."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import bz2
 import gzip
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import IO, NoReturn, cast
+from typing import IO, NamedTuple, NoReturn, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.sources.logs.decompress import check_regular
-from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.errors import LogError, check_regular
 
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
 LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
+_LARGEST_WHOLE = (1 << 31) - 1
+_TRIANGLES = {6: 3, 21: 6}
+"""numbers of the upper triangle of a covariance, and its size"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +60,13 @@ class Record:
             self.fail(f"found stamp {shown(field)}, allowed: 0 to {LAST_STAMP_S} s")
         return round(stamp * 1_000_000_000)
 
+    def whole(self, column: int, name: str) -> int:
+        """A whole number, an id or a count, of 32 bits."""
+        field = self.fields[column]
+        if not field.isdigit() or len(field) > 10 or int(field) > _LARGEST_WHOLE:
+            self.fail(f"found {name} {shown(field)}, allowed: a whole number, 0 to {_LARGEST_WHOLE}")
+        return int(field)
+
     def parsed(self, fields: list[bytes]) -> Array:
         """(len(fields),) numbers, NaN and infinity included."""
         try:
@@ -81,7 +91,87 @@ def shown(field: bytes) -> str:
     return repr(text if len(text) <= 24 else text[:24] + "...")
 
 
-def lines(path: Path) -> Iterator[tuple[int, bytes]]:
+class Table(NamedTuple):
+    """Lines of numbers."""
+
+    records: list[Record]
+    numbers: Array
+    """(N, columns)"""
+
+    def stamps_ns(self) -> list[int]:
+        """(N,) stamps, nanoseconds, of the first column in seconds."""
+        return [record.stamp_ns(record.fields[0]) for record in self.records]
+
+    def check(self, column: int, name: str, low: float, high: float) -> None:
+        """Fail at the first line with a number outside [low, high] in a column."""
+        values = self.numbers[:, column]
+        bad = np.flatnonzero((values < low) | (values > high))
+        if len(bad):
+            record = self.records[bad[0]]
+            record.fail(f"found {name} {shown(record.fields[column])}, allowed: {low:g} to {high:g}")
+
+
+def read_table(path: Path, columns: str, widths: Sequence[int] = ()) -> Table:
+    """A line of numbers, separated by spaces or commas, for each record; at least one.
+
+    All lines have the same width: one of `widths`, by default the number of words in `columns`. Raises LogError, naming
+    the line, for any other line, and for numbers that are not finite or beyond `LARGEST`.
+    """
+    widths = widths or (len(columns.split()),)
+    found: list[Record] = []
+    for record in records(path, b","):
+        count = len(record.fields)
+        if count not in widths or (found and count != len(found[0].fields)):
+            record.fail(f"found {count} fields, allowed: {' or '.join(map(str, widths))} in every line ({columns})")
+        found.append(record)
+    if not found:
+        raise LogError(f"{path}: found no line of numbers, allowed: lines of {columns}")
+    try:
+        numbers = np.array([record.fields for record in found], dtype=np.float64)
+    except ValueError:
+        numbers = np.full((len(found), len(found[0].fields)), np.nan)
+    if not (np.abs(numbers) <= LARGEST).all():
+        for record in found:
+            record.numbers(record.fields)  # says what is wrong in the first bad line
+    return Table(found, numbers)
+
+
+def read_tum(file: Path) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and poses (N, 7), x y z qx qy qz qw, of a TUM trajectory; plain, gzip or bzip2.
+
+    Lines that are empty or begin with # are skipped. Raises LogError, naming the line, for any other line than one of
+    eight finite numbers, for a quaternion that is zero, and for a file without a pose.
+    """
+    table = read_table(file, "stamp x y z qx qy qz qw")
+    zero = np.flatnonzero(~np.any(table.numbers[:, 4:], axis=1))
+    if len(zero):
+        table.records[zero[0]].fail("found a quaternion that is zero, allowed: a rotation")
+    return np.array(table.stamps_ns(), dtype=np.int64), table.numbers[:, 1:]
+
+
+def read_covariances(file: Path) -> tuple[NDArray[np.int64], Array]:
+    """Stamps (N,), ns, and covariances (N, 3, 3) or (N, 6, 6): a stamp and the upper triangle, row by row, in a line.
+
+    6 numbers are of SE(2), 21 of SE(3). Raises LogError, naming the line, for any other line.
+    """
+    table = read_table(file, "a stamp and the upper triangle", [1 + count for count in _TRIANGLES])
+    values = table.numbers[:, 1:]
+    size = _TRIANGLES[values.shape[1]]
+    rows, columns = np.triu_indices(size)
+    covs = np.zeros((len(values), size, size))
+    covs[:, rows, columns] = covs[:, columns, rows] = values
+    return np.array(table.stamps_ns(), dtype=np.int64), covs
+
+
+def records(path: Path, separator: bytes = b" ") -> Iterator[Record]:
+    """The lines of a file as words between spaces, or `separator`; those that are blank or begin with # are skipped."""
+    for number, line in _lines(path):
+        fields = line.replace(separator, b" ").split()
+        if fields and not fields[0].startswith(b"#"):
+            yield Record(path, number, fields)
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
     """Number (from 1) and bytes of each line of a plain, gzip or bzip2 file, by its first bytes."""
     number = 0
     try:

@@ -1,4 +1,4 @@
-"""Untrusted files: only regular files are opened, and the size of decompressed data is bounded."""
+"""Bags are untrusted files: only regular ones are opened, and the size of decompressed data is bounded."""
 
 from __future__ import annotations
 
@@ -7,20 +7,62 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
-from sixthsense.sources.logs.errors import LogError
+from sixthsense.config.errors import InputError
+from sixthsense.sources.logs.errors import LogError, check_regular
 
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+
+_LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000  # nanoseconds must fit into 64 bits
+_LONGEST_REASON = 160  # letters
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
 _BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together
 _BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely compress to a tenth
 
 
-def check_regular(path: Path) -> None:
-    """Raise LogError if a path, or a file in that folder, is a pipe or a device, which may never end."""
-    for file in (path, *path.iterdir()) if path.is_dir() else (path,):
-        if file.exists() and not (file.is_file() or file.is_dir()):
-            raise LogError(f"{file}: is a pipe or a device, allowed: a file")
+@contextmanager
+def opened(path: Path) -> Iterator[AnyReader]:
+    """The reader of a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
+
+    Whatever is wrong within the block is a LogError: a damaged bag can raise any exception, and may define a type with
+    a known name but without the expected fields.
+    """
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    if not path.exists():
+        raise LogError(f"{path}: no such file")
+    try:
+        check_regular(path)
+        _check_first_line(path)
+        with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        if len(reason) > _LONGEST_REASON:
+            reason = reason[:_LONGEST_REASON] + "..."
+        raise LogError(
+            f"{path}: cannot be read as a bag ({reason}), allowed: ROS 1 .bag, ROS 2 folder or file"
+        ) from None
+
+
+def _check_first_line(path: Path) -> None:
+    """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        with path.open("rb") as stream:
+            if not stream.readline(32).endswith(b"\n"):
+                raise ValueError("File magic is invalid.")
+
+
+def checked_stamp(where: str, stamp_ns: int) -> int:
+    """A stamp that fits into 64 bits; LogError for any other."""
+    if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
+        raise LogError(f"{where}: found stamp {stamp_ns} ns, allowed: 0 to {_LARGEST_STAMP_NS} ns")
+    return stamp_ns
 
 
 @contextmanager

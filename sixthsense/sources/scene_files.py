@@ -1,27 +1,57 @@
-"""Checks of the fields of scene files, with one-line errors that name the field."""
+"""Files of scenes: their names, and checks of their fields with one-line errors that name the field.
+
+Loads nothing large, so that a wrong name is told at once.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import numbers
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeVar
 
-import numpy as np
-
-from sixthsense.config.section import is_one_line, shown, shown_name
+from sixthsense.config.errors import InputError
+from sixthsense.config.section import ConfigError, Range, Section, shown, shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
-from sixthsense.sources.scene_names import SceneError
 
+T = TypeVar("T")
+S = TypeVar("S", bound=Section)
 Point = tuple[float, float]
 Region = tuple[float, float, float, float]
 
+SUFFIXES = (".toml", ".yaml", ".yml", ".scn")
 MAX_WALLS = 50_000
 """every beam is compared with every wall"""
 _LIMIT_M = 1e6
 _LONGEST = 1 << 23  # characters; an endless stream must not fill the memory
 _SHORTEST_WALL_M = 1e-6
-_POLYGON_KEYS = ("points", "closed")
+
+Coordinate = Annotated[float, Range(-_LIMIT_M, _LIMIT_M)]
+
+
+class SceneError(InputError):
+    """One line that names the file, the field or line, what was found and what is allowed."""
+
+
+def shipped_scenes() -> dict[str, Path]:
+    """The files of the shipped scenes by name, in alphabetical order."""
+    package = Path(__file__).resolve().parents[1]
+    # A wheel contains the scenes inside the package; an editable install has them in the root of the repository.
+    folder = next((f for f in (package / "scenes", package.parent / "scenes") if f.is_dir()), None)
+    return {} if folder is None else {file.stem: file for file in sorted(folder.glob("*.toml"))}
+
+
+def scene_file(name_or_file: str | Path) -> Path:
+    """The file of a shipped scene, or the file itself; SceneError for a name that is neither, with the known ones."""
+    shipped = shipped_scenes()
+    path = shipped.get(str(name_or_file), Path(name_or_file))
+    if path.suffix.lower() not in SUFFIXES:
+        found = str(name_or_file)
+        allowed = allowed_names(shipped, nearest(found, shipped), f", or a file ending in {', '.join(SUFFIXES)}")
+        raise SceneError(f"scene: found {shown(found)}, {allowed}")
+    return path
 
 
 def read_text(path: Path) -> str:
@@ -46,13 +76,6 @@ def check_count(where: str, found: int, reason: str = "") -> None:
         raise SceneError(f"{where}: found {found:,} walls or more, allowed: at most {MAX_WALLS:,}{reason}")
 
 
-def read_name(where: str, value: Any) -> str:
-    """A printable file name."""
-    if not isinstance(value, str) or not value or not is_one_line(value):
-        raise SceneError(f"{where}: found {shown(value)}, not a readable image, allowed: the name of a file")
-    return value
-
-
 def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required: Sequence[str]) -> None:
     """Raise SceneError for the first key of `table` that is unknown, or of `required` that is missing."""
     for key in table:
@@ -63,45 +86,55 @@ def check_keys(where: str, table: dict[Any, Any], known: Sequence[str], required
             raise SceneError(f"{where}{key}: missing, required are {', '.join(required)}")
 
 
-def read_floats(words: list[str]) -> list[float | str]:
+def read_section(where: str, table: Any, kind: type[S]) -> S:
+    """A table as a section of this kind, whose fields without a default are required."""
+    known = {f.name: f.default is MISSING for f in fields(kind)}  # type: ignore[arg-type]
+    if not isinstance(table, dict):
+        raise SceneError(f"{where}{': ' * bool(where)}found {shown(table)}, allowed: a table with {', '.join(known)}")
+    prefix = f"{where}, " if where else ""
+    check_keys(prefix, table, list(known), [name for name, is_required in known.items() if is_required])
+    try:
+        return kind(**table)
+    except ConfigError as error:
+        raise SceneError(f"{prefix}{error}") from None
+
+
+def read_floats(words: Iterable[Any]) -> list[Any]:
     """Words as numbers; a word that is not a number is kept for the error message."""
-    values: list[float | str] = []
+    values: list[Any] = []
     for word in words:
         try:
             values.append(float(word))
-        except ValueError:
+        except (TypeError, ValueError):
             values.append(word)
     return values
 
 
-def read_list(where: str, value: Any) -> list[Any]:
-    """A list."""
-    if not isinstance(value, list):
-        raise SceneError(f"{where}: found {shown(value)}, allowed: a list")
-    return value
+def read_each(where: str, values: Any, read: Callable[[str, Any], T]) -> list[T]:
+    """The entries of a list, each by `read`, which takes the entry's name for messages and its value."""
+    if not isinstance(values, list):
+        raise SceneError(f"{where}: found {shown(values)}, allowed: a list")
+    return [read(f"{where}, entry {k}", value) for k, value in enumerate(values, 1)]
 
 
 def read_numbers(where: str, values: Any, names: str) -> tuple[float, ...]:
     """One finite float for each of the space-separated `names`."""
     count = len(names.split())
-    found = list(values) if isinstance(values, (list, tuple, np.ndarray)) else []
-    usable = (
-        len(found) == count
-        and all(isinstance(v, (int, float, np.number)) and not isinstance(v, bool) for v in found)
-        and all(abs(v) <= _LIMIT_M for v in found)  # false for NaN
-    )
-    if not usable:
+    is_list = isinstance(values, Iterable) and not isinstance(values, (str, bytes, Mapping))
+    found: list[Any] = list(values) if is_list else []
+    is_number = all(isinstance(v, numbers.Real) and not isinstance(v, bool) for v in found)
+    if len(found) != count or not is_number or not all(abs(v) <= _LIMIT_M for v in found):  # true for NaN
         raise SceneError(
             f"{where}: found {shown(values)}, allowed: {count} numbers ({names}), none beyond {_LIMIT_M:.0e}"
         )
     return tuple(float(v) for v in found)
 
 
-def read_positive(where: str, value: Any, unit: str = "metres") -> float:
-    """A finite number above 0, by default a length."""
+def read_positive(where: str, value: Any) -> float:
+    """A length above 0."""
     usable = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not usable or not 0.0 < value <= _LIMIT_M:
-        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, {unit}")
+        raise SceneError(f"{where}: found {shown(value)}, allowed: a number above 0, metres")
     return float(value)
 
 
@@ -127,19 +160,19 @@ def read_wall(where: str, values: Any) -> list[Point]:
     return [(x1, y1), (x2, y2)]
 
 
+@dataclass(frozen=True)
+class _Polygon(Section):
+    """A closed polygon, or an open polyline."""
+
+    points: tuple[tuple[Coordinate, Coordinate], ...]
+    closed: bool = True
+
+
 def read_polygon(where: str, table: Any) -> list[list[Point]]:
     """The sides of a closed polygon or of an open polyline."""
-    if not isinstance(table, dict):
-        raise SceneError(f"{where}: found {shown(table)}, allowed: a table with {', '.join(_POLYGON_KEYS)}")
-    check_keys(f"{where}, ", table, _POLYGON_KEYS, ("points",))
-    closed = table.get("closed", True)
-    if not isinstance(closed, bool):
-        raise SceneError(f"{where}, closed: found {shown(closed)}, allowed: true or false")
-    points = [
-        read_point(f"{where}, point {k}", p) for k, p in enumerate(read_list(f"{where}, points", table["points"]), 1)
-    ]
-    least = 3 if closed else 2
+    found = read_section(where, table, _Polygon)
+    points, least = found.points, 3 if found.closed else 2
     if len(points) < least:
         raise SceneError(f"{where}, points: found {len(points)}, allowed: at least {least}")
-    ends = [*points[1:], points[0]] if closed else points[1:]
+    ends = [*points[1:], points[0]] if found.closed else points[1:]
     return [read_wall(f"{where}, side {k}", [*a, *b]) for k, (a, b) in enumerate(zip(points, ends, strict=False), 1)]

@@ -1,0 +1,199 @@
+"""The tree of frames of a robot: mount of the laser, and odometry from /tf."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sixthsense.config.section import shown_name
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.sources.logs.bag_file import checked_stamp
+from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.ros_messages import frame_name, mount, planar_of, stamp_ns, transform
+
+TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+OPTION = "--odometry-frames PARENT,CHILD"
+
+
+class FramePair(NamedTuple):
+    """Two frames, such as odom and base_link."""
+
+    parent: str
+    child: str
+
+    def __str__(self) -> str:
+        return f"{shown_name(self.parent)} -> {shown_name(self.child)}"
+
+
+def frame_pair(names: Sequence[str]) -> FramePair | None:
+    """The frames of odometry as an option has them, parent and child; None without names, LogError unless two."""
+    if not names:
+        return None
+    frames = [frame_name(name.strip()) for name in names]
+    if len(frames) != 2 or not all(frames) or frames[0] == frames[1]:
+        raise LogError(f"--odometry-frames: found {','.join(names)!r}, allowed: PARENT,CHILD, such as odom,base_link")
+    return FramePair(*frames)
+
+
+@dataclass(slots=True)
+class Link:
+    """The transforms from a frame to one of its parents."""
+
+    first: Array
+    """(4, 4) T_parent_frame"""
+    moves: bool = False
+    """whether it ever changes"""
+    rows: list[int] = field(default_factory=list)
+    """of those with stamps, in the order of the records; none of a static transform"""
+
+
+class TransformTree:
+    """The transforms between frames: static ones, and those of /tf with their stamps."""
+
+    def __init__(self) -> None:
+        self.links: dict[str, dict[str, Link]] = {}
+        """by frame, and by its parent; a frame has one static parent"""
+        self.stamped: list[tuple[int, Array]] = []
+        """stamp, ns, and (4, 4) T_parent_child of all transforms of /tf"""
+        self._odometry: FramePair | None = None  # whose link is not constant, even if it never changes
+
+    def take(self, where: str, topic: str, message: Any, record_ns: int) -> list[int]:
+        """Add the transforms of a message; the rows of those of /tf. LogError that begins with `where`."""
+        rows = []
+        for one in message.transforms:
+            parent, child = frame_name(one.header.frame_id), frame_name(one.child_frame_id)
+            try:
+                T_parent_child = transform(one.transform)
+            except ValueError as error:
+                raise LogError(f"{where} {topic}: {error}") from None
+            if topic.endswith("tf_static"):
+                self.add_static(parent, child, T_parent_child)
+                continue
+            link = self.links.setdefault(child, {}).setdefault(parent, Link(T_parent_child))
+            link.moves |= not np.array_equal(link.first, T_parent_child)
+            rows.append(len(self.stamped))
+            link.rows.append(rows[-1])
+            self.stamped.append((checked_stamp(where, stamp_ns(one) or record_ns), T_parent_child))
+        return rows
+
+    def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
+        """Add a static transform, in place of an earlier one of that child."""
+        stamped = {name: link for name, link in self.links.get(child, {}).items() if link.rows}
+        self.links[child] = {parent: Link(T_parent_child), **stamped}
+
+    def root(self, frame: str) -> str:
+        """The root of a frame's chain of constant transforms; ValueError for transforms in a circle."""
+        return self._root(frame)[0]
+
+    def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
+        """`T_robot_laser`, and whether the laser is upside down; None if no constant transforms connect them.
+
+        Raises ValueError for a laser that is not level, and for transforms in a circle.
+        """
+        if robot == laser:
+            return Pose(), False
+        root, T_root_robot = self._root(robot)
+        other, T_other_laser = self._root(laser)
+        return mount(np.linalg.inv(T_root_robot) @ T_other_laser) if root == other else None
+
+    def odometry(self, laser: str, named: FramePair | None) -> tuple[FramePair, dict[int, Pose]]:
+        """The frames of odometry, named or found, and by row of its transforms `T_parent_child`.
+
+        It is found as the first transform that changes on the way from the laser to the root; without a way, as the
+        only one that changes and whose child nothing moves in. All others that never change count as constant: drivers
+        of ROS 1 send the mount so. Raises ValueError where there is no such pair, several, or a frame with two parents.
+        """
+        pair = named or self._found(laser)
+        chain = self.chain(pair) if named else [pair]
+        stamped = [at for at, link in enumerate(chain) if self._link(link).rows]
+        moving = [at for at in stamped if self._link(chain[at]).moves] or stamped
+        if len(moving) != 1:
+            inside = ", ".join(str(chain[at]) for at in moving) or "none"
+            raise ValueError(f"found {pair} with {len(moving)} transforms of /tf ({inside}), allowed: one")
+        at = moving[0]
+        before, after = (self._product(part) for part in (chain[:at], chain[at + 1 :]))
+        self._odometry = chain[at]
+        return pair, {row: planar_of(before @ self.stamped[row][1] @ after) for row in self._link(chain[at]).rows}
+
+    def chain(self, pair: FramePair) -> list[FramePair]:
+        """The links from the parent of a pair to its child; ValueError where there is no way or several."""
+        chain: list[FramePair] = []
+        frame = pair.child
+        while frame != pair.parent:
+            parent = self._parent(frame, pair.parent)
+            if parent is None or len(chain) > len(self.links):
+                found = ", ".join(map(str, self._pairs()[:8])) or "no transform"
+                raise ValueError(f"found no way from {pair}, but {found}, allowed: frames of /tf")
+            chain.insert(0, FramePair(parent, frame))
+            frame = parent
+        return chain
+
+    def transforms(self, pair: FramePair) -> list[tuple[int, Array]]:
+        """Stamps, ns, and (4, 4) T_parent_child of a link, in the order of the records; one of a static one."""
+        link = self._link(pair)
+        return [self.stamped[row] for row in link.rows] or [(0, link.first)]
+
+    def _found(self, laser: str) -> FramePair:
+        """The pair of odometry that the laser's frame leads to, or the only one that could be it."""
+        frame, still = laser, None
+        for _ in range(len(self.links) + 1):
+            parent = self._parent(frame)
+            if parent is None:
+                break
+            pair = FramePair(parent, frame)
+            if self._link(pair).moves:
+                return pair
+            still = still or (pair if self._link(pair).rows else None)
+            frame = parent
+        if still is not None:
+            return still
+        moving = [pair for pair in self._pairs() if self._link(pair).moves] or self._pairs()
+        leaves = [pair for pair in moving if all(pair.child != other.parent for other in moving)]
+        if len(leaves) != 1:
+            found = ", ".join(map(str, leaves)) or "no transform"
+            raise ValueError(f"found {found}, of which none leads to the laser, allowed: one named by {OPTION}")
+        return leaves[0]
+
+    def _pairs(self) -> list[FramePair]:
+        """The pairs of frames of /tf, those that change first."""
+        found = [
+            (not link.moves, FramePair(p, c)) for c, of in self.links.items() for p, link in of.items() if link.rows
+        ]
+        return [pair for _, pair in sorted(found)]
+
+    def _link(self, pair: FramePair) -> Link:
+        return self.links[pair.child][pair.parent]
+
+    def _parent(self, frame: str, wanted: str = "") -> str | None:
+        """The parent of a frame: the wanted one, else the only one; ValueError where there are several."""
+        parents = self.links.get(frame, {})
+        if wanted in parents:
+            return wanted
+        if len(parents) > 1:
+            both = " and ".join(map(shown_name, sorted(parents)))
+            raise ValueError(f"found {shown_name(frame)} with the parents {both}, allowed: one, or two frames by name")
+        return next(iter(parents), None)
+
+    def _root(self, frame: str) -> tuple[str, Array]:
+        """The root of a frame's chain of constant transforms, and (4, 4) T_root_frame."""
+        T_root_frame = np.eye(4)
+        for _ in range(len(self.links) + 1):
+            constant = [pair for pair in self._parents(frame) if not self._link(pair).moves and pair != self._odometry]
+            if not constant:
+                return frame, T_root_frame
+            T_root_frame = self._link(constant[0]).first @ T_root_frame
+            frame = constant[0].parent
+        raise ValueError(f"found frames in a circle at {frame!r}, allowed: a tree")
+
+    def _parents(self, frame: str) -> list[FramePair]:
+        return [FramePair(parent, frame) for parent in self.links.get(frame, {})]
+
+    def _product(self, chain: Sequence[FramePair]) -> Array:
+        """(4, 4) of a chain of constant transforms."""
+        T = np.eye(4)
+        for pair in chain:
+            T = T @ self._link(pair).first
+        return T

@@ -1,0 +1,212 @@
+"""Logs of landmarks with known ids: graphs in text formats, and the folders of MRCLAM."""
+
+import csv
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sixthsense import cli
+from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
+from sixthsense.core.geometry import Pose, rotation
+from sixthsense.loop import replay
+from sixthsense.sources.logs import open_log
+from sixthsense.sources.logs.graph import read_graph
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.mrclam import polar_observation, read_mrclam
+from sixthsense.sources.logs.runfolder import read_run
+
+CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
+MOTION = "ODOMETRY {} {} 1.0 0.1 0.2 1e-4 0 0 1e-4 0 1e-4\n"
+SEEN = "LANDMARK {} {} {} {} 0.01 0 0.01\n"
+SMALL = MOTION.format(0, 1) + SEEN.format(1, 5, 2.0, 1.0) + MOTION.format(1, 2) + SEEN.format(2, 5, 1.1, 0.6)
+ASSUMED = merge(AssumedConfig(), {"laser": {"range_m": 0.02, "bearing_rad": 0.01}})
+BARCODES = {1: 5, 2: 14, 6: 63, 7: 81, 8: 7}
+PLACES = {6: (4.0, 0.5), 7: (4.5, -0.5), 8: (5.0, 1.5)}
+START = Pose(1.0, 0.2, 0.1)
+SPEED, TURN_RATE = 0.2, 0.05
+
+
+def graph(text: str, folder: Path, name: str = "some.graph") -> Path:
+    file = folder / name
+    file.write_text(text)
+    return file
+
+
+def drive(poses: int = 30, order: int = 1) -> str:
+    """A round of a circle past four landmarks, without noise; those of one pose in the order asked."""
+    step, lines, pose = Pose(0.5, 0.05, 0.2), [], Pose()
+    for k in range(poses):
+        if k:
+            x, y, turn = step.array().tolist()
+            lines.append(f"ODOMETRY {k - 1} {k} {x!r} {y!r} {turn!r} 1e-4 0 0 4e-5 0 1e-4\n")
+            pose = pose @ step
+        for i, place in list(CIRCLED.items())[::order]:
+            x, y = (pose.inverse() @ np.array(place)).tolist()
+            if math.hypot(x, y) < 4.0:
+                lines.append(f"LANDMARK {k} {i} {x!r} {y!r} 0.01 0.001 0.02\n")
+    return "".join(lines)
+
+
+def test_poses_are_ticks_one_second_apart(tmp_path):
+    log = read_graph(graph(SMALL, tmp_path))
+    assert [tick.stamp_ns for tick in log.ticks] == [0, 10**9, 2 * 10**9]
+    assert log.start == Pose() and log.ticks[2].odometry == Pose(1.0, 0.1, 0.2) @ Pose(1.0, 0.1, 0.2)
+    assert [list(tick.observations) for tick in log.ticks] == [[], [5], [5]]
+    assert log.ticks[1].observations[5].z.tolist() == [2.0, 1.0]
+    assert np.array_equal(log.ticks[1].observations[5].cov, 0.01 * np.eye(2))
+    assert log.ticks[0].increment_cov is None
+
+
+def test_motion_tags_differ_in_the_order_and_the_meaning_of_their_numbers(tmp_path):
+    own = np.array([[4.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 2.0]])
+    information = np.linalg.inv(own)
+    rows, toro = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(0.7)
+    for tag, matrix, order in (("ODOMETRY", own, rows), ("EDGE_SE2", information, rows), ("EDGE2", information, toro)):
+        numbers = " ".join(repr(float(matrix[place])) for place in order)
+        log = read_graph(graph(f"{tag} 3 4 1 2 0.7 {numbers}\n", tmp_path))
+        assert log.ticks[1].odometry == Pose(1, 2, 0.7)
+        assert log.ticks[1].increment_cov == pytest.approx(turn @ own @ turn.T, abs=1e-9)
+
+
+def test_landmark_tags_differ_in_the_meaning_of_their_numbers(tmp_path):
+    cov = np.array([[0.3, 0.1], [0.1, 0.2]])
+    (xx, xy), (_, yy) = np.linalg.inv(cov).tolist()
+    lines = [
+        "LANDMARK 1 10 3.0 4.0 0.3 0.1 0.2\n",
+        f"EDGE_SE2_XY 1 11 3.0 4.0 {xx!r} {xy!r} {yy!r}\n",
+        f"BR 1 12 {math.atan2(4.0, 3.0)!r} 5.0 0.02 0.1\n",
+    ]
+    seen = read_graph(graph(MOTION.format(0, 1) + "".join(lines), tmp_path)).ticks[1].observations
+    assert list(seen) == [10, 11, 12]
+    assert all(s.z == pytest.approx(np.array([3.0, 4.0]), abs=2e-3) for s in seen.values())
+    assert seen[10].cov == pytest.approx(cov) and seen[11].cov == pytest.approx(cov)
+    bearing, distance, polar = seen[12].bearing_range()
+    assert (bearing, distance) == pytest.approx((math.atan2(4.0, 3.0), 5.0), abs=1e-6)
+    assert polar == pytest.approx(np.diag([4e-4, 0.01]), rel=1e-3, abs=1e-9)
+
+
+def rows(*values: object) -> str:
+    return "# a head\n" + "".join(" ".join(map(str, row)) + "\n" for row in values)
+
+
+def driven(seconds: float) -> Pose:
+    """Where the robot truly is; it drives an arc."""
+    turn = TURN_RATE * seconds
+    radius = SPEED / TURN_RATE
+    return START @ Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
+
+
+def folder(path: Path, robot: int = 3, steps: int = 40, order: int = 1) -> Path:
+    """A small MRCLAM folder without noise; a measurement every half second, its landmarks in the order asked."""
+    path.mkdir(exist_ok=True)
+    times = [1000.0 + 0.1 * k for k in range(steps)]
+    (path / "Barcodes.dat").write_text(rows(*BARCODES.items()))
+    (path / "Landmark_Groundtruth.dat").write_text(rows(*((i, x, y, 0.0, 0.0) for i, (x, y) in PLACES.items())))
+    (path / f"Robot{robot}_Odometry.dat").write_text(rows(*((f"{t:.3f}", SPEED, TURN_RATE) for t in times)))
+    truth = rows(*((f"{t:.3f}", *driven(t - 1000.0).array()) for t in (*times, times[-1] + 0.1)))
+    (path / f"Robot{robot}_Groundtruth.dat").write_text(truth)
+    seen = []
+    for t in [1000.25 + 0.5 * k for k in range(steps // 5 - 1)]:
+        pose = driven(t - 1000.0)
+        for i, place in list(PLACES.items())[::order]:
+            x, y = pose.inverse() @ np.array(place)
+            if x < 0.5 or abs(y) > 2.0 * x:
+                continue
+            seen.append((f"{t:.3f}", BARCODES[i], x, math.atan2(y, x)))
+        seen.append((f"{t:.3f}", BARCODES[1], 2.0, 0.1))
+    (path / f"Robot{robot}_Measurement.dat").write_text(rows(*seen))
+    return path
+
+
+def test_odometry_and_measurements_give_ticks_in_the_order_of_time(tmp_path):
+    log = read_mrclam(folder(tmp_path), ASSUMED)
+    stamps = [tick.stamp_ns for tick in log.ticks]
+    assert len(stamps) == 40 + 7 and np.all(np.diff(stamps) > 0)
+    assert [len(tick.observations) for tick in log.ticks if tick.observations] == [3] * 7
+    assert all(tick.observations is not None and tick.truth is not None and tick.scan is None for tick in log.ticks)
+
+
+def test_odometry_begins_at_the_first_true_pose_and_follows_the_rates(tmp_path):
+    log = read_mrclam(folder(tmp_path), ASSUMED)
+    for tick in log.ticks:
+        assert tick.odometry.array() == pytest.approx(driven(1e-9 * tick.stamp_ns - 1000.0).array(), abs=1e-6)
+        assert tick.truth.array() == pytest.approx(tick.odometry.array(), abs=1e-4)
+
+
+def test_ids_are_subjects_robots_are_skipped_and_depths_become_distances(tmp_path):
+    for tick in read_mrclam(folder(tmp_path), ASSUMED).ticks:
+        for i, observation in (tick.observations or {}).items():
+            assert (tick.odometry @ observation.z) == pytest.approx(np.array(PLACES[i]), abs=1e-3)
+
+
+def test_a_noisy_range_and_bearing_give_an_unbiased_observation_with_the_correct_covariance():
+    rng, many = np.random.default_rng(0), 20_000
+    r, b, sigma_r = 5.0, 0.7, 0.1
+    for sigma_b in (0.02, 0.1):
+        noisy = zip(r + sigma_r * rng.standard_normal(many), b + sigma_b * rng.standard_normal(many), strict=True)
+        observations = [polar_observation(d, a, (sigma_r**2, sigma_b**2)) for d, a in noisy]
+        errors = np.array([s.z for s in observations]) - r * np.array([math.cos(b), math.sin(b)])
+        assert np.abs(errors.mean(axis=0)).max() < 4.0 * max(r * sigma_b, sigma_r) / math.sqrt(many)
+        if sigma_b < 0.05:  # beyond that the ellipse is a banana
+            nees = [e @ np.linalg.solve(s.cov, e) for e, s in zip(errors, observations, strict=True)]
+            assert np.mean(nees) == pytest.approx(2.0, rel=0.05)
+
+
+def both_orders(folder_: Path, kind: str) -> tuple[Path, Path]:
+    """The same log twice, with the observations of a pose in opposite orders."""
+    if kind == "victoria":
+        return graph(drive(), folder_, "a.txt"), graph(drive(order=-1), folder_, "b.txt")
+    return folder(folder_ / "a"), folder(folder_ / "b", order=-1)
+
+
+@pytest.mark.parametrize("estimator", ["ekf", "ekf-invariant", "isam2"])
+@pytest.mark.parametrize("kind", ["victoria", "mrclam"])
+def test_a_replay_is_reproducible_for_any_order_of_observations(tmp_path, kind, estimator):
+    config = preset(kind, estimator=estimator)
+    log, turned = map(open_log, both_orders(tmp_path, kind))
+    first, again, other = (replay(source, config) for source in (log, log, turned))
+    assert np.array_equal(first.joint_cov, again.joint_cov)
+    assert np.array_equal(np.array(first.estimates), np.array(again.estimates))
+    assert np.array(other.estimates) == pytest.approx(np.array(first.estimates), abs=1e-6)
+    assert len(first.estimates) > 5 and set(first.final.ids.tolist()) == set(CIRCLED if kind == "victoria" else PLACES)
+    truth = [tick.truth or tick.odometry for tick in log.ticks if tick.observations is not None]
+    # The smoother takes out of a range what noise would have added, and these have none.
+    off = np.array(first.estimates) - np.array([pose.array() for pose in truth])
+    assert np.abs(off).max() < 0.01
+
+
+@pytest.mark.parametrize("kind", ["victoria", "mrclam"])
+def test_the_command_replays_a_log_and_then_its_own_record_to_the_same_estimates(tmp_path, capsys, kind):
+    file, _ = both_orders(tmp_path, kind)
+    for log, out in ((file, "one"), (tmp_path / "one", "two")):
+        assert cli.main(["replay", str(log), "--out", str(tmp_path / out)]) == cli.DONE
+    assert cli.main(["report", str(tmp_path / "one"), "--out", str(tmp_path / "report")]) == cli.DONE
+    assert not (tmp_path / "one" / "map.pgm").exists()
+    assert (tmp_path / "one" / "truth.tum").exists() == (kind == "mrclam")
+    with (tmp_path / "one" / "landmarks.csv").open() as rows:
+        assert {int(row["id"]) for row in csv.DictReader(rows)} == set(CIRCLED if kind == "victoria" else PLACES)
+    for name in ("estimate.tum", "smoothed.tum", "landmarks.csv"):
+        assert (tmp_path / "two" / name).read_text() == (tmp_path / "one" / name).read_text()
+    for a, b in zip(open_log(file).ticks, read_run(tmp_path / "one", LaserConfig()).ticks, strict=True):
+        assert (a.stamp_ns, a.odometry, a.truth) == (b.stamp_ns, b.odometry, b.truth)
+        assert a.increment_cov is b.increment_cov is None or np.array_equal(a.increment_cov, b.increment_cov)
+        assert list(a.observations) == list(b.observations)
+        for one, two in zip(a.observations.values(), b.observations.values(), strict=True):
+            assert np.array_equal(one.z, two.z) and np.array_equal(one.cov, two.cov)
+
+
+def victoria_park() -> Log:
+    spec = importlib.util.find_spec("gtsam")
+    assert spec is not None and spec.origin is not None
+    return read_graph(Path(spec.origin).parent / "Data" / "victoria_park.txt")
+
+
+def test_victoria_park_has_its_published_size():
+    log = victoria_park()
+    ids = [i for tick in log.ticks for i in tick.observations]
+    assert (len(log.ticks), len(ids), len(set(ids))) == (6969, 3640, 151)
