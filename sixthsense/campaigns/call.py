@@ -11,11 +11,12 @@ from sixthsense.campaigns.completion import Execution, complete
 from sixthsense.campaigns.errors import CampaignError
 from sixthsense.campaigns.plan import AXES, CampaignPlan, plan, resolve_scenes, shared_fields
 from sixthsense.campaigns.result import Campaign
-from sixthsense.config import ConfigError, preset
+from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
 from sixthsense.config.names import ESTIMATORS, PLANNERS, Names
 from sixthsense.config.section import shown
+from sixthsense.config.tree import task_of
 
 
 def campaign(
@@ -81,16 +82,13 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
         if name in given:
             raise CampaignError(f"{name}: found for a campaign, allowed: {name}s")
     values = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
-    for name in ("goal", "tour"):
-        if given.get(name) is not None and given.setdefault("task", name) != name:
-            raise ConfigError(f"{name}: found with task {given['task']}, allowed: with task {name}")
     return CampaignPlan(
         scenes=resolve_scenes([str(text) for text in texts]),
         estimators=_of_workers("estimator", values["estimator"], ESTIMATORS),
         presets=values["preset"],
         planners=_of_workers("planner", values["planner"], PLANNERS),
         seeds=_seeds(seeds),
-        fields=shared_fields(given),
+        fields=shared_fields(given, task_of(given)),
     )
 
 

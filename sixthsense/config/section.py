@@ -90,7 +90,7 @@ class Section:
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
-            object.__setattr__(self, name, _checked(name, hint, getattr(self, name)))
+            object.__setattr__(self, name, checked(name, hint, getattr(self, name)))
 
     def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """The fields that are to be replaced, with those that follow from them."""
@@ -106,16 +106,19 @@ def _hints(cls: type) -> dict[str, Any]:
 _known_hints: dict[type, dict[str, Any]] = {}  # reading them takes most of a section's creation
 
 
-def _checked(name: str, hint: Any, value: Any) -> Any:
-    """`value` coerced to `hint`; ConfigError naming the field otherwise."""
+def checked(name: str, hint: Any, value: Any) -> Any:
+    """`value` coerced to the annotated type `hint`; ConfigError naming the field otherwise."""
     origin = typing.get_origin(hint)
     if origin is Annotated:
-        base, bounds = typing.get_args(hint)
-        value = value if isinstance(bounds, Names) else _checked(name, base, value)
-        if value not in bounds:
-            is_name = isinstance(bounds, Names)
-            allowed = allowed_names(bounds, nearest(value, bounds)) if is_name else bounds.allowed(value)
-            raise ConfigError(f"{name}: found {shown(value)}, {allowed}")
+        base, *notes = typing.get_args(hint)
+        for names in (note for note in notes if isinstance(note, Names)):
+            if value not in names:
+                raise ConfigError(f"{name}: found {shown(value)}, {allowed_names(names, nearest(value, names))}")
+            return value
+        value = checked(name, base, value)
+        for bounds in (note for note in notes if isinstance(note, Range)):
+            if value not in bounds:
+                raise ConfigError(f"{name}: found {shown(value)}, {bounds.allowed(value)}")
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
@@ -124,16 +127,16 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
-        return None if value is None else _checked(name, inner, value)
+        return None if value is None else checked(name, inner, value)
     if origin is tuple:
         args = typing.get_args(hint)
         if args[-1] is Ellipsis:
             if not isinstance(value, (tuple, list)) or not value:
                 raise ConfigError(f"{name}: found {shown(value)}, allowed: a list")
-            return tuple(_checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
+            return tuple(checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
             raise ConfigError(f"{name}: found {shown(value)}, allowed: {len(args)} numbers")
-        return tuple(_checked(name, a, v) for a, v in zip(args, value, strict=True))
+        return tuple(checked(name, a, v) for a, v in zip(args, value, strict=True))
     if hint is float:
         real = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
@@ -171,7 +174,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
             changes[name] = merge(current, value, f"{path}{key}.")
         else:
             try:
-                changes[name] = _checked(key, _hints(type(base))[name], value)
+                changes[name] = checked(key, _hints(type(base))[name], value)
             except ConfigError as error:
                 raise ConfigError(f"{path}{error}") from None
     try:

@@ -21,7 +21,7 @@ from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, 
 from sixthsense.config.removed import OldName, with_current_names
 from sixthsense.config.safety import SafetyConfig
 from sixthsense.config.scans import ScansConfig
-from sixthsense.config.section import ConfigError, Range, Section
+from sixthsense.config.section import ConfigError, Range, Section, shown
 from sixthsense.config.values import Count
 
 
@@ -122,3 +122,19 @@ class Config(Section):
             raise ConfigError(
                 f"laser.sweep_s: found {self.laser.sweep_s:g}, allowed: at most {between:g}, the time between two scans"
             )
+
+
+def task_of(given: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """The task that a goal or a tour among the `given` fields sets, as a table; empty without one.
+
+    Raises ConfigError for a goal or a tour with another task; `prefix` precedes the fields' names in it.
+    """
+    for task in ("goal", "tour"):
+        if given.get(task) is None:
+            continue
+        named = given.get("task", task)
+        if named != task:
+            found = named if isinstance(named, str) else shown(named)
+            raise ConfigError(f"{prefix}{task}: found with {prefix}task {found}, allowed: with {prefix}task {task}")
+        return {"task": task}
+    return {}

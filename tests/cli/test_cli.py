@@ -145,7 +145,7 @@ def test_a_run_as_a_program_prints_its_summary_and_the_folder(here: Path) -> Non
 
 
 def settings(*args: str, base: str = "default") -> Config:
-    options, _ = parse_command(Run, "scene", base, list(args))
+    options, _ = parse_command(Run, list(args), lambda _: base)
     return options.settings
 
 

@@ -30,7 +30,7 @@ def test_the_help_fits_on_a_screen_of_24_lines_and_80_columns() -> None:
 def test_the_help_of_a_command_has_at_most_60_lines_of_80_columns(command: str) -> None:
     lines = page(command, "--help")
     assert len(lines) <= 60
-    assert max(map(len, lines)) <= (120 if command in ("campaign", "report") else 80)
+    assert max(map(len, lines)) <= 80
 
 
 @pytest.mark.parametrize("command", WITH_SETTINGS)
