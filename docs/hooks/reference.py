@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Union
 from sixthsense.cli import COMMANDS, main
 from sixthsense.cli.help import command_class, own_options
 from sixthsense.config import PRESETS, Config, Section, preset
-from sixthsense.config.field_texts import field_texts
+from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}

@@ -56,19 +56,13 @@ def command(args: list[str]) -> int:
     given, table = parse(args, Campaign)
     options = Campaign(**given)
     out = _checked_folder(options, table)
-    from sixthsense.campaigns import CampaignPlan, Execution, complete
-    from sixthsense.campaigns.plan import AXES, plan, resolve_scenes, seed_range, shared_fields
+    from sixthsense.campaigns import Execution, complete
+    from sixthsense.campaigns.plan import AXES, campaign_of, plan, seed_range
 
     file = _read_config_table(options.config, options.preset)
-    values = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
-    campaign = CampaignPlan(
-        scenes=resolve_scenes(values["scene"]),
-        estimators=tuple(dict.fromkeys(values["estimator"])),
-        presets=tuple(dict.fromkeys(values["preset"])),
-        planners=tuple(dict.fromkeys(values["planner"])),
-        seeds=tuple(dict.fromkeys(seed for text in options.seeds for seed in seed_range(text))),
-        fields=shared_fields(file, task_of(table, "--"), table),
-    )
+    axes = {axis: getattr(options, axis) or (file.get(axis, getattr(preset(), axis)),) for axis in AXES}
+    seeds = (seed for text in options.seeds for seed in seed_range(text))
+    campaign = campaign_of(axes, seeds, file, task_of(table, "--"), table)
     runs = plan(campaign)
     execution = Execution(options.workers, options.scheduler, options.retry_failed, say=announce)
     interrupted = False

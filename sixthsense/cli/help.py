@@ -15,9 +15,8 @@ from typing import Any, Literal
 
 from sixthsense.cli.options import Options, Shown, UsageError, notes_of, option_types, unwrapped
 from sixthsense.config import Section, preset
-from sixthsense.config.field_texts import field_texts
 from sixthsense.config.names import Names
-from sixthsense.config.section import Range, shown
+from sixthsense.config.section import Range, field_texts, shown
 from sixthsense.config.suggestion import allowed_names, nearest
 
 EVERYTHING = "all"

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
+import itertools
 import math
 import numbers
 import reprlib
@@ -83,6 +86,15 @@ class Range:
         degrees = f"{value:g} {self.unit.replace('rad', 'degrees', 1)}"
         meant = f"did you mean {radians:.4g} {self.unit} ({degrees})? " if self.unit and radians in self else ""
         return f"{meant}allowed: {self} {self.unit}".rstrip()
+
+
+Positive = Annotated[float, Range(0.0, open_low=True)]
+NonNegative = Annotated[float, Range(0.0)]
+Noise = Annotated[float, Range(0.0, 100.0)]
+AngularNoise = Annotated[float, Range(0.0, 100.0, unit="rad")]
+PositiveCount = Annotated[int, Range(1)]
+Count = Annotated[int, Range(0)]
+Distribution = Literal["gaussian", "uniform"]
 
 
 class Section:
@@ -193,3 +205,19 @@ def as_table(section: Section) -> dict[str, Any]:
         if value is not None:
             table[f.name] = as_table(value) if isinstance(value, Section) else value
     return table
+
+
+def field_texts(cls: type) -> dict[str, str]:
+    """The docstring under each field of a dataclass, by the field's name; those of its base classes included."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__):
+        if not dataclasses.is_dataclass(one):
+            continue
+        (definition,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(one))).body
+        assert isinstance(definition, ast.ClassDef)
+        for field, text in itertools.pairwise(definition.body):
+            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+                continue
+            if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                found[field.target.id] = " ".join(str(text.value.value).split())
+    return found

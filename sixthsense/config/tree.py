@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from sixthsense.config.explore import ExploreConfig
+from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
 from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
-    FollowConfig,
     GridConfig,
     ISAM2Config,
     KeyframeConfig,
-    RRTStarConfig,
+    ScansConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
 from sixthsense.config.removed import OldName, with_current_names
-from sixthsense.config.safety import SafetyConfig
-from sixthsense.config.scans import ScansConfig
-from sixthsense.config.section import ConfigError, Range, Section, shown
-from sixthsense.config.values import Count
+from sixthsense.config.section import ConfigError, Count, Range, Section, shown
 
 
 @dataclass(frozen=True)
