@@ -22,10 +22,10 @@ from harness import (
     code_commit,
     finish,
     kept,
+    mean_and_error,
     pooled,
     print_table,
 )
-from tables import mean_and_error
 
 from sixthsense.running.warmup import warm_up, warm_up_scans
 

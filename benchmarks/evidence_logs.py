@@ -39,6 +39,7 @@ from harness import (
     code_commit,
     command_figures,
     data_path,
+    mean_and_error,
     print_table,
     replay_errors,
     rows_as_json,
@@ -46,7 +47,7 @@ from harness import (
 )
 from repetition import drive_figures
 from repetition_scenes import SCENES
-from tables import LOGS, mean_and_error, write_pages
+from tables import LOGS, write_pages
 from tours import short_drive
 
 from sixthsense.config import merge, preset

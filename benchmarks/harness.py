@@ -145,6 +145,13 @@ def code_commit(code: Sequence[str] = PACKAGE) -> str:
     return f"{commit}+{hashlib.sha256(changed.encode()).hexdigest()[:6]}" if changed else commit
 
 
+def mean_and_error(values: list[float]) -> tuple[float, float | None]:
+    """Mean over runs and its standard error; None for one run."""
+    given = np.array(values, dtype=np.float64)
+    error = float(given.std(ddof=1) / np.sqrt(len(given))) if len(given) > 1 else None
+    return float(given.mean()), error
+
+
 def rows_as_json(rows: Mapping[str, Any]) -> str:
     """JSON with a row per line."""
     lines = ",\n".join(f"  {json.dumps(key)}: {json.dumps(row)}" for key, row in rows.items())
