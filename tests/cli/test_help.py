@@ -47,16 +47,9 @@ def test_the_whole_help_has_every_option_once_within_80_columns(command: str) ->
     [
         ("rnu apartment", "run"),
         ("run apartmnt", "apartment"),
-        ("calibrate ofice --out n.toml", "office"),
-        ("run --planer astar", "--planner"),
         ("run --laser.beems 3", "--laser.beams"),
         ("run --beams 3", "--laser.beams"),
-        ("run --estimator ekf-invarient", "ekf-invariant"),
         ("run --estimator ISAM2", "isam2"),
-        ("run --planner rrt", "rrtstar"),
-        ("run --preset wron", "worn"),
-        ("run --task explor", "explore"),
-        ("report somewhere --figure svg", "--figures"),
         ("completion zhs", "zsh"),
     ],
 )
