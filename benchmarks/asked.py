@@ -1,19 +1,36 @@
-"""A table of what is asked, what was measured, and whether it is met; its runs are kept, so that a command resumes."""
+"""Commands whose runs are kept, so that they resume, and tables of what is asked, what was measured, and if it is met.
+
+The figures of each run are kept in a folder named after the code's commit. A part begins no run after so many minutes;
+the same command goes on.
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from harness import CACHE, kept, pooled
-from tables import mean_and_error
+from harness import (
+    CACHE,
+    PACKAGE,
+    Figures,
+    check_at_least,
+    code_commit,
+    finish,
+    kept,
+    mean_and_error,
+    pooled,
+    print_table,
+)
 
 from sixthsense.running.warmup import warm_up, warm_up_scans
 
-Figures = dict[str, Any]
+PART_MIN = 8.0
+"""minutes of a part of a long command"""
 Found = Mapping[str, Figures]
 """figures by the key of their case"""
 
@@ -77,12 +94,6 @@ def line(what: str, asked: str, runs: Sequence[Figures | None], judge_runs: Judg
     return Line(what, asked, shown, "yes" if is_met else "NO")
 
 
-def warm() -> None:
-    """Compile the hot loops, once in each process."""
-    warm_up()
-    warm_up_scans()
-
-
 def within(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
     """A judge of the mean of a figure over runs, with its standard error."""
     mean, error = mean_and_error([found[name] for found in runs])
@@ -90,17 +101,35 @@ def within(name: str, low: float, high: float, runs: Sequence[Figures]) -> tuple
     return shown, low <= mean <= high
 
 
+def parsed(parser: argparse.ArgumentParser, minutes: float = PART_MIN, **bounds: float) -> argparse.Namespace:
+    """The options of a command whose runs are kept: those of all such commands, and those that `parser` has already.
+
+    `minutes` are those of a part, `bounds` the least values of the parser's own options.
+    """
+    parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="runs whose key begins so (all); none")
+    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
+    parser.add_argument("--minutes", type=float, default=minutes, metavar="M", help=f"begin no run after ({minutes:g})")
+    options = parser.parse_args()
+    check_at_least(parser, options, jobs=1, minutes=0.0, **bounds)
+    return options
+
+
+def warm() -> None:
+    """Compile the hot loops, once in each process."""
+    warm_up()
+    warm_up_scans()
+
+
 def measure(
     chosen: Sequence[Case],
     figures_of: Callable[[Case], Figures],
-    options: Any,
+    options: argparse.Namespace,
     commit: str,
-    warm: Callable[[], object],
     alone: Callable[[Case], bool] = lambda case: False,
 ) -> dict[str, Figures]:
     """The figures by key of the cases begun within `options.minutes`, by `options.jobs` processes.
 
-    Those that are to run `alone` come first, one after the other. `warm` compiles the hot loops in each process.
+    Those that are to run `alone` come first, one after the other.
     """
     function = partial(measured, CACHE / commit, time.time() + 60.0 * options.minutes, figures_of)
     made: dict[str, Figures] = {}
@@ -120,3 +149,42 @@ def selected(every: Sequence[Case], prefixes: Sequence[str]) -> list[Case]:
             kinds = ", ".join(dict.fromkeys(case.kind for case in every))
             raise ValueError(f"--rows: found {prefix!r}, allowed: none, and beginnings of keys of {kinds}")
     return [case for case in every if not prefixes or case.key.startswith(tuple(prefixes))]
+
+
+def code_of(*modules: str) -> tuple[str, ...]:
+    """What figures depend on: the package, and modules of this folder."""
+    return (*PACKAGE, *(f"benchmarks/{name}.py" for name in modules))
+
+
+def resumable(work: Callable[[], int]) -> int:
+    """The exit code of a command whose runs are kept; wrong input and an interrupt are told in one line."""
+    name = Path(sys.argv[0]).name
+    try:
+        return work()
+    except (ValueError, RuntimeError) as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"{name}: interrupted; the same command resumes", file=sys.stderr)
+        return 130
+
+
+def tabulate(
+    name: str,
+    options: argparse.Namespace,
+    every: Sequence[Case],
+    figures_of: Callable[[Case], Figures],
+    lines: Callable[[Found], Iterable[Line]],
+    code: Sequence[str],
+) -> int:
+    """Measure the cases that `options` select and print their table, which is kept as `name` if it is whole."""
+    chosen = selected(every, options.rows)
+    found = measure(chosen, figures_of, options, code_commit(code))
+    table = [Line._fields, *(each for each in lines(found) if each.measured)]
+    if left := len(chosen) - len(found):
+        print(f"{left} runs are left; the same command goes on", file=sys.stderr)
+    if options.keep and (left or options.rows):
+        print_table(table)
+        raise ValueError("--keep: nothing is kept of a part")
+    finish(options, name, table, text=4)
+    return 0

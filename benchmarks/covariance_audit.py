@@ -128,7 +128,7 @@ def case_figures(
 
 
 def main() -> None:
-    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
+    parser = arguments(__doc__)
     parser.add_argument("--seeds", type=int, default=100, metavar="N", help="number of seeds, from 0 (100)")
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
     options = parser.parse_args()

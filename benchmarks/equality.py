@@ -1,7 +1,7 @@
 """Run a tree and an earlier commit on the same cases and say whether their results are equal, bit for bit.
 
     python benchmarks/equality.py --base main~3              # this repository against an earlier commit of its own
-    python benchmarks/equality.py --base main~3 --tree ../other --only office intel.isam2
+    python benchmarks/equality.py --base main~3 --only office intel.isam2
 
 Compared are estimates, landmarks with their joint covariance, all metrics but clocks, and exit codes. Results of the
 base stay in the work folder (`.equality-USER` in the system's temporary folder) by commit and case. They are used again
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import getpass
-import hashlib
 import json
 import os
 import shutil
@@ -23,22 +22,20 @@ import tempfile
 from collections.abc import Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from equality_cases import Case, cases
+from harness import HERE, arguments, check_at_least, commit_of, unpack
 
 TRAJECTORIES = ("estimate.tum", "smoothed.tum")
 LANDMARKS, METRICS = "landmarks.npz", "metrics.json"
 CLOCKS = ("wall_time_s", "realtime_factor", "scan_ms_", "stage_ms_mean.")  # what such keys begin with
 SEED = 3
 LONGEST_S = 3600.0  # of a case
-
-
-class BadInputError(Exception):
-    """One line."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +60,8 @@ def identity(case: Case) -> dict[str, Any]:
     return {"words": list(case.words), "seed": SEED, "python": sys.version, **libraries}
 
 
-def perform(case: Case, tree: Tree, keep: bool) -> None:
-    """Run a case; of its folder only what is compared stays, unless all of it is to be kept."""
+def perform(case: Case, tree: Tree) -> None:
+    """Run a case; of its folder only what is compared stays."""
     out, record = tree.out(case), tree.record(case)
     partial = out.with_name(out.name + ".partial")
     for folder in (out, partial):
@@ -84,12 +81,11 @@ def perform(case: Case, tree: Tree, keep: bool) -> None:
         code, said = done.returncode, done.stderr.decode(errors="replace")
     except subprocess.TimeoutExpired:
         said = f"no end within {LONGEST_S:.0f} s"
-    if not keep:
-        for file in out.glob("*"):
-            if file.is_dir():
-                shutil.rmtree(file)
-            elif file.name not in (*TRAJECTORIES, LANDMARKS, METRICS):
-                file.unlink()
+    for file in out.glob("*"):
+        if file.is_dir():
+            shutil.rmtree(file)
+        elif file.name not in (*TRAJECTORIES, LANDMARKS, METRICS):
+            file.unlink()
     last = [line.strip() for line in said.splitlines() if line.strip()][-1:]
     record.write_text(json.dumps({"code": code, "said": "".join(last), **identity(case)}, indent=1) + "\n")
 
@@ -177,118 +173,72 @@ def _ending(name: str, record: dict[str, Any]) -> str:
     return f"{name} ends with exit code {record['code']}" + (f": {record['said']}" if record["code"] != 0 else "")
 
 
-def git(folder: Path, *words: str) -> str:
-    """What git says, in one line."""
-    done = subprocess.run(["git", "-C", str(folder), *words], capture_output=True, text=True)
-    if done.returncode != 0:
-        raise BadInputError(f"git {' '.join(words)}: {''.join(done.stderr.splitlines()[-1:])}")
-    return done.stdout.strip()
-
-
-def trees(options: argparse.Namespace) -> tuple[Tree, Tree]:
-    """The base's tree, which may have to be made yet, and the one under test, with nothing compiled."""
-    where, revision = (options.base_tree, "HEAD") if options.base_tree else (options.tree, options.base)
-    commit = git(where, "rev-parse", "--verify", f"{revision}^{{commit}}")
-    if options.base_tree and git(where, "status", "--porcelain", "--untracked-files=no"):
-        raise BadInputError(f"--base-tree: {where} has changes, allowed: a commit as it is")
-    folder = options.work / f"base-{commit[:12]}"
-    folder.mkdir(exist_ok=True)
-    base = Tree(options.base_tree or folder / "tree", folder)
-    key = hashlib.sha256(str(options.tree).encode()).hexdigest()[:8]
-    new = Tree(options.tree, options.work / f"tree-{options.tree.name}-{key}")
-    if not options.record_only:
-        shutil.rmtree(new.folder, ignore_errors=True)
-        new.folder.mkdir()
-    return base, new
-
-
-def prepare(tree: Tree, options: argparse.Namespace) -> None:
-    """See that a tree's own code will run; the base's is made where it is to come from git."""
-    if not tree.code.exists():
-        commit = git(options.tree, "rev-parse", f"{options.base}^{{commit}}")
-        git(options.tree, "worktree", "add", "--force", "--detach", str(tree.code), commit)
+def check_package(tree: Tree) -> None:
+    """Raise RuntimeError if another package than a tree's own would run."""
     words = [sys.executable, "-c", "import sixthsense; print(sixthsense.__file__)"]
     env = os.environ | {"PYTHONPATH": str(tree.code)}
     found = subprocess.run(words, cwd=tree.folder, env=env, capture_output=True, text=True).stdout.strip()
     if not Path(found).is_relative_to(tree.code):
-        raise BadInputError(
-            f"{tree.code}: found the package in {found or 'no place'}, allowed: a tree that has its own"
-        )
+        raise RuntimeError(f"{tree.code}: found the package in {found or 'no place'}, allowed: a tree that has its own")
 
 
-def carry_out(case: Case, base: Tree, new: Tree, options: argparse.Namespace) -> list[str]:
+def carry_out(base: Tree, new: Tree, ignored: Collection[str], case: Case) -> list[str]:
     """Run what has to be run of a case; what differs."""
     if not is_recorded(case, base):
-        perform(case, base, options.keep)
-    if options.record_only:
-        return compare(case, base, base, ())
-    perform(case, new, options.keep)
-    return compare(case, base, new, options.ignore)
+        perform(case, base)
+    perform(case, new)
+    return compare(case, base, new, ignored)
 
 
 def carry_out_all(chosen: Sequence[Case], base: Tree, new: Tree, options: argparse.Namespace) -> int:
     """Run the cases side by side and print a row for each; how many are equal."""
     width, equal = max(len(case.name) for case in chosen), 0
-    pool = ThreadPoolExecutor(options.jobs)
+    pool, work = ThreadPoolExecutor(options.jobs), partial(carry_out, base, new, options.ignore)
     try:
-        waiting = [(case, None if case.needs else pool.submit(carry_out, case, base, new, options)) for case in chosen]
+        waiting = [(case, None if case.needs else pool.submit(work, case)) for case in chosen]
         for case, future in waiting:
             if future is None:
                 print(f"{case.name:{width}}  skipped: needs {case.needs}")
                 continue
             found = future.result()
             equal += not found
-            good, bad = ("recorded", "not usable") if options.record_only else ("equal", "differs")
-            print("\n    ".join([f"{case.name:{width}}  {bad if found else good}", *found]), flush=True)
+            print("\n    ".join([f"{case.name:{width}}  {'differs' if found else 'equal'}", *found]), flush=True)
     finally:
         pool.shutdown(cancel_futures=True)
     return equal
 
 
-def arguments() -> argparse.Namespace:
-    """What the command line says."""
-    form = argparse.RawDescriptionHelpFormatter
-    cli = argparse.ArgumentParser(description=__doc__, formatter_class=form)
-    which = cli.add_mutually_exclusive_group(required=True)
-    which.add_argument("--base", metavar="REV", help="earlier commit; a worktree of it is made in the work folder")
-    which.add_argument("--base-tree", type=Path, metavar="DIR", help="a tree of the earlier commit that exists")
-    here = Path(__file__).resolve().parent.parent
-    cli.add_argument("--tree", type=Path, default=here, metavar="DIR", help="the tree under test (this one)")
-    work = Path(tempfile.gettempdir()) / f".equality-{getpass.getuser()}"
-    cli.add_argument("--work", type=Path, default=work, metavar="DIR", help=f"work folder ({work})")
-    cli.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="cases with one of these in their name")
-    cli.add_argument("--ignore", nargs="+", default=[], metavar="KEY", help="metrics to leave out")
-    cli.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time (2)")
-    cli.add_argument("--keep", action="store_true", help="keep all that the runs write, not only what is compared")
-    cli.add_argument("--record-only", action="store_true", help="run the base alone, where it has not been yet")
-    options = cli.parse_args()
-    if options.jobs < 1:
-        cli.error(f"--jobs: found {options.jobs}, allowed: at least 1")
-    options.tree, options.work = options.tree.resolve(), options.work.resolve()
-    options.base_tree = options.base_tree and options.base_tree.resolve()
-    return options
-
-
 def main() -> int:
-    options = arguments()
+    parser = arguments(__doc__, may_keep=False)
+    parser.add_argument("--base", metavar="REV", required=True, help="earlier commit")
+    work = Path(tempfile.gettempdir()) / f".equality-{getpass.getuser()}"
+    parser.add_argument("--work", type=Path, default=work, metavar="DIR", help=f"work folder ({work})")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="cases with one of these in their name")
+    parser.add_argument("--ignore", nargs="+", default=[], metavar="KEY", help="metrics to leave out")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="cases at a time (2)")
+    options = parser.parse_args()
+    check_at_least(parser, options, jobs=1)
+    folder = options.work.resolve()
     try:
-        inputs = options.work / "inputs"
-        inputs.mkdir(parents=True, exist_ok=True)
-        chosen = [case for case in cases(inputs) if any(text in case.name for text in options.only)]
-        ready = [case for case in chosen if not case.needs]
+        commit = commit_of(options.base)
+        of_base = folder / f"base-{commit[:12]}"
+        base, new = Tree(of_base / "tree", of_base), Tree(HERE.parent, folder / "tree")
+        shutil.rmtree(new.folder, ignore_errors=True)
+        for place in (folder / "inputs", base.folder, new.folder):
+            place.mkdir(parents=True, exist_ok=True)
+        chosen = [case for case in cases(folder / "inputs") if any(text in case.name for text in options.only)]
         if not chosen:
-            raise BadInputError(f"--only: found {' '.join(options.only)}, which is in no case's name")
-        base, new = trees(options)
-        if not all(is_recorded(case, base) for case in ready):
-            prepare(base, options)
-        if not options.record_only:
-            prepare(new, options)
-    except BadInputError as error:
+            raise RuntimeError(f"--only: found {' '.join(options.only)}, which is in no case's name")
+        if not base.code.exists():
+            unpack(commit, base.code)
+        for tree in (base, new):
+            check_package(tree)
+    except RuntimeError as error:
         print(f"equality.py: {error}", file=sys.stderr)
         return 2
-    equal = carry_out_all(chosen, base, new, options)
+    equal, ready = carry_out_all(chosen, base, new, options), [case for case in chosen if not case.needs]
     skipped = f", {len(chosen) - len(ready)} skipped" if len(chosen) > len(ready) else ""
-    print(f"{equal} of {len(ready)} {'recorded' if options.record_only else 'equal'}{skipped}")
+    print(f"{equal} of {len(ready)} equal{skipped}")
     return int(equal < len(ready))
 
 

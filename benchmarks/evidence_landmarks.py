@@ -21,33 +21,22 @@ import math
 import sys
 from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
-from asked import Case, Figures, Found, Line, line, measure, selected, warm, within
-from explored_worlds import places_at_hand
+from asked import Case, Found, Line, code_of, line, parsed, resumable, tabulate, within
+from explored_worlds import start_of
 from generated_worlds import FAMILIES
-from harness import (
-    PACKAGE,
-    arguments,
-    check_at_least,
-    code_commit,
-    data_path,
-    finish,
-    print_table,
-    replay_errors,
-    run,
-    run_by_processor,
-)
-from tours import Row, judge, make_row, nees_of, tour
-from worlds import make_row as make_world_row
-from worlds import maps_at_hand
+from harness import Figures, arguments, data_path, replay_errors, run, run_by_processor
+from tours import tour_figures
+from worlds import plan, plans_at_hand, world
 
-from sixthsense.config import preset
+from sixthsense.config import Config, preset
+from sixthsense.running.runs import QUIET, simulate
 from sixthsense.sources.replay_input import of_log, open_recorded
 
-CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
-    "asked", "evidence_landmarks", "explored_worlds", "generated_worlds", "harness", "tours", "worlds")))  # fmt: skip
+CODE = code_of(
+    "asked", "evidence_landmarks", "explored_worlds", "generated_worlds", "harness", "tours", "worlds"
+)  # fmt: skip
 """what the figures depend on"""
 
 FIRST_SEED = 1000
@@ -65,12 +54,11 @@ LOG_M = {
 
 def cases() -> list[Case]:
     """All runs; about the longest first, so that processes end together."""
-    plans = [name for name in maps_at_hand() if name.endswith(".yaml")]
     return [
         *(Case("explore", (name,), FIRST_SEED + k) for name in EXPLORED for k in range(EXPLORE_SEEDS)),
         *(Case("log", setting) for setting in LOG_M),
         Case("smoother", ("apartment",), FIRST_SEED),
-        *(Case("plan", (Path(name).stem,), FIRST_SEED + k) for name in plans for k in range(PLAN_SEEDS)),
+        *(Case("plan", (name,), FIRST_SEED + k) for name in plans_at_hand() for k in range(PLAN_SEEDS)),
         *(
             Case("tour", (scene, estimator), FIRST_SEED + k)
             for estimator in reversed(ESTIMATORS)
@@ -84,32 +72,30 @@ def cases() -> list[Case]:
 def figures_of(case: Case) -> Figures:
     """The figures of one run."""
     name = case.setting[0]
-    if case.kind == "tour":
-        return _figures(make_row(dataclasses.replace(tour(name, case.setting[1], "default", TOUR_S), seed=case.seed)))
-    base = preset("default", estimator="ekf-invariant", seed=case.seed)
-    if case.kind in ("family", "plan"):
-        scene = name if case.kind == "family" else str(data_path(f"plans/{name}.yaml"))
-        return _figures(make_world_row(dataclasses.replace(base, scene=scene, task="tour", max_time=WORLD_S)))
+    if case.kind == "log":
+        config = preset("log", front_end="landmarks", estimator=case.setting[1])
+        found = open_recorded(data_path(f"{name}/{name}.clf.bz2"), config, data_path(f"{name}/{name}.relations"))
+        assert found.relations is not None
+        return replay_errors(found.log, of_log(found.config, found.log), found.relations)
+    estimator = case.setting[1] if case.kind == "tour" else "isam2" if case.kind == "smoother" else "ekf-invariant"
+    base = preset("default", scene=name, estimator=estimator, seed=case.seed)
     if case.kind == "explore":
-        (place,) = (place for place in places_at_hand() if Path(place.scene).stem == name)
-        return _figures(judge(run(dataclasses.replace(base, scene=place.scene, start=place.start)).trace))
+        return tour_figures(run(dataclasses.replace(base, scene=plan(name), start=start_of(name))))
     if case.kind == "smoother":
-        made = run_by_processor(dataclasses.replace(base, scene=name, estimator="isam2", task="tour", max_time=LONG_S))
+        made = run_by_processor(dataclasses.replace(base, task="tour", max_time=LONG_S))
         ms = made.trace.stopwatch.keyframe_ms()
         tenth = len(ms) // 10
         return {"last_over_second_tenth": float(ms[-tenth:].mean() / ms[tenth : 2 * tenth].mean())}
-    found = open_recorded(
-        data_path(f"{name}/{name}.clf.bz2"),
-        preset("log", front_end="landmarks", estimator=case.setting[1]),
-        data_path(f"{name}/{name}.relations"),
-    )
-    assert found.relations is not None
-    return replay_errors(found.log, of_log(found.config, found.log), found.relations)
+    if case.kind == "tour":
+        return tour_figures(run(dataclasses.replace(base, task="tour", max_time=TOUR_S)))
+    return world_figures(dataclasses.replace(base, task="tour", max_time=WORLD_S))
 
 
-def _figures(row: Row) -> Figures:
-    figures = {name: row[name] for name in ("outcome", "collisions", "wrong", "observations", "ate_rmse_m")}
-    return figures | {"nees": nees_of(row)}
+def world_figures(config: Config) -> Figures:
+    """A tour of a generated world, or of a plan."""
+    name = config.scene if config.scene in FAMILIES else plan(config.scene)
+    scene = world(name, config.seed, WORLD_S, config.robot.speed)
+    return tour_figures(simulate(dataclasses.replace(config, scene=name), scene, watch=QUIET))
 
 
 def lines(found: Found) -> Iterator[Line]:
@@ -122,7 +108,7 @@ def lines(found: Found) -> Iterator[Line]:
         yield line(f"the same, {estimator}", "no wrong match", runs, _no_wrong_match)
     runs = _runs(found, "family", *((name,) for name in FAMILIES))
     yield line("tours in eight families of worlds", "NEES 2.5 to 3.6", runs, partial(_nees, 2.5, 3.6))
-    plans = [Path(name).stem for name in maps_at_hand() if name.endswith(".yaml")]
+    plans = plans_at_hand()
     runs = _runs(found, "plan", *((name,) for name in plans))
     yield line(f"tours in {len(plans)} plans", "NEES <= 4", runs, partial(_nees, 0.0, 4.0))
     for name in EXPLORED:
@@ -144,7 +130,7 @@ def _runs(found: Found, kind: str, *settings: tuple[str, ...]) -> list[Figures |
 
 def _nees(low: float, high: float, runs: Sequence[Figures]) -> tuple[str, bool]:
     shown, is_met = within("nees", low, high, runs)
-    ate_mm = 1e3 * math.sqrt(np.mean([found["ate_rmse_m"] ** 2 for found in runs]))
+    ate_mm = 1e3 * math.sqrt(np.mean([found["ate_m"] ** 2 for found in runs]))
     touched = sum(found["collisions"] for found in runs)
     return f"{shown}, ATE {ate_mm:.1f} mm" + (f", {touched} touched" if touched else ""), is_met and not touched
 
@@ -155,32 +141,14 @@ def _no_wrong_match(runs: Sequence[Figures]) -> tuple[str, bool]:
 
 
 def main() -> int:
-    parser = arguments(__doc__)
-    parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="runs whose key begins so (all)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
-    parser.add_argument("--minutes", type=float, default=1e9, metavar="M", help="begin no run after so many (no limit)")
-    options = parser.parse_args()
-    check_at_least(parser, options, jobs=1, minutes=0.0)
-    try:
+    options = parsed(arguments(__doc__), minutes=1e9)
+
+    def work() -> int:
         if not data_path("plans").is_dir():
             raise ValueError("SIXTHSENSE_DATA: found no plans, allowed: a folder with plans and logs")
-        chosen = selected(cases(), options.rows)
-        found = measure(chosen, figures_of, options, code_commit(CODE), warm)
-    except (ValueError, RuntimeError) as error:
-        print(f"evidence_landmarks.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("evidence_landmarks.py: interrupted; the same command resumes", file=sys.stderr)
-        return 130
-    if left := len(chosen) - len(found):
-        print(f"{left} runs are left; the same command goes on", file=sys.stderr)
-    table = [Line._fields, *(each for each in lines(found) if each.measured)]
-    if options.keep and (left or options.rows):
-        print("evidence_landmarks.py: nothing is kept of a part", file=sys.stderr)
-        print_table(table)
-        return 2
-    finish(options, "landmarks", table, text=4)
-    return 0
+        return tabulate("landmarks", options, cases(), figures_of, lines, CODE)
+
+    return resumable(work)
 
 
 if __name__ == "__main__":

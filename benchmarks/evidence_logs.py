@@ -30,30 +30,30 @@ from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
-from asked import Case, Figures, Found, Line, line, measure, selected, warm
+import numpy as np
+from asked import Case, Found, Line, code_of, line, measure, parsed, resumable, selected
 from damaged_logs import DAMAGES, damaged
 from harness import (
-    PACKAGE,
-    PART_MIN,
-    check_at_least,
+    Figures,
+    arguments,
     code_commit,
     command_figures,
     data_path,
+    mean_and_error,
     print_table,
     replay_errors,
     rows_as_json,
     run,
 )
-from repetition import make_row, summary
+from repetition import drive_figures
 from repetition_scenes import SCENES
-from tables import LOGS, mean_and_error, write_pages
-from tours import judge, nees_of, short_drive
+from tables import LOGS, write_pages
+from tours import short_drive
 
 from sixthsense.config import merge, preset
 from sixthsense.sources.replay_input import of_log, open_recorded
 
-CODE = (*PACKAGE, *(f"benchmarks/{name}.py" for name in (
-    "asked", "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")))  # fmt: skip
+CODE = code_of("asked", "evidence_logs", "damaged_logs", "harness", "repetition", "repetition_scenes", "tours")
 """what the figures depend on"""
 
 CLEAN_M = {"intel": 0.014, "fr079": 0.031, "aces": 0.036}
@@ -106,8 +106,8 @@ def nees_figures(where: str, seed: int) -> Figures:
     config = preset(front_end="scan-matching", estimator="isam2", seed=seed)
     if where in ("standing", "corridor"):
         return {"nees": short_drive(where, config)}
-    made = run(merge(config, {"scene": where, "task": "tour", "max_time": TOUR_S}))
-    return {"nees": nees_of(judge(made.trace)), "outcome": made.metrics["outcome"]}
+    metrics = run(merge(config, {"scene": where, "task": "tour", "max_time": TOUR_S})).metrics
+    return {"nees": metrics["pose_nees_world_mean"], "outcome": metrics["outcome"]}
 
 
 def figures_of(case: Case) -> Figures:
@@ -119,7 +119,7 @@ def figures_of(case: Case) -> Figures:
         return nees_figures(name, case.seed)
     if case.kind == "repetition":
         config = preset("log", calibrate_wheels=case.setting[1] == "wheels on line")
-        return make_row(config, (name, case.seed))
+        return drive_figures(config, name, case.seed)
     file, relations = files_of(name)
     found = open_recorded(file, preset("log"), relations)
     log, known = found.log, found.relations
@@ -178,9 +178,10 @@ def _repetition_lines(found: Found) -> Iterator[Line]:
         for scene, least in CLOSED.items():
 
             def judged(runs: Sequence[Figures], least: float = least) -> tuple[str, bool]:
-                all_of = summary(runs)
-                shown = f"{all_of['false']} false, {100 * all_of['closed']:.1f} % closed, ATE {all_of['ate_m']:.3f} m"
-                return shown, all_of["false"] == 0 and all_of["closed"] >= least
+                false, true = (sum(row[name] for row in runs) for name in ("false", "true"))
+                closed = sum(row["closed"] for row in runs) / max(true, 1)
+                ate_m = np.median([row["ate_m"] for row in runs])
+                return f"{false} false, {100 * closed:.1f} % closed, ATE {ate_m:.3f} m", false == 0 and closed >= least
 
             runs = [found.get(Case("repetition", (scene, how), FIRST_SEED + k).key) for k in range(REPETITIONS)]
             yield line(f"repetition, {scene}, {how}", f"0 false, closed >= {100 * least:.0f} %", runs, judged)
@@ -220,28 +221,14 @@ def seeds_of(found: Found) -> list[int]:
     return sorted({int(key.rsplit(".", 1)[1]) for key in found if key.startswith("damages.")})
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--rows", nargs="+", default=[], metavar="KEY", help="rows whose key begins so (all); none")
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the damages (1)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
-    parser.add_argument("--minutes", type=float, default=PART_MIN, metavar="M", help=f"of a part ({PART_MIN:g})")
-    options = parser.parse_args()
-    check_at_least(parser, options, jobs=1, seed=0, minutes=0.0)
+def record(options: argparse.Namespace) -> int:
+    """Measure the next part, record it, and print the table of all that is recorded."""
     rows: dict[str, Figures] = json.loads(LOGS.read_text())["rows"] if LOGS.exists() else {}
-    try:
-        chosen = selected(cases(options.seed), options.rows)
-        logs = {case.setting[0] for case in chosen} & {*CLEAN_M, *COARSE_SHARE}
-        if missing := [file for log in sorted(logs) for file in files_of(log) if not file.is_file()]:
-            raise ValueError(f"SIXTHSENSE_DATA: found no {missing[0]}, allowed: a folder with the logs")
-        commit = code_commit(CODE)
-        made = measure(chosen, figures_of, options, commit, warm, lambda case: case.kind == "command")
-    except (ValueError, RuntimeError) as error:
-        print(f"evidence_logs.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("evidence_logs.py: interrupted; the same command resumes", file=sys.stderr)
-        return 130
+    chosen = selected(cases(options.seed), options.rows)
+    logs = {case.setting[0] for case in chosen} & {*CLEAN_M, *COARSE_SHARE}
+    if missing := [file for log in sorted(logs) for file in files_of(log) if not file.is_file()]:
+        raise ValueError(f"SIXTHSENSE_DATA: found no {missing[0]}, allowed: a folder with the logs")
+    made = measure(chosen, figures_of, options, code_commit(CODE), lambda case: case.kind == "command")
     if made:
         rows |= made
         LOGS.write_text(rows_as_json(dict(sorted(rows.items()))))
@@ -250,6 +237,13 @@ def main() -> int:
     if left := len(chosen) - len(made):
         print(f"{left} runs are left for the same command")
     return 0
+
+
+def main() -> int:
+    parser = arguments(__doc__, may_keep=False)
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the damages (1)")
+    options = parsed(parser, seed=0)
+    return resumable(lambda: record(options))
 
 
 if __name__ == "__main__":

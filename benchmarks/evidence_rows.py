@@ -10,14 +10,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import kernels
 import mrclam
 import numpy as np
 import victoria_park
-from harness import data_path, replay, run, single_threaded
-from tours import judge, nees_of
+from harness import Figures, data_path, replay, run, single_threaded
+from tours import tour_figures
 
 import sixthsense as ss
 from sixthsense.config import Config, preset
@@ -31,9 +31,6 @@ from sixthsense.testing.circle import follow, simulate
 
 FIRST_SEED = 1000
 TOUR_S = 200.0
-
-Figures = dict[str, Any]
-"""numbers by name, and the run's `outcome`"""
 
 Kind = Literal["tour", "explore", "relations", "mrclam", "victoria", "circle", "kernels"]
 
@@ -84,20 +81,12 @@ ROWS = (
 )
 
 
-def tour_figures(setting: tuple[str, ...], seed: int) -> Figures:
+def tour_of_scene(setting: tuple[str, ...], seed: int) -> Figures:
     """A tour in closed loop with unknown association."""
     scene, estimator = setting
-    made = run(preset(scene=scene, estimator=estimator, task="tour", max_time=TOUR_S, seed=seed))
-    row, metrics = judge(made.trace), made.metrics
-    return {
-        "outcome": row["outcome"],
-        "nees": nees_of(row),
-        "landmark_nees": metrics["landmark_nees_mean"],
-        "nis": row["nis"] / max(row["nis_dof"], 1),
-        "wrong_per_1000": 1e3 * row["wrong"] / max(row["observations"], 1),
-        "discarded_share": row["discarded_share"],
-        "ate_m": row["ate_rmse_m"],
-    }
+    found = tour_figures(run(preset(scene=scene, estimator=estimator, task="tour", max_time=TOUR_S, seed=seed)))
+    wrong, observations, _ = found.pop("wrong"), found.pop("observations"), found.pop("collisions")
+    return found | {"wrong_per_1000": 1e3 * wrong / max(observations, 1)}
 
 
 def times_real_time(config: Config, of_log: bool, go: Callable[[], ss.Run]) -> tuple[ss.Metrics, float]:
@@ -177,8 +166,8 @@ def kernel_figures(setting: tuple[str, ...], seed: int) -> Figures:
     return {name: found[name] for name in ("raycast_speedup_numpy", "astar_speedup_heapq")}
 
 
-KINDS: dict[Kind, Callable[[tuple[str, ...], int], Figures]] = {
-    "tour": tour_figures,
+KINDS: dict[str, Callable[[tuple[str, ...], int], Figures]] = {
+    "tour": tour_of_scene,
     "explore": explore_figures,
     "relations": relations_figures,
     "mrclam": mrclam_figures,

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sixthsense.core.geometry import Array, rotation
 from sixthsense.sources.scene import Scene
@@ -74,9 +75,10 @@ def _segments(corners: Array) -> Array:
     return np.stack([corners[:-1], corners[1:]], axis=1)
 
 
-def _closed(corners: Array) -> Array:
+def closed(corners: ArrayLike) -> Array:
     """(K, 2, 2) sides of a polygon with corners (K, 2)."""
-    return _segments(np.concatenate([corners, corners[:1]]))
+    points = np.asarray(corners, dtype=np.float64)
+    return _segments(np.concatenate([points, points[:1]]))
 
 
 def _textured(rng: np.random.Generator, texture: Texture) -> Array:
@@ -142,14 +144,14 @@ def _thick(rng: np.random.Generator) -> tuple[Array, Array]:
     for a, b in inner:
         along = (b - a) / np.linalg.norm(b - a)
         half = 0.5 * rng.uniform(0.05, 0.3) * np.array([-along[1], along[0]])
-        walls.append(_closed(np.array([a - half, b - half, b + half, a + half])))
+        walls.append(closed(np.array([a - half, b - half, b + half, a + half])))
     return np.concatenate(walls), _NONE
 
 
-def _box(centre: Array, size: Array, turn: float) -> Array:
+def box(centre: Array, size: Array, turn: float = 0.0) -> Array:
     """(4, 2, 2) sides of a rectangle."""
     half = 0.5 * size * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    return _closed(centre + half @ rotation(turn).T)
+    return closed(centre + half @ rotation(turn).T)
 
 
 def _scattered(rng: np.random.Generator, count: int) -> Array:
@@ -161,11 +163,11 @@ def _cluttered(rng: np.random.Generator) -> tuple[Array, Array]:
     """Boxes of 5 to 60 cm and legs of tables, everywhere."""
     walls = [_textured(rng, lambda a, b, _: np.stack([a, b]))]
     for centre in _scattered(rng, 40):
-        walls.append(_box(centre, rng.uniform(0.05, 0.6, 2), rng.uniform(0.0, math.pi)))
+        walls.append(box(centre, rng.uniform(0.05, 0.6, 2), rng.uniform(0.0, math.pi)))
     for centre in _scattered(rng, 12):
         turn, size = rng.uniform(0.0, math.pi), rng.uniform(0.3, 0.8, 2)
         for corner in (0.5 * size * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])) @ rotation(turn).T:
-            walls.append(_box(centre + corner, np.full(2, 0.04), turn))
+            walls.append(box(centre + corner, np.full(2, 0.04), turn))
     return np.concatenate(walls), _NONE
 
 
@@ -175,10 +177,10 @@ def _pillared(rng: np.random.Generator) -> tuple[Array, Array]:
     walls = [np.array(outer)]
     for k, centre in enumerate(_scattered(rng, 16)):
         if k % 2:
-            walls.append(_box(centre, np.full(2, rng.uniform(0.2, 0.6)), rng.uniform(0.0, math.pi)))
+            walls.append(box(centre, np.full(2, rng.uniform(0.2, 0.6)), rng.uniform(0.0, math.pi)))
         else:
             angles = np.linspace(0.0, 2.0 * math.pi, 32, endpoint=False)
-            walls.append(_closed(centre + rng.uniform(0.1, 0.4) * np.column_stack([np.cos(angles), np.sin(angles)])))
+            walls.append(closed(centre + rng.uniform(0.1, 0.4) * np.column_stack([np.cos(angles), np.sin(angles)])))
     return np.concatenate(walls), _NONE
 
 

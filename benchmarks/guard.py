@@ -11,7 +11,6 @@ Exit code 0: nothing is worse; 1: a figure is; 2: there is no evidence to compar
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -20,8 +19,8 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from evidence_rows import FIGURES, KINDS, ROWS, Figure, Figures, Row
-from harness import check_at_least, pooled, print_table
+from evidence_rows import FIGURES, KINDS, ROWS, Figure, Row
+from harness import Figures, arguments, check_at_least, pooled, print_table
 from tables import EVIDENCE
 
 from sixthsense.running.warmup import warm_up
@@ -104,7 +103,7 @@ def chosen_rows(recorded: Mapping[str, Any], runs: Mapping[str, int]) -> list[Ro
 
 
 def main(runs: Mapping[str, int] = RUNS) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = arguments(__doc__, may_keep=False)
     parser.add_argument("--jobs", type=int, default=2, metavar="J", help="processes (2)")
     options = parser.parse_args()
     check_at_least(parser, options, jobs=1)

@@ -40,15 +40,14 @@ from sixthsense.sources.replay_input import Recorded
 
 T = TypeVar("T")
 R = TypeVar("R")
-Figures = dict[str, float]
+Figures = dict[str, Any]
+"""numbers by name, and of a run its `outcome`"""
 
 HERE = Path(__file__).resolve().parent
 CACHE = HERE / ".evidence"
 RESULTS = HERE / "results"
 PACKAGE = ("sixthsense", "scenes")
 """what the figures of all benchmarks depend on"""
-PART_MIN = 8.0
-"""minutes after which a part of a long benchmark begins no run"""
 
 
 def run(config: Config, *hooks: OnTick) -> Run:
@@ -67,7 +66,7 @@ def replay(log: Log, config: Config, relations: Relations | None = None) -> Run:
     return replay_log(Recorded("log", log, config, relations, {}, ()))
 
 
-def replay_errors(log: Log, config: Config, relations: Relations) -> dict[str, Any]:
+def replay_errors(log: Log, config: Config, relations: Relations) -> Figures:
     """Outcome of a replay, errors against relations whose scans the log has, and processor time without reading."""
     began = time.process_time()
     trace = replay(log, config, relations).trace
@@ -108,25 +107,49 @@ def data_path(name: str) -> Path:
     return Path(os.environ.get("SIXTHSENSE_DATA", "/nonexistent")) / name
 
 
-def arguments(description: str | None) -> argparse.ArgumentParser:
-    """A parser with the options that every benchmark has."""
+def arguments(description: str | None, may_keep: bool = True) -> argparse.ArgumentParser:
+    """A parser with the option that every benchmark has whose table is on a page."""
     parser = argparse.ArgumentParser(description=(description or "").split("\n\n")[0])
-    parser.add_argument("--keep", action="store_true", help="keep the table in results/, and write it into the pages")
+    if may_keep:
+        parser.add_argument(
+            "--keep", action="store_true", help="keep the table in results/, and write it into the pages"
+        )
     return parser
+
+
+def git(*words: str) -> str:
+    """What git says of this repository; RuntimeError in one line where it fails."""
+    done = subprocess.run(["git", *words], cwd=HERE.parent, capture_output=True, text=True)
+    if done.returncode:
+        said = "".join(done.stderr.strip().splitlines()[-1:]) or "failed"
+        raise RuntimeError(f"git {words[0]}: {said}, allowed: a clone of the repository, and a commit of it")
+    return done.stdout
+
+
+def commit_of(revision: str) -> str:
+    """The full name of a commit; RuntimeError for a name that is not of one."""
+    return git("rev-parse", "--verify", f"{revision}^{{commit}}").strip()
+
+
+def unpack(commit: str, folder: Path) -> None:
+    """Write the tree of a commit into a new folder."""
+    archive = subprocess.run(["git", "archive", commit], cwd=HERE.parent, check=True, capture_output=True)
+    folder.mkdir(parents=True)
+    subprocess.run(["tar", "-x"], cwd=folder, check=True, input=archive.stdout)
 
 
 def code_commit(code: Sequence[str] = PACKAGE) -> str:
     """The last commit that changed the code, with a hash of what is not committed; RuntimeError outside a clone."""
-
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", *words, "--", *code], cwd=HERE.parent, capture_output=True, text=True)
-        if done.returncode:
-            raise RuntimeError(f"git: {done.stderr.strip() or 'failed'}, allowed: a clone of the repository")
-        return done.stdout
-
-    changed = git("diff", "HEAD")
-    commit = git("log", "-1", "--format=%h", "--abbrev=10").strip()
+    changed = git("diff", "HEAD", "--", *code)
+    commit = git("log", "-1", "--format=%h", "--abbrev=10", "--", *code).strip()
     return f"{commit}+{hashlib.sha256(changed.encode()).hexdigest()[:6]}" if changed else commit
+
+
+def mean_and_error(values: list[float]) -> tuple[float, float | None]:
+    """Mean over runs and its standard error; None for one run."""
+    given = np.array(values, dtype=np.float64)
+    error = float(given.std(ddof=1) / np.sqrt(len(given))) if len(given) > 1 else None
+    return float(given.mean()), error
 
 
 def rows_as_json(rows: Mapping[str, Any]) -> str:
@@ -168,10 +191,10 @@ def pooled(
                 bar.update()
 
 
-def kept(file: Path, make: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+def kept(file: Path, make: Callable[[], Figures]) -> Figures:
     """The figures in a file; if there is none, `make` makes them, and they are written."""
     if file.exists():
-        found: dict[str, Any] = json.loads(file.read_text())
+        found: Figures = json.loads(file.read_text())
         return found
     made = make()
     file.parent.mkdir(parents=True, exist_ok=True)

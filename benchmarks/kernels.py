@@ -16,7 +16,7 @@ import numpy as np
 from ekf_scaling import LIMITS as EKF_LIMITS
 from ekf_scaling import scaling_figures
 from harness import Figures, against_limits, alternate, arguments, finish, single_threaded
-from loop_speed import is_commit, loop_table
+from loop_speed import loop_table
 from numpy.typing import NDArray
 
 from sixthsense.config import preset
@@ -237,9 +237,10 @@ def main() -> None:
     parser.add_argument("--loop", metavar="REV", help="measure whole runs and their start, beside this commit")
     options = parser.parse_args()
     if options.loop is not None:
-        if not is_commit(options.loop):
-            parser.error(f"--loop: found {options.loop}, allowed: a commit of this repository")
-        finish(options, "loop", loop_table(options.loop))
+        try:
+            finish(options, "loop", loop_table(options.loop))
+        except RuntimeError as error:
+            parser.error(f"--loop: {error}")
         return
     with single_threaded():
         figures = raycast_figures() | scan_figures() | astar_figures() | scaling_figures()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from harness import HERE
+from harness import HERE, commit_of, unpack
 
 SCENES = ("rectangle", "block", "apartment", "office", "loop")
 ROUNDS = 3
@@ -39,18 +39,11 @@ print(json.dumps({"start_s": begun[1], "spent_s": spent_s, "ms": run.trace.stopw
 """
 
 
-def is_commit(revision: str) -> bool:
-    """Whether this repository has a commit of this name."""
-    words = ["git", "rev-parse", "--quiet", "--verify", f"{revision}^{{commit}}"]
-    return subprocess.run(words, cwd=HERE.parent, capture_output=True).returncode == 0
-
-
 def loop_table(revision: str) -> list[list[str]]:
     """A table of runs on this tree, on the commit `revision`, and their ratio."""
     with tempfile.TemporaryDirectory() as folder:
-        base = Path(folder)
-        archive = subprocess.run(["git", "archive", revision], cwd=HERE.parent, check=True, capture_output=True)
-        subprocess.run(["tar", "-x"], cwd=base, check=True, input=archive.stdout)
+        base = Path(folder) / "tree"
+        unpack(commit_of(revision), base)
         trees = (HERE.parent, base)
         for tree in trees:  # its kernels are compiled
             for estimator in ("ekf-invariant", "isam2"):

@@ -9,9 +9,7 @@ m and 5 degrees at the end, and if a keyframe within 5 m is linked to an old one
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from harness import Figures
@@ -23,7 +21,6 @@ from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.slam.slam import Slam
 
-Row = dict[str, Any]
 Link = tuple[int, int, Array, Array]
 """keyframes target and source, pose (3,) of the source in the target's frame, and its information (3, 3)"""
 
@@ -34,37 +31,26 @@ _NEAR_M, _NEAREST = 4.0, 4
 _SURFACE_M = 0.12  # between returns of one surface
 
 
-def old_links(slam: Slam) -> tuple[list[Link], int, int]:
-    """Links to old keyframes that stand at the end, and how many loop closures were accepted and taken back.
-
-    This alone knows how the front end keeps them.
-    """
+def old_links(slam: Slam) -> list[Link]:
+    """Links to old keyframes that stand at the end; this alone knows how the front end keeps them."""
     closings = slam._front_end.loop_closures.closings  # type: ignore[union-attr]
-    links = [(a.target, a.source, a.pose, np.linalg.inv(a.cov)) for a in closings.links]
-    return links, closings.accepted, closings.undone
+    return [(link.target, link.source, link.pose, np.linalg.inv(link.cov)) for link in closings.links]
 
 
-def make_row(config: Config, due: tuple[str, int]) -> Row:
+def drive_figures(config: Config, name: str, seed: int) -> Figures:
     """Replay one drive, and compare its loop closures with the truth."""
-    name, seed = due
     log = log_of(SCENES[name], seed)
     truths, scans = [], []
     assert log.ticks[0].truth is not None
     with Slam(config, log.ticks[0].truth) as slam:
-        began = time.process_time()
         for tick in log.ticks:
             step = slam.take(tick)
             if step.keyframe is not None:
                 assert tick.truth is not None and step.scan is not None
                 truths.append(tick.truth.array())
                 scans.append(step.scan)
-        spent_s = time.process_time() - began
-        counts, (links, accepted, undone) = slam.loop_closures, old_links(slam)
-        return {
-            "scene": name, "seed": seed, "seconds": spent_s, "recorded_s": log.duration_s,
-            "refused": 0 if counts is None else counts.refused, "accepted": accepted, "undone": undone,
-            **judged(slam.trajectory(), np.array(truths), links, Views(scans, config.scans.max_range_m)),
-        }  # fmt: skip
+        views = Views(scans, config.scans.max_range_m)
+        return judged(slam.trajectory(), np.array(truths), old_links(slam), views)
 
 
 class Views:
@@ -104,37 +90,29 @@ def between(a: Array, b: Array) -> Array:
     return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(b[..., 2] - a[..., 2])], axis=-1)
 
 
-def judged(poses: Array, truths: Array, links: list[Link], views: Views) -> Row:
+def judged(poses: Array, truths: Array, links: list[Link], views: Views) -> Figures:
     """Errors of the poses (K, 3) of keyframes and of links between them."""
     steps = np.hypot(*np.diff(truths[:, :2], axis=0).T)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     off = np.hypot(*(poses - truths)[:, :2].T)
-    false = false_links(truths, links)
     pairs = true_loop_closures(truths, travelled, views)
-    linked = np.unique([j for i, j, _, _ in links if travelled[j] - travelled[i] >= _DRIVEN_M])
+    linked = np.array([j for i, j, _, _ in links if travelled[j] - travelled[i] >= _DRIVEN_M], dtype=np.int64)
     error = between(between(truths[pairs[:, 0]], truths[pairs[:, 1]]), between(poses[pairs[:, 0]], poses[pairs[:, 1]]))
     right = (np.hypot(error[:, 0], error[:, 1]) < _WRONG_M) & (np.abs(error[:, 2]) < _WRONG_RAD)
-    apart = (
-        np.abs(travelled[pairs[:, 1], None] - travelled[linked][None, :]) if len(linked) else np.ones((len(pairs), 1))
-    )
-    closed = right & ((apart if len(linked) else 1e9 * apart) < _LINKED_WITHIN_M).any(axis=1)
-    return {
-        "driven_m": float(travelled[-1]), "keyframes": len(poses), "links": len(links), "false": len(false),
-        "worst_false": false[:3], "true": len(pairs), "closed": int(closed.sum()), "right": int(right.sum()),
-        "ate_m": float(np.sqrt(np.mean(off**2))), "largest_m": float(off.max()),
-    }  # fmt: skip
+    apart = np.abs(travelled[pairs[:, 1], None] - travelled[linked])
+    closed = right & (apart < _LINKED_WITHIN_M).any(axis=1)
+    false = sum(is_false(truths, link) for link in links)
+    ate_m = float(np.sqrt(np.mean(off**2)))
+    return {"false": false, "true": len(pairs), "closed": int(closed.sum()), "ate_m": ate_m}
 
 
-def false_links(truths: Array, links: list[Link]) -> list[list[float]]:
-    """Target, source, error in m and rad of each false link, the largest error first."""
-    found = []
-    for target, source, pose, information in links:
-        off = pose - between(truths[target], truths[source])
-        off[2] = wrap_angle(off[2])
-        distance, turn = float(np.hypot(off[0], off[1])), abs(float(off[2]))
-        if (distance > _WRONG_M or turn > _WRONG_RAD) and off @ information @ off > _WRONG_SQUARED:
-            found.append([target, source, round(distance, 3), round(turn, 4)])
-    return sorted(found, key=lambda row: -row[2])
+def is_false(truths: Array, link: Link) -> bool:
+    """Whether a link is off from the truth by more than its covariance allows."""
+    target, source, pose, information = link
+    off = pose - between(truths[target], truths[source])
+    off[2] = wrap_angle(off[2])
+    is_off = np.hypot(off[0], off[1]) > _WRONG_M or abs(off[2]) > _WRONG_RAD
+    return bool(is_off and off @ information @ off > _WRONG_SQUARED)
 
 
 def true_loop_closures(truths: Array, travelled: Array, views: Views) -> NDArray[np.int64]:
@@ -153,16 +131,3 @@ def true_loop_closures(truths: Array, travelled: Array, views: Views) -> NDArray
                 pairs.append((int(old[k]), j))
                 break
     return np.array(pairs, dtype=np.int64).reshape(-1, 2)
-
-
-def summary(own: Sequence[Row]) -> Figures:
-    """The figures of the runs in one scene."""
-    ate, true = [row["ate_m"] for row in own], sum(row["true"] for row in own)
-    means = ("driven_m", "accepted", "undone", "refused", "seconds")
-    return {
-        "runs": len(own), "false": sum(row["false"] for row in own), "runs_with": sum(row["false"] > 0 for row in own),
-        "true": true, "closed": sum(row["closed"] for row in own) / max(true, 1),
-        "closed_worst": min(row["closed"] / max(row["true"], 1) for row in own),
-        "ate_m": float(np.median(ate)), "ate_max_m": max(ate),
-        **{key: float(np.mean([row[key] for row in own])) for key in means},
-    }  # fmt: skip

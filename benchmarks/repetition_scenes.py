@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from generated_worlds import box, closed
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Array, Pose, wrap_angle
@@ -53,7 +54,7 @@ def corridor_of_doors(rng: np.random.Generator) -> Building:
     length, width, pitch = rng.uniform(45, 60), rng.uniform(1.9, 2.6), rng.uniform(2.8, 4.0)
     outline = [*_side(0.0, length, 0.0, -0.15, pitch), *_side(length, 0.0, width, width + 0.15, pitch)]
     middle = width / 2
-    return Building(_closed(outline), [(1.5, middle), (length - 1.5, middle), (1.5, middle), (length - 1.5, middle)])
+    return Building(closed(outline), [(1.5, middle), (length - 1.5, middle), (1.5, middle), (length - 1.5, middle)])
 
 
 def row_of_rooms(rng: np.random.Generator) -> Building:
@@ -71,7 +72,7 @@ def furnished_rooms(rng: np.random.Generator) -> Building:
 def square_of_niches(rng: np.random.Generator) -> Building:
     """Two laps around a square of corridors, of more than 100 m, with equal niches on both sides."""
     side, width, pitch = rng.uniform(27, 32), rng.uniform(2.0, 2.8), rng.uniform(2.4, 3.6)
-    walls = [_closed(_square(0.0, side, -0.3, pitch)), _closed(_square(width, side - width, 0.3, pitch))]
+    walls = [closed(_square(0.0, side, -0.3, pitch)), closed(_square(width, side - width, 0.3, pitch))]
     near, far = width / 2, side - width / 2
     lap = [(near, near), (far, near), (far, far), (near, far)]
     return Building(np.concatenate(walls), [*lap, *lap, (near, near), (far, near)])
@@ -84,10 +85,9 @@ def parallel_corridors(rng: np.random.Generator) -> Building:
     inner = [(width, width), (length - width, width), (length - width, width + gap), (width, width + gap)]
     near, low, far, high = width / 2, width / 2, length - width / 2, 1.5 * width + gap
     lap = [(near, low), (far, low), (far, high), (near, high)]
-    few = [_box(x, y, 0.4, 0.15) for x, y in zip(rng.uniform(5, length - 5, 4), (0.1, width - 0.1) * 2, strict=True)]
-    return Building(
-        np.concatenate([_closed(outer), _closed(inner), *few]), [*lap, *lap, (near, low), (length / 2, low)]
-    )
+    places = zip(rng.uniform(5, length - 5, 4), (0.1, width - 0.1) * 2, strict=True)
+    few = [box(np.array(place), np.array([0.4, 0.15])) for place in places]
+    return Building(np.concatenate([closed(outer), closed(inner), *few]), [*lap, *lap, (near, low), (length / 2, low)])
 
 
 def out_and_back(rng: np.random.Generator) -> Building:
@@ -98,34 +98,22 @@ def out_and_back(rng: np.random.Generator) -> Building:
     high = [(length, width)]
     high += itertools.chain.from_iterable(_recess(x, width, width + 0.12)[::-1] for x in doors[1::2][::-1])
     ends = [(1.5, width / 2), (length - 1.5, width / 2)]
-    return Building(_closed([*low, *high, (0.0, width)]), [*ends, *ends, ends[0]][:4])
+    return Building(closed([*low, *high, (0.0, width)]), [*ends, *ends, ends[0]][:4])
 
 
 def streets(rng: np.random.Generator) -> Building:
     """Corridors around four equal blocks, with equal doors: four loops that share their sides."""
     block, width, pitch = rng.uniform(14, 18), rng.uniform(1.9, 2.5), rng.uniform(3.0, 4.0)
     step = block + width
-    walls = [_closed(_square(0.0, 2 * step + width, -0.12, pitch))]
+    walls = [closed(_square(0.0, 2 * step + width, -0.12, pitch))]
     for x, y in itertools.product((width, width + step), repeat=2):
-        walls.append(_closed(_square(0.0, block, 0.12, pitch)) + np.array([x, y]))
+        walls.append(closed(_square(0.0, block, 0.12, pitch)) + np.array([x, y]))
     a, b, c = (width / 2 + k * step for k in range(3))
     way = [
-        (a, a),
-        (b, a),
-        (b, b),
-        (a, b),
-        (a, a),
-        (b, a),
-        (c, a),
-        (c, b),
-        (b, b),
-        (b, c),
-        (a, c),
-        (a, b),
-        (b, b),
-        (c, b),
-    ]
-    return Building(np.concatenate(walls), [*way, (c, c), (b, c), (b, b), (b, a), (a, a)])
+        (a, a), (b, a), (b, b), (a, b), (a, a), (b, a), (c, a), (c, b), (b, b), (b, c), (a, c), (a, b), (b, b),
+        (c, b), (c, c), (b, c), (b, b), (b, a), (a, a),
+    ]  # fmt: skip
+    return Building(np.concatenate(walls), way)
 
 
 _HALF, _ROUND = 181, 360
@@ -207,14 +195,14 @@ def _by_wheels(truths: Sequence[Pose], slips: int, rng: np.random.Generator) -> 
 def _rooms(rng: np.random.Generator, furniture: Array) -> Building:
     """Six equal rooms on either side of a corridor; `furniture` (12, n, 2) is where boxes stand in each, m."""
     pitch, depth, width, door = 4.4, rng.uniform(3.6, 4.4), rng.uniform(1.9, 2.5), 1.0
-    length, table = 6 * pitch, _box(*rng.uniform((1.0, 2.2), (3.2, depth - 1.0)), 0.8, 0.5)
+    length, table = 6 * pitch, box(rng.uniform((1.0, 2.2), (3.2, depth - 1.0)), np.array([0.8, 0.5]))
     room = np.array([[[0, 0], [(pitch - door) / 2, 0]], [[(pitch + door) / 2, 0], [pitch, 0]], [[0, 0], [0, depth]],
                      [[pitch, 0], [pitch, depth]], [[0, depth], [pitch, depth]]])  # fmt: skip
     walls = [np.array([[[0, 0], [0, width]], [[length, 0], [length, width]]])]
     doors = []
-    for k, boxes in enumerate(furniture):
+    for k, places in enumerate(furniture):
         x, is_upper = pitch * (k % 6), k >= 6
-        own = np.concatenate([room, table, *(_box(*box, 0.5, 0.35) for box in boxes)])
+        own = np.concatenate([room, table, *(box(place, np.array([0.5, 0.35])) for place in places)])
         # The room of the other side is the same, turned by half a circle.
         walls.append(own + np.array([x, width]) if is_upper else np.array([x + pitch, 0.0]) - own)
         doors.append((x + pitch / 2, is_upper))
@@ -251,14 +239,3 @@ def _square(low: float, high: float, deep: float, pitch: float) -> list[Point]:
 
 def _recess(x: float, y: float, deep: float) -> list[Point]:
     return [(x, y), (x, deep), (x + 1.0, deep), (x + 1.0, y)]
-
-
-def _box(x: float, y: float, wide: float, deep: float) -> Array:
-    """(4, 2, 2) walls of a box around (x, y)."""
-    return _closed([(x - wide / 2, y - deep / 2), (x + wide / 2, y - deep / 2), (x + wide / 2, y + deep / 2),
-                    (x - wide / 2, y + deep / 2)])  # fmt: skip
-
-
-def _closed(points: Sequence[Point]) -> Array:
-    """(N, 2, 2) walls of a closed outline."""
-    return np.array([*zip(points, [*points[1:], points[0]], strict=True)], dtype=np.float64)

@@ -31,15 +31,12 @@ HERE = Path(__file__).resolve()
 PACKAGE = HERE.parent.parent / "sixthsense"
 LOG = "fr079"
 GROUPS = {
-    "aligner": ("alignment.SIGMA_M", "alignment._SCALE_M", "alignment._NARROWEST_M", "alignment.NORMALS_AGREE"),
+    "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
     "normals": ("normals._REACH_M", "normals._GRAZING_RAD", "normals._MAX_THICKNESS_M"),
-    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links._SEEN_SHARE", "links._MEAN_WEIGHT"),
+    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE", "links._MEAN_WEIGHT"),
     "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),
-    "links": (
-        "graph.RECENT", "graph._OLD", "graph._REACH_M", "graph._RECENT_AGREEMENT", "graph._OLD_AGREEMENT",
-        "graph._MAX_SHIFT_M",
-    ),
-    "visibility": ("visibility._TOLERANCE_M", "visibility._LEAST_JUDGED"),
+    "links": ("graph.RECENT", "graph._OLD", "graph.REACH_M", "graph.AGREEMENT"),
+    "visibility": ("visibility._LEAST_JUDGED",),
     "odometry": ("odometry_prior._M_PER_M", "odometry_prior._RAD_PER_RAD", "odometry_prior._UNSTEADY"),
     "slips": (
         "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._LOST", "tracking._CLEARLY", "front_end._NEWEST_SHARE",
@@ -49,16 +46,15 @@ GROUPS = {
         "loop_closures._CERTAIN_M",
     ),
     "place search": (
-        "place_search.RECENT_M", "place_search._SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
+        "place_search.RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
         "place_search._CANDIDATES",
     ),
-    "evidence": ("evidence._CLEARLY", "evidence._LEAST_SEEN", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),
-    "verification": ("verification._AGREEMENT", "verification._GOOD_SHARE", "verification._APART_M"),
-    "votes": ("votes._APART_M", "votes._NEAR_M", "closing._CONTRADICTION"),
-    "thinning": ("thinning._AGE", "thinning._ENOUGH", "thinning._NEAR_M"),
-    "final pass": ("final_pass._MOST", "final_pass._REACH_M"),
+    "evidence": ("evidence._CLEARLY", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),
+    "verification": ("verification._GOOD_SHARE",),
+    "votes": ("votes.NEW_M", "closing._CONTRADICTION"),
+    "thinning": ("thinning._ENOUGH", "thinning._NEAR_M"),
 }  # fmt: skip
-SHARES = {"NORMALS_AGREE", "_RECENT_AGREEMENT", "_OLD_AGREEMENT", "_DOUBTED", "_AGREEMENT", "_AS_GOOD"}
+SHARES = {"NORMALS_AGREE", "AGREEMENT", "_DOUBTED", "_AS_GOOD"}
 """least shares, which cannot be doubled"""
 HEAD = ["group", "constant", "value", "lower", "mean, m", "largest, m", "higher", "mean, m", "largest, m"]
 

@@ -11,12 +11,11 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from evidence_rows import FIGURES, Figure, Kind
-from harness import HERE, RESULTS
-from headline import beside_others, headline
+from harness import HERE, RESULTS, mean_and_error
 
 PAGES = (HERE.parent / "README.md", *sorted((HERE.parent / "docs" / "results").glob("*.md")))
 EVIDENCE, LOGS = HERE / "evidence.json", HERE / "evidence_logs.json"
@@ -24,6 +23,8 @@ MARKER = re.compile(r"<!-- evidence: (?!end of )(.+?) -->")
 
 Measured = Mapping[str, Any]
 """a row of the JSON: kind, setting, commit, seeds, outcomes, and per figure a value for each seed"""
+Rows = Mapping[str, Measured]
+Lines = list[list[str]]
 
 HEADS: dict[Kind, tuple[str, ...]] = {
     "tour": ("tour of 200 s", "estimator"),
@@ -39,22 +40,18 @@ HEADS: dict[Kind, tuple[str, ...]] = {
 ORDER = ("rectangle", "block", "apartment", "office", "loop", "ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
 
 
-def mean_and_error(values: list[float]) -> tuple[float, float | None]:
-    """Mean over runs and its standard error; None for one run."""
-    given = np.array(values, dtype=np.float64)
-    error = float(given.std(ddof=1) / np.sqrt(len(given))) if len(given) > 1 else None
-    return float(given.mean()), error
-
-
 def cell(figure: Figure, row: Measured) -> str:
     """Mean ± standard error; a count in full; empty where no run measured the figure."""
     values = [figure.scale * value for value in row["values"].get(figure.name, ()) if value is not None]
     if not values:
         return ""
+    return f"{sum(values):.0f}" if figure.name == "collisions" else with_error(values, figure.form)
+
+
+def with_error(values: list[float], form: str) -> str:
+    """Mean ± standard error; of one value the value."""
     mean, error = mean_and_error(values)
-    if figure.name == "collisions":
-        return f"{sum(values):.0f}"
-    return f"{mean:{figure.form}}" if error is None else f"{mean:{figure.form}} ± {error:{figure.form}}"
+    return f"{mean:{form}}" if error is None else f"{mean:{form}} ± {error:{form}}"
 
 
 def outcomes(row: Measured) -> str:
@@ -68,7 +65,7 @@ def markdown(lines: Sequence[Sequence[str]], text: int = 1) -> str:
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (lines[0], rule, *lines[1:]))
 
 
-def table(rows: Mapping[str, Measured], kind: Kind) -> str:
+def table(rows: Rows, kind: Kind) -> str:
     """The table of a kind of row, with the code and the machine that measured it; empty without a row."""
     own = [row for row in rows.values() if row["kind"] == kind]
     if not own:
@@ -124,6 +121,79 @@ def _with_limits(lines: Sequence[Sequence[str]]) -> Sequence[Sequence[str]]:
     """Of a table of what is asked, the rows of which something is; the command prints the others, too."""
     asked = [lines[0].index(name) for name in ("asked", "limit") if name in lines[0]]
     return [row for row in lines if not asked or row[asked[0]]]
+
+
+class Log(NamedTuple):
+    """A log with what others published of it: translation and rotation against the hand-checked relations."""
+
+    title: str
+    cartographer: str
+    """Hess et al. 2016"""
+    graph_mapping: str
+    """Kümmerle et al. 2009"""
+    odometry: str
+
+
+PUBLISHED = {
+    "intel": Log(
+        "Intel Research Lab", "0.023 ± 0.024 m, 0.45°", "0.031 ± 0.026 m, 1.3°", "7.37 ± 14.3 m, 39°"
+    ),
+    "fr079": Log("Freiburg 079", "0.045 ± 0.035 m, 0.54°", "0.056 ± 0.042 m", "6.50 ± 13.7 m, 30°"),
+}  # fmt: skip
+CIRCLE_PUBLISHED = "`ekf` 2.88 (200 runs)"
+"""UKF-M's package (Brossard, Barrau and Bonnabel 2020)"""
+SCENES = ("apartment", "office")
+
+
+def values(rows: Rows, key: str, figure: str) -> list[float]:
+    """The values of a figure over the seeds of a row."""
+    return [value for value in rows[key]["values"][figure] if value is not None]
+
+
+def mean(rows: Rows, key: str, figure: str) -> str:
+    """Mean ± standard error over the seeds."""
+    return with_error(values(rows, key, figure), ".2f")
+
+
+def relations(rows: Rows, log: str) -> str:
+    """Translation with its spread over the relations, and rotation."""
+    (m,), (spread,), (deg,) = (
+        values(rows, f"relations.{log}", name) for name in ("trans_m_mean", "trans_m_std", "rot_deg_mean")
+    )
+    return f"{m:.3f} ± {spread:.3f} m, {deg:.2f}°"
+
+
+def beside_others(rows: Rows) -> Lines:
+    """Each log here and as others published it."""
+    heads = ["log", "here, defaults", "Cartographer", "graph mapping", "raw odometry"]
+    return [heads, *([log.title, relations(rows, key), *log[1:]] for key, log in PUBLISHED.items())]
+
+
+def headline(rows: Rows) -> Lines:
+    """What the package reaches, in a line each."""
+    explored = [key for key in rows if key.startswith("explore.")]
+    outcomes = [outcome for key in explored for outcome in rows[key]["outcomes"]]
+    touched = sum(sum(values(rows, key, "collisions")) for key in explored)
+    least = min(min(values(rows, key, "coverage")) for key in explored)
+    done = f"{outcomes.count('explored')} of {len(outcomes)}, {touched:.0f} collisions, coverage at least {least:.3f}"
+    tours = [f"tour.{scene}.ekf-invariant" for scene in SCENES]
+    position = [f"{1e3 * np.mean(values(rows, tour, 'ate_m')):.1f} mm" for tour in tours]
+    circle = [f"`{name}` {mean(rows, f'circle.{name}', 'nees_heading')}" for name in ("ekf", "ekf-invariant")]
+    speed = [f"{values(rows, f'relations.{log}', 'times_real_time')[0]:.0f}" for log in PUBLISHED]
+    gtsam = values(rows, "victoria", "graph_error_ratio")[0]
+    return [
+        ["what", "here", "published"],
+        *(
+            [f"{log.title}, error of relations", relations(rows, key), f"Cartographer {log.cartographer}"]
+            for key, log in PUBLISHED.items()
+        ),
+        [f"explorations of {len(explored)} scenes", done, ""],
+        ["tours of apartment and office: position error", ", ".join(position), ""],
+        ["the same: pose NEES (3 is consistent)", ", ".join(mean(rows, tour, "nees") for tour in tours), ""],
+        ["landmark circle: heading NEES (1 is consistent)", ", ".join(circle), CIRCLE_PUBLISHED],
+        ["Victoria Park: graph error of `isam2` over GTSAM's", f"{gtsam:.4f}", ""],
+        ["replay of the two logs, times real time", " and ".join(speed), ""],
+    ]
 
 
 def texts() -> dict[str, str]:

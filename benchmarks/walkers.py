@@ -16,13 +16,13 @@ import time
 from typing import Any
 
 import numpy as np
+from asked import warm
 from harness import Figures, arguments, check_at_least, finish, pooled, run
 
 from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Array, point_segment_distance
 from sixthsense.evaluation import metrics
 from sixthsense.record.trace import Trace
-from sixthsense.running.warmup import warm_up, warm_up_scans
 
 FRONT_ENDS = {"ekf-invariant": "landmarks", "isam2": "scan-matching"}
 STRAY_M = 0.15
@@ -90,13 +90,8 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def warm() -> None:
-    warm_up()
-    warm_up_scans()
-
-
 def main() -> int:
-    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
+    parser = arguments(__doc__)
     parser.add_argument("--scenes", nargs="+", default=["apartment", "office"])
     parser.add_argument("--estimators", nargs="+", default=list(FRONT_ENDS), choices=list(FRONT_ENDS))
     parser.add_argument("--walkers", nargs="+", type=int, default=[0, 3, 10], metavar="N", help="people (0 3 10)")

@@ -1,34 +1,27 @@
-"""Consistency in worlds that no scene of this repository has: eight generated families, and maps that others drew.
+"""Tours in worlds that no scene of this repository has: generated families, and plans that others drew.
 
-Every seed is another world, or another tour of the same map. The tour is a closed path through the free space of the
+Every seed is another world, or another tour of the same plan. The tour is a closed path through the free space of the
 truth, a list of way points each of which the next can be reached from in a straight line. The robot finds its way from
-one to the next with its own map. Columns as of `tours.py`; ± is the standard error over runs, and the NEES of a
-row is that of the pose in world coordinates (3 if consistent).
+one to the next with its own map.
 """
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
 from generated_worlds import FAMILIES, generated_world
-from harness import arguments, data_path, finish
+from harness import data_path
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, label
-from tours import Row, add_tour_options, check_tour_options, row_of, rows, seeded, table
 
-from sixthsense.config import Config, load_config, preset
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import shortcut
-from sixthsense.running.runs import simulate
-from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.sources.scene import Scene, load_scene
 
@@ -148,43 +141,11 @@ def _in_free(poses: Sequence[Pose], scene: Scene) -> float:
     return outside / len(poses)
 
 
-def make_row(config: Config) -> Row:
-    """Tour a world and evaluate it."""
-    return row_of(config, simulate(config, world(config.scene, config.seed, config.max_time, config.robot.speed)).trace)
+def plans_at_hand() -> list[str]:
+    """The names of the plans under SIXTHSENSE_DATA; none without it."""
+    return [file.stem for file in sorted(data_path("plans").glob("*.yaml"))]
 
 
-def maps_at_hand() -> list[str]:
-    """The scenes and plans under SIXTHSENSE_DATA; none without it."""
-    patterns = ("scenes_report/market.scn", "plans/*.yaml")
-    return [str(file) for pattern in patterns for file in sorted(data_path(".").glob(pattern))]
-
-
-def main() -> None:
-    parser = arguments(__doc__.splitlines()[0] if __doc__ else None)
-    add_tour_options(parser, seeds=10)
-    parser.set_defaults(first_seed=1000, max_time=80.0, jobs=1)
-    parser.add_argument("--estimator", nargs="+", default=["ekf-invariant"], choices=ESTIMATORS)
-    parser.add_argument("--maps", action="store_true", help="also the scenes and plans under SIXTHSENSE_DATA")
-    parser.add_argument(
-        "--world", nargs="+", default=list(FAMILIES), metavar="WORLD", help="families, or files of maps"
-    )
-    options: argparse.Namespace = parser.parse_args()
-    check_tour_options(parser, options)
-    worlds = [*options.world, *(maps_at_hand() if options.maps else ())]
-    try:
-        base = preset("default") if options.config is None else load_config(options.config, preset("default"))
-        fields = {"task": "tour", "max_time": options.max_time}
-        configs = [
-            dataclasses.replace(base, scene=name, estimator=estimator, **fields)
-            for name, estimator in itertools.product(worlds, options.estimator)
-        ]
-        for name in worlds:
-            world(name, options.first_seed, options.max_time, base.robot.speed)
-    except InputError as error:
-        parser.error(str(error))
-    found = rows(seeded(configs, options), options.jobs, options.rows, make_row)
-    finish(options, "worlds", table(found, worlds, options.estimator), text=2)
-
-
-if __name__ == "__main__":
-    main()
+def plan(name: str) -> str:
+    """The file of a plan."""
+    return str(data_path(f"plans/{name}.yaml"))

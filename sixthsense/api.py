@@ -11,6 +11,7 @@ from sixthsense.config import Config, ConfigError, merge, preset
 from sixthsense.config.fields import MergeFields, ReplayFields, RunFields
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
+from sixthsense.config.tree import task_of
 from sixthsense.running.runs import Watch, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
@@ -257,21 +258,10 @@ def with_task(config: Config, given: Mapping[str, Any], prefix: str = "") -> Con
     The absolute path makes the run repeatable from any working folder. `prefix` precedes the fields' names in messages.
     Raises ConfigError for a goal or a tour with another task.
     """
-    for task in ("goal", "tour"):
-        if given.get(task) is None:
-            continue
-        if given.get("task", task) != task:
-            allowed = f"allowed: with {prefix}task {task}"
-            raise ConfigError(f"{prefix}{task}: found with {prefix}task {_text(given['task'])}, {allowed}")
-        config = merge(config, {"task": task})
+    config = merge(config, task_of(given, prefix))
     if Path(config.scene).suffix:
         config = dataclasses.replace(config, scene=str(absolute(config.scene)))
     return config
-
-
-def _text(value: Any) -> str:
-    """A text unchanged; any other value in the form of error messages."""
-    return value if isinstance(value, str) else shown(value)
 
 
 def _apply_fields(base: str | Config, given: Mapping[str, Any]) -> Config:

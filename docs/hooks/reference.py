@@ -12,9 +12,9 @@ from contextlib import redirect_stdout
 from typing import Annotated, Any, Literal, Union
 
 from sixthsense.cli import COMMANDS, main
-from sixthsense.cli.help import own_options
+from sixthsense.cli.help import command_class, own_options
 from sixthsense.config import PRESETS, Config, Section, preset
-from sixthsense.config.field_texts import field_texts
+from sixthsense.config.section import field_texts
 from sixthsense.evaluation.results import QUANTITIES
 
 _UNITS = {"m": "m", "m2": "m²", "rad": "rad", "s": "s"}
@@ -61,8 +61,8 @@ This page is generated from the classes when the site is built.
 _COMMANDS_INTRO = """\
 Exit codes: 0 done (also "explored in part", and a run of `live` ended by Ctrl-C); 1 the robot failed (stuck, lost,
 collided, goal unreachable, out of time, another robot); 2 bad input, reported in one line; 130 interrupted. All
-commands but `report`, `scenes` and `completion` accept the fields of the [configuration](configuration.md) as options
-in addition to those below.
+commands but `report`, `audit`, `scenes` and `completion` accept the fields of the [configuration](configuration.md) as
+options in addition to those below.
 """.splitlines()
 
 
@@ -90,22 +90,16 @@ def configuration() -> str:
 
 def command_line() -> str:
     """Return the page of the commands and their options, without the fields of the configuration."""
-    from sixthsense.cli.calibrate import Calibrate
-    from sixthsense.cli.live import Live
-    from sixthsense.cli.replay import Replay
-    from sixthsense.cli.run import Run
-    from sixthsense.cli.simulate import Simulate
-
-    lines = ["# Command line", "", "```text", _printed("--help"), "```", ""]
-    lines += [*_COMMANDS_INTRO, ""]
-    own = {"run": Run, "replay": Replay, "live": Live, "simulate": Simulate, "calibrate": Calibrate}
+    with redirect_stdout(io.StringIO()) as out:
+        main(["--help"])
+    lines = ["# Command line", "", "```text", out.getvalue().rstrip(), "```", "", *_COMMANDS_INTRO, ""]
     for name in COMMANDS:
-        lines += [f"## {name}", ""]
-        if name in own:
-            lines += [(inspect.getdoc(own[name]) or "").strip(), "", "| option | meaning |", "| --- | --- |"]
-            lines += [f"| `{option}` | {_cell(text)} |" for option, text in _options(own[name])] + [""]
-        else:
-            lines += ["```text", _printed(name, "--help"), "```", ""]
+        command = command_class(name)
+        lines += [f"## {name}", "", inspect.getdoc(command) or "", ""]
+        own = sorted(own_options(command), key=lambda option: option.name in _SHARED)
+        if own:
+            lines += ["| option | meaning |", "| --- | --- |"]
+            lines += [f"| `{_cell(option.usage)}` | {_cell(option.text)} |" for option in own] + [""]
     return "\n".join(lines)
 
 
@@ -120,17 +114,6 @@ def metrics() -> str:
         lines += [f"## {group}", "", "| key | unit | meaning |", "| --- | --- | --- |", *rows, ""]
         lines += [*_GROUP_NOTES[group], ""] if group in _GROUP_NOTES else []
     return "\n".join(lines)
-
-
-def _printed(*words: str) -> str:
-    with redirect_stdout(io.StringIO()) as out:
-        main(list(words))
-    return out.getvalue().rstrip()
-
-
-def _options(command: type) -> Iterator[tuple[str, str]]:
-    for option in sorted(own_options(command), key=lambda option: option.name in _SHARED):
-        yield option.usage, option.text
 
 
 def _section(section: type[Section], path: str, level: int) -> list[str]:

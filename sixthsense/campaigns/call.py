@@ -1,21 +1,78 @@
-"""`ss.campaign`: a campaign from Python."""
+"""Making the runs of a campaign that are missing in its folder, and `ss.campaign`, which does it from Python."""
 
 from __future__ import annotations
 
 import numbers
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Unpack
 
-from sixthsense.campaigns.completion import Execution, complete
-from sixthsense.campaigns.errors import CampaignError
-from sixthsense.campaigns.plan import AXES, CampaignPlan, plan, resolve_scenes, shared_fields
+from sixthsense.campaigns.cluster import check_workers, connect, execute
+from sixthsense.campaigns.folder import check_folder, check_rows, save_folder
+from sixthsense.campaigns.plan import AXES, CampaignError, CampaignPlan, PlannedRun, campaign_of, plan
 from sixthsense.campaigns.result import Campaign
-from sixthsense.config import ConfigError, preset
+from sixthsense.campaigns.rows import Rows
+from sixthsense.campaigns.worker import FAILED
+from sixthsense.config import preset
 from sixthsense.config.errors import InputError
 from sixthsense.config.fields import CampaignFields
 from sixthsense.config.names import ESTIMATORS, PLANNERS, Names
 from sixthsense.config.section import shown
+from sixthsense.config.tree import task_of
+from sixthsense.record.writing import FolderLock
+from sixthsense.running.progress import progress_bar
+from sixthsense.running.warmup import COMPILING, is_compiled
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """Where runs are made, and what is shown meanwhile."""
+
+    workers: int | None = None
+    """number of local processes; None: one per processor"""
+    scheduler: str | None = None
+    """address of a Dask scheduler to use instead"""
+    retry_failed: bool = False
+    """repeat the runs that raised"""
+    progress: bool | None = None
+    """whether a bar is shown; None: in a notebook and at an interactive terminal"""
+    say: Callable[[str], object] = lambda line: None
+    """is told how many runs there are, and where"""
+
+
+def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, execution: Execution) -> None:
+    """Make those of the planned runs, by hash, that have no row in the campaign's folder `out`.
+
+    Each row is written when its run ends, also if an interrupt follows. Raises CampaignError for the folder of another
+    campaign, for workers that will not do, and if the scheduler is lost; FolderInUseError; OSError that names a file.
+    """
+    with FolderLock(out):
+        saved, rows = check_folder(out, campaign), Rows(out)
+        known = rows.summaries()
+        check_rows(out, runs, known)
+        done = {row["config_hash"] for row in known if not (execution.retry_failed and row["outcome"] == FAILED)}
+        missing = {key: run for key, run in runs.items() if key not in done}
+        if not missing:
+            save_folder(out, campaign, saved)
+            execution.say(f"all {len(runs)} runs are already in {out}/")
+            return
+        if not is_compiled():
+            execution.say(COMPILING)
+        with connect(execution.scheduler, execution.workers) as client:
+            workers = check_workers(client, campaign.scenes)
+            save_folder(out, campaign, saved)
+            existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
+            execution.say(f"{len(runs)} runs{existing}; {workers} workers; dashboard {client.dashboard_link}")
+            with progress_bar(
+                execution.progress, total=len(missing), desc="campaign", unit=" runs", leave=False
+            ) as bar:
+
+                def on_row(row: dict[str, Any]) -> None:
+                    rows.add(row)
+                    bar.update()
+
+                execute(client, missing, on_row)
 
 
 def campaign(
@@ -80,38 +137,29 @@ def _plan(scenes: str | Path | Sequence[str | Path], seeds: Iterable[int], given
     for name in ("scene", "seed"):
         if name in given:
             raise CampaignError(f"{name}: found for a campaign, allowed: {name}s")
-    values = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
-    for name in ("goal", "tour"):
-        if given.get(name) is not None and given.setdefault("task", name) != name:
-            raise ConfigError(f"{name}: found with task {given['task']}, allowed: with task {name}")
-    return CampaignPlan(
-        scenes=resolve_scenes([str(text) for text in texts]),
-        estimators=_of_workers("estimator", values["estimator"], ESTIMATORS),
-        presets=values["preset"],
-        planners=_of_workers("planner", values["planner"], PLANNERS),
-        seeds=_seeds(seeds),
-        fields=shared_fields(given),
-    )
+    axes = {axis: _values(axis, given.pop(axis, getattr(default, axis))) for axis in AXES if axis != "scene"}
+    _check_known("estimator", axes["estimator"], ESTIMATORS)
+    _check_known("planner", axes["planner"], PLANNERS)
+    return campaign_of({**axes, "scene": [str(text) for text in texts]}, _seeds(seeds), given, task_of(given))
 
 
 def _values(axis: str, value: Any) -> tuple[Any, ...]:
-    """One value or several as a tuple without duplicates; CampaignError for none."""
+    """One value or several as a tuple; CampaignError for none."""
     values = tuple(value) if isinstance(value, (list, tuple)) else (value,)
     if not values:
         raise CampaignError(f"{axis}: found {shown(value)}, allowed: one value or several")
-    return tuple(dict.fromkeys(values))
+    return values
 
 
-def _of_workers(axis: str, values: tuple[Any, ...], names: Names) -> tuple[Any, ...]:
-    """The values; CampaignError for one that only this process knows, since the workers are other processes."""
+def _check_known(axis: str, values: tuple[Any, ...], names: Names) -> None:
+    """Raise CampaignError for a value that only this process knows, since the workers are other processes."""
     for value in values:
         if callable(value) or (value in names and value not in names.shipped):
             known = ", ".join(names.shipped)
             raise CampaignError(f"{axis}: found {shown(value)}, which the workers do not know, allowed: {known}")
-    return values
 
 
-def _seeds(seeds: Any) -> tuple[int, ...]:
+def _seeds(seeds: Any) -> list[int]:
     allowed = "allowed: whole numbers of at least 0, such as range(20)"
     if not isinstance(seeds, Iterable) or isinstance(seeds, str):
         raise CampaignError(f"seeds: found {shown(seeds)}, {allowed}")
@@ -119,7 +167,7 @@ def _seeds(seeds: Any) -> tuple[int, ...]:
     for seed in found or [None]:
         if not isinstance(seed, numbers.Integral) or isinstance(seed, bool) or seed < 0:
             raise CampaignError(f"seeds: found {'none' if seed is None else shown(seed)}, {allowed}")
-    return tuple(dict.fromkeys(int(seed) for seed in found))
+    return [int(seed) for seed in found]
 
 
 def _worker_count(workers: int | None) -> int | None:

@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaigns.errors import CampaignError, import_extra
-from sixthsense.campaigns.plan import PlannedRun, scene_digest
+from sixthsense.campaigns.plan import CampaignError, PlannedRun, import_extra, scene_digest
 from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaigns.errors import CampaignError
-from sixthsense.campaigns.plan import AXES, CampaignPlan, PlannedRun, ranges, scene_digest, seed_range
+from sixthsense.campaigns.plan import AXES, CampaignError, CampaignPlan, PlannedRun, ranges, scene_digest, seed_range
 from sixthsense.config import as_table, merge, preset
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__

@@ -6,14 +6,16 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sixthsense.campaigns.errors import CampaignError
 from sixthsense.config import Config, as_table, merge, preset
+from sixthsense.config.errors import InputError
+from sixthsense.config.extras import import_extra as import_of_extra
 from sixthsense.config.files import absolute
 from sixthsense.config.removed import with_current_names
 from sixthsense.config.section import shown
@@ -24,6 +26,15 @@ AXES: tuple[str, ...] = ("scene", "estimator", "preset", "planner")
 MOST_RUNS = 100_000
 
 _SEEDS = re.compile(r"([0-9]{1,18})(?::([0-9]{1,18}))?")
+
+
+class CampaignError(InputError):
+    """An invalid option, folder or worker: one line with what was found and what is allowed."""
+
+
+def import_extra(module: str) -> Any:
+    """A module of the extra `campaign`; CampaignError with the command that installs it if it is missing."""
+    return import_of_extra(module, "campaign", CampaignError)
 
 
 @dataclass(frozen=True)
@@ -45,8 +56,7 @@ class CampaignPlan:
 
     def axes(self) -> dict[str, list[str]]:
         """The values of each axis as lists of texts; seeds as ranges."""
-        values = (self.scenes, self.estimators, self.presets, self.planners)
-        return {**{axis: list(v) for axis, v in zip(AXES, values, strict=True)}, "seeds": ranges(self.seeds)}
+        return {**{axis: list(getattr(self, f"{axis}s")) for axis in AXES}, "seeds": ranges(self.seeds)}
 
     def settings(self) -> list[Config]:
         """The configuration of every combination of the axes but the seed, with seed 0.
@@ -93,10 +103,7 @@ def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
 
     Raises CampaignError for too many runs, and the errors of `CampaignPlan.settings`.
     """
-    axes = (campaign.scenes, campaign.estimators, campaign.presets, campaign.planners, campaign.seeds)
-    count = 1
-    for values in axes:
-        count *= len(values)
+    count = math.prod(len(getattr(campaign, f"{axis}s")) for axis in (*AXES, "seed"))
     if count > MOST_RUNS:
         raise CampaignError(f"campaign: found {count} runs, allowed: at most {MOST_RUNS}")
     tables = [(setting, as_table(setting)) for setting in campaign.settings()]
@@ -120,16 +127,9 @@ def scene_digest(scene: str) -> str:
     """Hash of a scene's content, independent of the file's name: 16 hexadecimal digits; raises SceneError."""
     from sixthsense.sources.scene import load_scene
 
-    loaded = load_scene(scene)
-    content: tuple[Any, ...] = (
-        loaded.walls.tolist(),
-        loaded.start,
-        loaded.radius,
-        loaded.goal,
-        loaded.tour,
-        loaded.region,
-    )
-    content += (loaded.glass.tolist(),) if len(loaded.glass) else ()
+    found = load_scene(scene)
+    content = (found.walls.tolist(), found.start, found.radius, found.goal, found.tour, found.region)
+    content += (found.glass.tolist(),) if len(found.glass) else ()  # type: ignore[assignment]
     return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 
@@ -179,6 +179,11 @@ def shared_fields(*tables: Mapping[str, Any]) -> dict[str, Any]:
     return fields
 
 
-def resolve_scenes(scenes: Sequence[str]) -> tuple[str, ...]:
-    """The scenes without duplicates, files by absolute path, so that the names do not depend on the working folder."""
-    return tuple(dict.fromkeys(str(absolute(scene)) if Path(scene).suffix else scene for scene in scenes))
+def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables: Mapping[str, Any]) -> CampaignPlan:
+    """The plan of a campaign from the values of its axes, and nested tables of fields, of which later ones override.
+
+    Files of scenes are taken by their absolute paths, so that names do not depend on the working folder.
+    """
+    scenes, estimators, presets, planners = (tuple(dict.fromkeys(axes[axis])) for axis in AXES)
+    files = tuple(dict.fromkeys(str(absolute(scene)) if Path(scene).suffix else scene for scene in scenes))
+    return CampaignPlan(files, estimators, presets, planners, tuple(dict.fromkeys(seeds)), shared_fields(*tables))

@@ -7,9 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sixthsense.campaigns.errors import import_extra
 from sixthsense.campaigns.folder import read_folder
-from sixthsense.campaigns.plan import AXES
+from sixthsense.campaigns.plan import AXES, import_extra
 from sixthsense.campaigns.rows import Rows
 from sixthsense.config import Config, merge, preset
 from sixthsense.evaluation.groups import LABELS, Sample, Sampled

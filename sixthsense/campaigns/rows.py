@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.campaigns.errors import CampaignError, import_extra
-from sixthsense.campaigns.plan import AXES
+from sixthsense.campaigns.plan import AXES, CampaignError, import_extra
 from sixthsense.campaigns.worker import CURVES
 from sixthsense.evaluation.curves import Curves
 from sixthsense.record.writing import whole

@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import Any
 
 from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
+from sixthsense.cli.help import help_text, help_topic
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
 from sixthsense.config.removed import RenamedWarning
@@ -113,7 +114,11 @@ def _run(args: list[str]) -> int:
         if args[0] not in COMMANDS:
             near = nearest(args[0], (*COMMANDS, "--help", "--version"))
             raise UsageError(f"command: found {args[0]!r}, {allowed_names(COMMANDS, near)}")
-        code: int = import_module(f"sixthsense.cli.{args[0]}").command(args[1:])
+        command, words = import_module(f"sixthsense.cli.{args[0]}").command, args[1:]
+        if (topic := help_topic(words)) is not None:
+            print(help_text(args[0], topic))
+            return DONE
+        code: int = command(words)
         return code
     except BrokenPipeError:
         return FAILED

@@ -1,62 +1,87 @@
-"""Common parts of the commands: options, help, the run's folder and the summary at the end."""
+"""Common parts of the commands: options, the run's folder, the live view, and the summary at the end."""
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import os
 import shlex
 import sys
-import typing
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
-from sixthsense.cli.exits import DONE, EXIT_CODES, FAILED
-from sixthsense.cli.help import help_text, help_topic
-from sixthsense.cli.options import OptionalValue, Table, UsageError, parse
-from sixthsense.cli.shown import arg
+from sixthsense.cli.exits import EXIT_CODES, FAILED
+from sixthsense.cli.options import OptionalValue, Options, Table, UsageError, arg, parse, positional, positional_of
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
-from sixthsense.view.target import VIEW_TARGETS, is_view_target
+from sixthsense.core.interrupt import is_command_ended
+from sixthsense.sources.scene_files import scene_file
+from sixthsense.view.target import LOOPBACK, VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
+    from sixthsense.loop import OnTick
     from sixthsense.navigation.unseen_places import UnseenPlace
     from sixthsense.record.folder import RunFolder
     from sixthsense.slam.prior_map import PriorStart
 
-C = TypeVar("C", bound="Common")
+C = TypeVar("C", bound="WithSettings")
 
 
 @dataclass(frozen=True)
-class Common:
+class WithSettings(Options):
+    """Options of all commands that take the fields of the configuration."""
+
+    takes_fields: ClassVar[bool] = True
+
+    config: Annotated[Path | None, arg("FILE")] = None
+    """TOML file of settings, which override the preset. It may be partial; that of a run folder repeats the run."""
+    settings: Config = field(default_factory=Config)
+
+
+@dataclass(frozen=True)
+class OfScene(WithSettings):
+    """Options of the commands that simulate a robot."""
+
+    scene: Annotated[str | None, positional("[SCENE]")] = None
+    """Shipped scene, or a .toml, map_server .yaml, .scn file."""
+
+    def settings_of_scene(self, flags: Table) -> Config:
+        """The configuration with the scene; UsageError for two scenes, SceneError for one that does not exist."""
+        if self.scene is not None and "scene" in flags:
+            raise UsageError(f"--scene: found beside {self.scene!r}, allowed: one scene")
+        config = self.settings if self.scene is None else dataclasses.replace(self.settings, scene=self.scene)
+        scene_file(config.scene)
+        return config
+
+
+@dataclass(frozen=True)
+class Common(WithSettings):
     """Options of all commands that write a run folder."""
 
-    config: Annotated[Path | None, arg(metavar="FILE")] = None
-    """TOML file of settings, which override the preset. It may be partial; that of a run folder repeats the run."""
-    out: Annotated[Path | None, arg(metavar="DIR")] = None
+    out: Annotated[Path | None, arg("DIR")] = None
     """Folder to write; by default a new one under runs/."""
     overwrite: bool = False
     """Replace the folder if it exists."""
-    view: Annotated[str | None, arg(metavar="[WHERE]")] = None
+    view: Annotated[str | None, arg("[WHERE]"), OptionalValue("window", is_view_target, VIEW_TARGETS)] = None
     """Live view in Rerun: window, browser or FILE.rrd. Needs the extra view: pip install 'sixthsense[view]'."""
-    bind: Annotated[str | None, arg(metavar="ADDRESS")] = None
+    bind: Annotated[str | None, arg("ADDRESS")] = None
     """With --view browser: address of the server. 127.0.0.1 by default; any host that reaches it can watch."""
     verbose: bool = False
     """Print all metrics at the end."""
-    settings: Config = field(default_factory=Config)
 
 
 @dataclass(frozen=True)
 class WithPriorMap(Common):
     """Options of the commands that can begin with the map of an earlier run."""
 
-    prior_map: Annotated[Path | None, arg(metavar="DIR")] = None
+    prior_map: Annotated[Path | None, arg("DIR")] = None
     """Earlier run whose map this one begins with. The folder of a run in the same building."""
-    pose: Annotated[tuple[float, float, float] | None, arg(metavar="X Y THETA")] = None
+    pose: Annotated[tuple[float, float, float] | None, arg("X Y THETA")] = None
     """With --prior-map: start in its frame, m and rad. By default the start of the scene or log."""
-    pose_sigma: Annotated[tuple[float, float, float] | None, arg(metavar="SX SY ST")] = None
+    pose_sigma: Annotated[tuple[float, float, float] | None, arg("SX SY ST")] = None
     """With --prior-map: sigmas of that pose, m and rad. 0 by default: known exactly."""
     lost: bool = False
     """With --prior-map: the robot does not know where it is. It drives until it has found out."""
@@ -71,30 +96,17 @@ class WithPriorMap(Common):
         return prior_start(self.prior_map, self.pose, self.pose_sigma, self.lost, "--")
 
 
-def show_help(
-    command: type[Common], name: str, base: str, args: Sequence[str] = (), hidden: Collection[str] = ()
-) -> int:
-    """Print a command's options with their default values: on one page, or of the section that `args` name.
-
-    `base` is the default preset; `hidden` are options, fields and sections that the command refuses.
-    """
-    print(help_text(command, name, preset(base), help_topic(args) or "", hidden))
-    return DONE
-
-
 def parse_command(
-    command: type[C], positional: str, base: str | Callable[[str | None], str | Config], args: list[str]
+    command: type[C], args: list[str], base: Callable[[Any], str | Config] | None = None
 ) -> tuple[C, Table]:
     """Parse a command's options, and the table of the Config fields that were set by flags.
 
-    `positional` is the name of the positional option. `base` is the default preset or a complete configuration, or a
-    function of the positional value that returns it. Precedence is defaults < preset < configuration file < flags. A
-    ConfigError names the flag, or the file and its field.
+    `base` is a function of the positional value that returns the default preset or a complete configuration; without
+    one it is the command's preset. Precedence is defaults < preset < configuration file < flags. A ConfigError names
+    the flag, or the file and its field.
     """
-    own = {name: hint for name, hint in typing.get_type_hints(command).items() if name not in ("settings", positional)}
-    own["view"] = OptionalValue("window", is_view_target, VIEW_TARGETS)
-    given, table = parse(args, own, positional)
-    start = base(given.get(positional)) if callable(base) else base
+    given, table = parse(args, command)
+    start = command.base if base is None else base(given.get(positional_of(command)))
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
     if "config" in given:
         is_complete = "preset" in table or isinstance(start, Config)
@@ -102,18 +114,6 @@ def parse_command(
     # The preset of a configuration file takes precedence over --preset, because the file's values belong to it.
     flags = {name: value for name, value in table.items() if name != "preset"}
     return command(**given, settings=merge(settings, flags, "--")), table
-
-
-def refuse(options: Common, names: Collection[str], where: str, allowed: str) -> None:
-    """Raise UsageError for an option of `names` that was given; `where` and `allowed` say why it is of no use."""
-    for name in names:
-        if getattr(options, name):
-            raise UsageError(f"--{name}: found {where}, allowed: {allowed}")
-
-
-def wants_help(args: list[str]) -> bool:
-    """Whether any argument asks for the help."""
-    return help_topic(args) is not None
 
 
 def run_folder(
@@ -145,6 +145,27 @@ def numbered(stem: str) -> Iterator[Path]:
         out = Path("runs") / f"{stem}-{number}"
         if not os.path.lexists(out) and not os.path.lexists(out.with_name(out.name + ".partial")):
             yield out
+
+
+@contextlib.contextmanager
+def live_view(options: Common) -> Iterator[tuple[OnTick, ...]]:
+    """The hooks of `--view`, none without the option; a browser view stays open after the run until Ctrl-C."""
+    if options.bind is not None and options.view != "browser":
+        raise UsageError("--bind: found without --view browser, allowed: with it")
+    if options.view is None:
+        yield ()
+        return
+    from sixthsense.view.recording import View
+
+    with View(options.view, options.bind or LOOPBACK) as view:
+        if view.page:
+            announce(f"view: {view.page}")
+        yield (view,)
+        view.finish()
+        if view.page and not (view.is_interrupted or is_command_ended()):
+            announce("the view stays open until Ctrl-C")
+            with contextlib.suppress(KeyboardInterrupt):
+                view.wait()
 
 
 def announce(line: str) -> None:

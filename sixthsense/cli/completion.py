@@ -3,44 +3,39 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import inspect
-from collections.abc import Iterator
-from importlib import import_module
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Annotated
 
 from sixthsense.cli import COMMANDS
-from sixthsense.cli.common import Common, wants_help
 from sixthsense.cli.exits import DONE
-from sixthsense.cli.help import Option, config_options, option_of, own_options
-from sixthsense.cli.options import UsageError
+from sixthsense.cli.help import Option, command_class, config_options, own_options
+from sixthsense.cli.options import Options, UsageError, parse, positional
 from sixthsense.config import PRESETS, Config
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.sources.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")
 
-USAGE = """\
-usage: sixthsense completion bash|zsh|fish
 
-Print a script that lets the shell complete commands, options and names.
+@dataclass(frozen=True)
+class Completion(Options):
+    """Print a script that lets the shell complete commands, options and names."""
 
-  bash  sixthsense completion bash >> ~/.bash_completion
-  zsh   sixthsense completion zsh > FOLDER/_sixthsense, in a FOLDER of $fpath
-  fish  sixthsense completion fish > ~/.config/fish/completions/sixthsense.fish
-"""
+    shell: Annotated[str, positional("SHELL")] = ""
+    """bash, zsh or fish. Append the script to ~/.bash_completion, or write it to FOLDER/_sixthsense with a FOLDER of
+    $fpath, or to ~/.config/fish/completions/sixthsense.fish."""
 
 
 def command(args: list[str]) -> int:
     """Print the completion script of a shell."""
-    if wants_help(args):
-        print(USAGE, end="")
-        return DONE
-    if len(args) != 1 or args[0] not in SHELLS:
-        found = repr(" ".join(args)) if args else "nothing"
-        raise UsageError(f"shell: found {found}, {allowed_names(SHELLS, nearest(' '.join(args), SHELLS))}")
+    shell = Completion(**parse(args, Completion)[0]).shell
+    if shell not in SHELLS:
+        found = repr(shell) if shell else "nothing"
+        raise UsageError(f"shell: found {found}, {allowed_names(SHELLS, nearest(shell, SHELLS))}")
     import shtab
 
-    print(shtab.complete(parser(), args[0]))
+    print(shtab.complete(parser(), shell))
     return DONE
 
 
@@ -59,33 +54,19 @@ def parser() -> argparse.ArgumentParser:
 
 
 def options_of(name: str) -> Iterator[Option]:
-    """The options of a command: of its dataclass, or of the table OWN of its module; the configuration's if it has."""
-    module = import_module(f"sixthsense.cli.{name}")
-    classes = [one for _, one in inspect.getmembers(module, inspect.isclass) if one.__module__ == module.__name__]
-    own = next((one for one in classes if issubclass(one, Common)), None)
-    if own is not None:
-        of_command = list(own_options(own))
-        yield from of_command
-        taken = {option.name for option in of_command}
+    """The options of a command, and those of the configuration if it takes them."""
+    command_options = list(own_options(command_class(name)))
+    yield from command_options
+    if command_class(name).takes_fields:
+        taken = {option.name for option in command_options}
         yield from (option for option in config_options(Config()) if option.name not in taken)
-    else:
-        for key, hint in getattr(module, "OWN", {}).items():
-            yield option_of(key, hint)
-    if name == "campaign":
-        yield option_of("seeds", str)
-        yield from config_options(Config())
-    if name == "completion":
-        yield dataclasses.replace(option_of("shell", str), is_positional=True, choices=SHELLS)
 
 
 def _add(command_parser: argparse.ArgumentParser, option: Option) -> None:
     import shtab
 
-    choices = option.choices
-    if option.name == "preset":
-        choices = tuple(PRESETS)
-    if option.name == "scene":
-        choices = tuple(shipped_scenes())
+    known: dict[str, Iterable[str]] = {"preset": PRESETS, "scene": shipped_scenes(), "shell": SHELLS}
+    choices = tuple(known.get(option.name, option.choices))
     text = _escaped(option.brief)
     if option.is_positional:
         action = command_parser.add_argument(option.name, help=text, nargs="?", choices=choices or None)

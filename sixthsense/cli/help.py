@@ -7,18 +7,16 @@ import inspect
 import re
 import textwrap
 import typing
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Literal, Union
+from typing import Any, Literal
 
-from sixthsense.cli.options import UsageError
-from sixthsense.cli.shown import Shown
-from sixthsense.config import Config, Section
-from sixthsense.config.field_texts import field_texts
+from sixthsense.cli.options import Options, Shown, UsageError, notes_of, option_types, unwrapped
+from sixthsense.config import Section, preset
 from sixthsense.config.names import Names
-from sixthsense.config.section import Range, shown
+from sixthsense.config.section import Range, field_texts, shown
 from sixthsense.config.suggestion import allowed_names, nearest
 
 EVERYTHING = "all"
@@ -71,23 +69,30 @@ def help_topic(args: Sequence[str]) -> str | None:
     return None
 
 
-def help_text(command: type, name: str, settings: Config, topic: str = "", hidden: Collection[str] = ()) -> str:
-    """The help of a command on a topic, at most 80 columns wide.
+def command_class(name: str) -> type[Options]:
+    """The dataclass of a command's options."""
+    found: type[Options] = getattr(import_module(f"sixthsense.cli.{name}"), name.capitalize())
+    return found
 
-    `command` is the dataclass of its options, `settings` the configuration without options, `hidden` the options,
-    top-level fields and sections that the command refuses. Raises UsageError for an unknown topic.
-    """
-    used = (option for option in own_options(command) if option.name not in hidden)
-    own = sorted(used, key=lambda option: not option.is_positional)
+
+def help_text(name: str, topic: str = "") -> str:
+    """The help of a command on a topic, at most 80 columns wide; UsageError for an unknown topic."""
+    command = command_class(name)
+    own = sorted(own_options(command), key=lambda option: not option.is_positional)
+    words = [f"usage: sixthsense {name}", *(option.usage for option in own if option.is_positional)]
+    words += ["[options]"] if any(not option.is_positional for option in own) else []
+    head = [" ".join(words), ""]
+    for paragraph in (inspect.getdoc(command) or "").split("\n\n"):
+        head += [*_wrapped(paragraph), ""]
+    if "settings" not in {field.name for field in dataclasses.fields(command)}:
+        return "\n".join([*head, *_rows(own)]).rstrip()
     sections = {
         path: (section, list(_section_options(section, path, value)))
-        for path, section, value in _sections(settings)
-        if path.split(".")[0] not in hidden
+        for path, section, value in _sections(preset(command.base))
+        if path.split(".")[0] not in command.refused
     }
-    taken = {*hidden, *(option.name for option in own)}
+    taken = {*command.refused, *(option.name for option in own)}
     top = [option for option in sections[""][1] if option.name not in taken]
-    positional = " ".join(option.usage for option in own if option.is_positional)
-    head = [f"usage: sixthsense {name} {positional} [options]", "", *_wrapped(inspect.getdoc(command) or ""), ""]
     within = {path: found for path, found in sections.items() if path}
     if topic == "":
         rows = [*head, "options:", *_rows(own, brief=True), "", "settings:", *_rows(top, brief=True), ""]
@@ -96,10 +101,9 @@ def help_text(command: type, name: str, settings: Config, topic: str = "", hidde
         rows = [*head, "options:", *_rows(own), "", "settings:", *_rows(top)]
         return "\n".join([*rows, *(line for path, found in within.items() for line in _section_page(path, *found))])
     wanted = topic.removeprefix("--").replace("_", "-")
-    pages = [found for path, found in within.items() if path == wanted or path.startswith(wanted + ".")]
+    pages = [_section_page(path, *found) for path, found in within.items() if f"{path}.".startswith(f"{wanted}.")]
     if pages:
-        lines = [_section_page(path, *found) for path, found in within.items() if found in pages]
-        return "\n".join(line for page in lines for line in page).strip()
+        return "\n".join(line for page in pages for line in page).strip()
     known = [*own, *(option for _, options in sections.values() for option in options)]
     found_options = [option for option in known if wanted in (option.name, option.name.rpartition(".")[2])]
     if not found_options:
@@ -109,16 +113,16 @@ def help_text(command: type, name: str, settings: Config, topic: str = "", hidde
     return "\n".join(_rows(found_options))
 
 
-def own_options(command: type) -> Iterator[Option]:
-    """The options of a command's dataclass, without the configuration."""
-    texts = field_texts(command)
-    hints = typing.get_type_hints(command, include_extras=True)
-    for field in dataclasses.fields(command):
-        if field.name != "settings":
-            yield option_of(field.name, hints[field.name], field.default, texts.get(field.name, ""))
+def own_options(command: type[Options]) -> Iterator[Option]:
+    """The options of a command's dataclass that it does not refuse, without the configuration."""
+    texts, defaults = field_texts(command), {field.name: field.default for field in dataclasses.fields(command)}
+    for name, hint in option_types(command).items():
+        if name not in command.refused:
+            default = defaults[name]
+            yield option_of(name, hint, None if default == () else default, texts.get(name, ""))
 
 
-def config_options(settings: Config) -> Iterator[Option]:
+def config_options(settings: Section) -> Iterator[Option]:
     """The options of all fields of the configuration; `settings` has the default values."""
     for path, section, value in _sections(settings):
         yield from _section_options(section, path, value)
@@ -143,26 +147,22 @@ def _section_options(section: type[Section], path: str, values: Section) -> Iter
 def option_of(name: str, hint: Any, default: Any = None, text: str = "") -> Option:
     """The option for a field: its name, its annotated type, its default value and its docstring."""
     name = name.replace("_", "-")
-    notes = [note for note in getattr(hint, "__metadata__", ()) if isinstance(note, Shown)]
-    bounds: Any = ""
-    while typing.get_origin(hint) in (Annotated, Union, UnionType):
-        if typing.get_origin(hint) is Annotated:
-            bounds = next((note for note in hint.__metadata__ if isinstance(note, (Range, Names))), bounds)
-        hint = typing.get_args(hint)[0]
+    shown_as = next(iter(notes_of(hint, Shown)), Shown())
+    bounds: Any = next(iter([*notes_of(hint, Range), *notes_of(hint, Names)]), "")
+    hint, _ = unwrapped(hint)
     choices = typing.get_args(hint) if typing.get_origin(hint) is Literal else ()
     choices = tuple(bounds) if isinstance(bounds, Names) else choices
-    metavar = next((note.metavar for note in notes if note.metavar), _metavar(hint, default))
-    is_positional = any(note.is_positional for note in notes)
+    metavar = shown_as.metavar or _metavar(hint, default)
     return Option(
         name,
-        metavar if is_positional else f"--{name} {metavar}".rstrip(),
+        metavar if shown_as.is_positional else f"--{name} {metavar}".rstrip(),
         text,
         _value(default),
         ", ".join(map(str, choices)) if choices else str(bounds),
         tuple(map(str, choices)) or (("true", "false") if hint is bool and default is True else ()),
         hint is Path or metavar in ("FILE", "DIR"),
         bool(metavar),
-        is_positional,
+        shown_as.is_positional,
     )
 
 

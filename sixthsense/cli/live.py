@@ -3,33 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-from sixthsense.cli.common import WithPriorMap, announce, parse_command, run_folder, show_end, show_help, wants_help
-from sixthsense.cli.options import UsageError
-from sixthsense.cli.shown import arg
-from sixthsense.cli.view import live_view
+from sixthsense.cli.common import WithPriorMap, announce, live_view, parse_command, run_folder, show_end
+from sixthsense.cli.options import Options, UsageError, arg
 from sixthsense.config import Config, merge, preset
 from sixthsense.config.errors import InputError
 from sixthsense.live.network import LOOPBACK, Network, check_installed, domain_of_environment
 
 
 @dataclass(frozen=True)
-class OnNetwork:
+class OnNetwork(Options):
     """Options of the commands that join a ROS 2 network."""
 
-    domain: Annotated[int | None, arg(metavar="N")] = None
+    domain: Annotated[int | None, arg("N")] = None
     """Domain of the network, by default ROS_DOMAIN_ID, or 0."""
-    interface: Annotated[str, arg(metavar="NAME")] = LOOPBACK
+    interface: Annotated[str, arg("NAME")] = LOOPBACK
     """Interface or address to join. By default that of this machine alone."""
-    peers: Annotated[str | None, arg(metavar="ADDRESS[,..]")] = None
+    peers: Annotated[str | None, arg("ADDRESS[,..]")] = None
     """Hosts of the robot, for networks without multicast."""
 
     def network(self) -> Network:
         """The network to join; InputError for what is not allowed, and for a missing Cyclone DDS."""
         domain = domain_of_environment() if self.domain is None else self.domain
-        if not isinstance(domain, int):  # the parser passes text that is not a number unchanged
-            raise UsageError(f"--domain: found {domain!r}, allowed: a whole number")
         network = Network(domain, self.interface, tuple(self.peers.split(",")) if self.peers else ())
         check_installed()
         return network
@@ -39,31 +35,28 @@ class OnNetwork:
 class Live(OnNetwork, WithPriorMap):
     """Map with a robot on a ROS 2 network: subscribes to its laser and odometry, publishes /map, /tf and /pose."""
 
-    scan: Annotated[str, arg(metavar="TOPIC")] = "/scan"
+    base: ClassVar[str] = "log"
+    refused: ClassVar[tuple[str, ...]] = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
+
+    scan: Annotated[str, arg("TOPIC")] = "/scan"
     """Topic of the laser. Messages sensor_msgs/LaserScan."""
-    odom: Annotated[str, arg(metavar="TOPIC")] = "/odom"
+    odom: Annotated[str, arg("TOPIC")] = "/odom"
     """Topic of the wheels' odometry. Messages nav_msgs/Odometry."""
-    odometry_frames: Annotated[str | None, arg(metavar="P,C")] = None
+    odometry_frames: Annotated[str | None, arg("P,C")] = None
     """Take odometry from /tf, such as odom,base_link. Its publisher sends the transform between the two."""
     drive: bool = False
     """Drive the robot: explore, or drive to --goal. Keep an emergency stop at hand."""
-    cmd_vel: Annotated[str, arg(metavar="TOPIC")] = "/cmd_vel"
+    cmd_vel: Annotated[str, arg("TOPIC")] = "/cmd_vel"
     """With --drive: topic of the commands. Messages geometry_msgs/Twist or TwistStamped, as the robot subscribes."""
     cmd_vel_stamped: bool = False
     """With --drive: send TwistStamped alone. A robot that takes Twist is refused."""
 
 
-_OF_A_SIMULATION = ("scene", "start", "map-unknown", "map_unknown", "world", "lost")
-
-
 def command(args: list[str]) -> int:
     """Run SLAM on a robot."""
-    if wants_help(args):
-        return show_help(Live, "live", "log", args, _OF_A_SIMULATION)
-    options, flags = parse_command(
-        Live, "", lambda _: _base(any(word.partition("=")[0] == "--drive" for word in args)), args
-    )
-    for name in _OF_A_SIMULATION:
+    drives = any(word.partition("=")[0] == "--drive" for word in args)
+    options, flags = parse_command(Live, args, lambda _: _base(drives))
+    for name in Live.refused:
         if name in flags or (name == "lost" and options.lost):
             raise UsageError(f"--{name.replace('_', '-')}: found on a robot, allowed: with run")
     network = options.network()

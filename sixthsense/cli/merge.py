@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-from sixthsense.cli.common import Common, announce, parse_command, run_folder, show_end, show_help, wants_help
-from sixthsense.cli.options import UsageError
-from sixthsense.cli.shown import arg, positional
-from sixthsense.cli.view import live_view
-from sixthsense.config import ConfigError
+from sixthsense.cli.common import Common, announce, live_view, parse_command, run_folder, show_end
+from sixthsense.cli.options import UsageError, arg, positional
+from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import OF_THE_ROBOT
 
 
@@ -21,36 +19,44 @@ class Merge(Common):
     The second run is found in the map of the first by what it has seen. The result is the folder of a run.
     """
 
-    runs: Annotated[str | None, positional(), arg(metavar="RUN_A RUN_B")] = None
-    """The folders of the two runs, before all options."""
-    relations: Annotated[Path | None, arg(metavar="FILE")] = None
+    base: ClassVar[str] = "log"
+    refused: ClassVar[tuple[str, ...]] = OF_THE_ROBOT
+
+    runs: Annotated[tuple[str, ...], positional("RUN_A RUN_B")] = ()
+    """The folders of the two runs."""
+    relations: Annotated[Path | None, arg("FILE")] = None
     """Hand-checked relations between poses, the reference of the trajectory's error."""
 
 
 def command(args: list[str]) -> int:
     """Merge two runs."""
-    if wants_help(args):
-        return show_help(Merge, "merge", "log", args, OF_THE_ROBOT)
-    from sixthsense.sources.logs import is_run_folder
-    from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out
+    from sixthsense.sources.replay_input import Chosen, check_options, check_out
 
-    folders = args[:2]
-    if len(folders) < 2 or any(run.startswith("-") for run in folders):
-        raise UsageError(f"runs: found {' '.join(args[:2]) or 'nothing'}, allowed: the folders of two runs")
-    for run in folders:
-        if not is_run_folder(Path(run)):
-            found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
-            raise ConfigError(f"{run}: found {found}, allowed: the folder of a run")
-    options, flags = parse_command(Merge, "runs", base_of, [folders[0], *args[2:]])
-    check_options(folders[0], flags, Chosen(), "--")
-    for run in folders:
+    options, flags = parse_command(Merge, args, _base)
+    first, second = options.runs
+    check_options(first, flags, Chosen(), "--")
+    for run in options.runs:
         check_out(run, options.out)
     from sixthsense.running.merging import open_merged, replay_merged
     from sixthsense.running.runs import Watch
 
-    announce(f"looking for {folders[1]} in the map of {folders[0]}")
-    merged = open_merged(Path(folders[0]), Path(folders[1]), options.settings, options.relations)
+    announce(f"looking for {second} in the map of {first}")
+    merged = open_merged(Path(first), Path(second), options.settings, options.relations)
     for note in merged.notes:
         announce(f"note: {note}")
     with run_folder(options, merged.config, merged.name, merged.files) as folder, live_view(options) as hooks:
         return show_end(replay_merged(merged, folder, Watch(hooks, say=announce)), options.verbose)
+
+
+def _base(runs: tuple[str, ...] | None) -> str | Config:
+    """The configuration of the first run; UsageError for other than two, ConfigError for what is no folder of a run."""
+    from sixthsense.sources.logs import is_run_folder
+    from sixthsense.sources.replay_input import base_of
+
+    if runs is None or len(runs) != 2:
+        raise UsageError(f"runs: found {' '.join(runs or ()) or 'nothing'}, allowed: the folders of two runs")
+    for run in runs:
+        if not is_run_folder(Path(run)):
+            found = "no config.toml in it" if Path(run).is_dir() else "no such folder"
+            raise ConfigError(f"{run}: found {found}, allowed: the folder of a run")
+    return base_of(runs[0])

@@ -1,33 +1,56 @@
 """The parser of command lines: a command's own options, and every field of the Config tree as a flag.
 
-The parser converts values only. The validator of `config` checks them, so that flags and files give the same messages.
+A command's options are the fields of a dataclass. The parser converts values; the validator of `config` checks them, so
+that flags and files give the same messages.
 """
 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, Union
+from typing import Annotated, Any, ClassVar, TypeVar, Union
 
 from sixthsense.config import Config, Section
 from sixthsense.config.errors import InputError
 from sixthsense.config.removed import current_name, note_renamed
-from sixthsense.config.section import is_one_line, shown, shown_name
+from sixthsense.config.section import checked, is_one_line, shown, shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 
+T = TypeVar("T")
 Table = dict[str, Any]
 
 _BOOLEANS = {"true": True, "false": False}
 
 
 @dataclass(frozen=True, slots=True)
+class Shown:
+    """How the help shows an option, an annotation of its type."""
+
+    metavar: str = ""
+    """name of its value"""
+    is_positional: bool = False
+    """an argument without a flag"""
+
+
+def arg(metavar: str) -> Shown:
+    """The annotation of an option whose value the help calls `metavar`."""
+    return Shown(metavar)
+
+
+def positional(metavar: str) -> Shown:
+    """The annotation of the positional argument, or of all of them where its type is a list."""
+    return Shown(metavar, is_positional=True)
+
+
+@dataclass(frozen=True, slots=True)
 class OptionalValue:
-    """The type of an option with an optional value: the next argument is its value only if `is_value` accepts it."""
+    """The annotation of an option with an optional value: the next argument is its value if `is_value` accepts it."""
 
     default: str | None
     """value of the option when none is given"""
@@ -41,25 +64,71 @@ class UsageError(InputError):
     """An invalid command line, in one line."""
 
 
-def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple[Table, Table]:
-    """Parse a command's arguments into its own options and the nested table of the Config fields.
+@dataclass(frozen=True)
+class Options:
+    """The options of a command: a field each, whose docstring is its text in the help."""
 
-    `own` gives the type of each own option by name, `positional` is the name of the positional one, empty if there is
-    none. Raises UsageError with the allowed values for an unknown option, a flag without a value and a second
-    positional argument.
+    takes_fields: ClassVar[bool] = False
+    """whether every field of the configuration is an option as well"""
+    base: ClassVar[str] = "default"
+    """the preset whose values the help shows"""
+    refused: ClassVar[tuple[str, ...]] = ()
+    """options, and fields and sections of the configuration, that the help leaves out"""
+
+
+def option_types(command: type[Options]) -> dict[str, Any]:
+    """The annotated type of each of a command's own options, by name."""
+    hints = typing.get_type_hints(command, include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(command) if field.name != "settings"}
+
+
+def positional_of(command: type[Options]) -> str:
+    """The name of a command's positional option, empty if there is none."""
+    hints = option_types(command).items()
+    return next((name for name, hint in hints if any(note.is_positional for note in notes_of(hint, Shown))), "")
+
+
+def unwrapped(hint: Any) -> tuple[Any, bool]:
+    """A type without its annotations and None, and whether it may be None."""
+    is_optional = False
+    while typing.get_origin(hint) in (Annotated, Union, UnionType):
+        is_optional |= typing.get_origin(hint) is not Annotated
+        hint = typing.get_args(hint)[0]
+    return hint, is_optional
+
+
+def notes_of(hint: Any, kind: type[T]) -> list[T]:
+    """The annotations of one kind of a type, the outermost first."""
+    found: list[T] = []
+    while typing.get_origin(hint) in (Annotated, Union, UnionType, tuple):
+        found += [note for note in getattr(hint, "__metadata__", ()) if isinstance(note, kind)]
+        hint = typing.get_args(hint)[0]
+    return found
+
+
+def parse(args: Sequence[str], command: type[Options]) -> tuple[Table, Table]:
+    """Parse a command's arguments into its own options, checked, and the nested table of the Config fields.
+
+    Raises UsageError with the allowed values for an unknown option, a flag without a value and a positional argument
+    too many; ConfigError for a value of an own option that is not allowed.
     """
-    hints = {f"--{name.replace('_', '-')}": hint for name, hint in own.items()} | dict(config_flags(Config))
+    own, positional = option_types(command), positional_of(command)
+    rest = own.pop(positional, None)
+    takes_many = typing.get_origin(unwrapped(rest)[0]) is tuple
+    hints = dict(config_flags(Config)) if command.takes_fields else {}
+    hints |= {f"--{name.replace('_', '-')}": hint for name, hint in own.items()}
     given: Table = {}
     table: Table = {}
-    without_value: tuple[str, OptionalValue] | None = (
-        None  # the previous argument, if it is an option that took no value
-    )
+    without_value: tuple[str, OptionalValue] | None = None  # the previous argument, if an option that took no value
     stack = list(reversed(args))  # the next word is the last element
     while stack:
         word = stack.pop()
         if not word.startswith("-"):
             if not positional:
                 raise UsageError(f"arguments: found {shown(word)}, allowed: options alone")
+            if takes_many:
+                given[positional] = (*given.get(positional, ()), _checked_name(positional, word))
+                continue
             if positional in given:
                 if without_value is not None:
                     raise UsageError(f"{without_value[0]}: found {shown(word)}, allowed: {without_value[1].allowed}")
@@ -67,37 +136,23 @@ def parse(args: Sequence[str], own: Mapping[str, Any], positional: str) -> tuple
             given[positional] = _checked_name(positional, word)
             continue
         flag, value = _option(word, stack, hints)
-        hint = hints[flag]
-        without_value = (flag, hint) if isinstance(hint, OptionalValue) and word == flag else None
+        may_lack = notes_of(hints[flag], OptionalValue)
+        without_value = (flag, may_lack[0]) if may_lack and word == flag else None
         *sections, name = flag.removeprefix("--").split(".")
-        if not sections and name.replace("-", "_") in own:
-            given[name.replace("-", "_")] = value
+        key = name.replace("-", "_")
+        if not sections and key in own:
+            if key in given and isinstance(value, list):
+                raise UsageError(f"{flag}: found twice, allowed: once, with all its values")
+            given[key] = value
             continue
         target = table
         for section in sections:
             target = target.setdefault(section, {})
         target[name] = value
+    for name, hint in own.items():
+        if name in given:
+            given[name] = checked(f"--{name.replace('_', '-')}", hint, given[name])
     return given, table
-
-
-def parse_positionals(args: Sequence[str], own: Mapping[str, Any]) -> tuple[list[str], Table]:
-    """Parse the arguments of a command with any number of positional ones and without fields of the Config tree.
-
-    `own` gives the type of each option by name. Returns the positional arguments and the given options. Raises
-    UsageError with the allowed values for an unknown option and a flag without a value.
-    """
-    hints = {f"--{name}": hint for name, hint in own.items()}
-    stack = list(reversed(args))  # the next word is the last element
-    positionals: list[str] = []
-    given: Table = {}
-    while stack:
-        word = stack.pop()
-        if word.startswith("-"):
-            flag, value = _option(word, stack, hints)
-            given[flag.removeprefix("--")] = value
-        else:
-            positionals.append(_checked_name("run", word))
-    return positionals, given
 
 
 def config_flags(section: type[Section], path: str = "--") -> Iterator[tuple[str, Any]]:
@@ -120,14 +175,10 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
             return positive, False
         allowed = allowed_names(_suggestions(flag, hints), _nearest(flag, hints))
         raise UsageError(f"{shown_name(flag)}: no such option, {allowed}")
-    hint, optional = hints[flag], False
-    if isinstance(hint, OptionalValue):
-        if equals:
-            return flag, _checked_name(flag, text)
-        return flag, _checked_name(flag, stack.pop()) if stack and hint.is_value(stack[-1]) else hint.default
-    while typing.get_origin(hint) in (Annotated, Union, UnionType):
-        optional |= typing.get_origin(hint) is not Annotated
-        hint = typing.get_args(hint)[0]
+    hint, optional = unwrapped(hints[flag])
+    for may_lack in notes_of(hints[flag], OptionalValue):
+        found = text if equals else stack.pop() if stack and may_lack.is_value(stack[-1]) else may_lack.default
+        return flag, None if found is None else _convert(flag, hint, found)
     if hint is bool:
         if not equals:
             text = stack.pop() if stack and stack[-1].lower() in _BOOLEANS else "true"
@@ -143,7 +194,7 @@ def _option(word: str, stack: list[str], hints: Mapping[str, Any]) -> tuple[str,
         if optional and texts == ["None"]:
             return flag, None
     if is_list:
-        return flag, _rows(flag, typing.get_args(kinds[0]), texts)
+        return flag, _list(flag, kinds[0], texts)
     if not texts:
         raise UsageError(f"{flag}: found nothing, allowed: {len(kinds)} value{'s' * is_tuple}")
     values = [_convert(flag, kind, text) for kind, text in zip(kinds, texts, strict=False)]
@@ -164,8 +215,13 @@ def _current_flag(flag: str) -> str:
     return current
 
 
-def _rows(flag: str, kinds: tuple[Any, ...], texts: list[str]) -> list[list[Any]]:
-    """The texts in rows of `kinds`; UsageError for none, and for a row that is cut off."""
+def _list(flag: str, kind: Any, texts: list[str]) -> list[Any]:
+    """The texts as values of `kind`, or in rows of them where it is a tuple; UsageError for none, and for a cut row."""
+    if typing.get_origin(kind) is not tuple:
+        if not texts:
+            raise UsageError(f"{flag}: found nothing, allowed: one or more values")
+        return [_convert(flag, unwrapped(kind)[0], text) for text in texts]
+    kinds = typing.get_args(kind)
     if not texts or len(texts) % len(kinds):
         raise UsageError(f"{flag}: found {len(texts) or 'no'} values, allowed: {len(kinds)} of each entry")
     rows = [texts[k : k + len(kinds)] for k in range(0, len(texts), len(kinds))]

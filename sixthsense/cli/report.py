@@ -2,64 +2,71 @@
 
 from __future__ import annotations
 
-import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
-from sixthsense.cli.common import announce, numbered, wants_help
+from sixthsense.cli.common import announce, numbered
 from sixthsense.cli.exits import DONE
-from sixthsense.cli.options import UsageError
+from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
 
 if TYPE_CHECKING:
     from sixthsense.figures.report import Form
     from sixthsense.figures.run import Run
 
-USAGE = """\
-usage: sixthsense report RUN_DIR ... [--out DIR] [--overwrite] [--figures png|svg|pdf] [--animate [FILE.mp4|.webp|.gif]]
-
-Draw the figures of finished or killed runs, and write report.html, a page with the figures, the metrics, the
-configuration and the command that repeats the run. A killed run is shown up to its last record.
-
-The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of metrics.
-Of a campaign there are medians and bands over its runs, errors over time and distance, and the averaged NEES.
-
-  RUN_DIR          folder of a run, or of a campaign
-  --out DIR        folder to write; for several runs by default a new one under runs/
-  --overwrite      write into DIR if it exists
-  --figures FORM   svg or pdf: each figure as vector graphics, too; png (the default): bitmaps only
-  --animate [FILE] film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif
-                   beside the figures
-"""
-
-OWN = {"out": Path, "overwrite": bool, "figures": str, "animate": Path}
-
 _FILM = "animation.gif"
+
+
+def _is_film(argument: str) -> bool:
+    """Whether an argument after `--animate` is its value and not the folder of a run."""
+    return bool(Path(argument).suffix) and not Path(argument).is_dir()
+
+
+@dataclass(frozen=True)
+class Report(Options):
+    """Draw the figures of finished or killed runs, and write report.html.
+
+    The page has the figures, the metrics, the configuration and the command that repeats the run. A killed run is shown
+    up to its last record.
+
+    The figures of one run are written to its own figures/. Several runs are drawn side by side, with a table of
+    metrics. Of a campaign there are medians and bands over its runs, errors over time and distance, and the averaged
+    NEES.
+    """
+
+    run: Annotated[tuple[str, ...], positional("RUN_DIR ...")] = ()
+    """Folder of a run, or of a campaign."""
+    out: Annotated[Path | None, arg("DIR")] = None
+    """Folder to write; for several runs by default a new one under runs/."""
+    overwrite: bool = False
+    """Write into DIR if it exists."""
+    figures: Annotated[str, arg("FORM")] = "png"
+    """svg or pdf: each figure as vector graphics, too; png: bitmaps only."""
+    animate: Annotated[str | None, arg("[FILE]"), OptionalValue(None, _is_film, "FILE.mp4, FILE.webp or FILE.gif")] = (
+        None
+    )
+    """Film of one run, FILE.mp4 (needs ffmpeg), FILE.webp or FILE.gif; by default animation.gif beside the figures."""
 
 
 def command(args: list[str]) -> int:
     """Draw the figures of runs."""
-    if wants_help(args):
-        print(USAGE, end="")
-        return DONE
-    from sixthsense.cli.options import OptionalValue, parse_positionals
-
-    film = OptionalValue(None, _is_film, "FILE.mp4, FILE.webp or FILE.gif")
-    folders, given = parse_positionals(args, {**OWN, "animate": film})
+    given, _ = parse(args, Report)
+    options = Report(**given)
+    folders, out = options.run, options.out
     if not folders:
         raise UsageError("run: found nothing, allowed: folders of runs, or of a campaign")
-    out: Path | None = given.get("out")
-    if out is not None and out.exists() and not given.get("overwrite", False):
+    if out is not None and out.exists() and not options.overwrite:
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
     from sixthsense.evaluation.measured_run import check_folders
     from sixthsense.figures.animation import check_film
     from sixthsense.figures.report import as_form, compact, report
     from sixthsense.figures.run import load
 
-    form = as_form(given.get("figures", "png"))
+    form = as_form(options.figures)
     if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
-        return _report_campaign(folders, out, form, given)
+        return _report_campaign(options, "animate" in given, form)
     if "animate" in given:
-        check_film(_FILM if given["animate"] is None else given["animate"])
+        check_film(_FILM if options.animate is None else options.animate)
         if len(folders) > 1:
             raise UsageError(f"--animate: found {len(folders)} runs, allowed: one run")
     check_folders(folders, "the folder of a run or of a campaign")
@@ -70,35 +77,31 @@ def command(args: list[str]) -> int:
     print(compact(runs))
     for run in runs:
         for part in run.missing:
-            print(f"note: {run.folder}: found no record of {part}", file=sys.stderr)
+            announce(f"note: {run.folder}: found no record of {part}")
     print(f"written to {out}/: {', '.join(file.name for file in files)}")
     if "animate" in given:
-        file = out / _FILM if given["animate"] is None else Path(given["animate"])
+        file = out / _FILM if options.animate is None else Path(options.animate)
         _animate(runs[0], folders[0], file)
         print(f"written: {file}")
     return DONE
 
 
-def _report_campaign(folders: list[str], out: Path | None, form: Form, given: dict[str, Any]) -> int:
+def _report_campaign(options: Report, is_animated: bool, form: Form) -> int:
     """Draw the figures of one campaign."""
-    if len(folders) > 1:
-        raise UsageError(f"run: found a campaign among {len(folders)} folders, allowed: one campaign alone, or runs")
-    if "animate" in given:
+    folder, *others = options.run
+    if others:
+        raise UsageError(f"run: found a campaign among {1 + len(others)} folders, allowed: one campaign alone, or runs")
+    if is_animated:
         raise UsageError("--animate: found with a campaign, allowed: with one run")
-    from sixthsense.campaigns import Campaign
+    from sixthsense.campaigns import load_campaign
     from sixthsense.campaigns.report import report_campaign
     from sixthsense.evaluation.tables import text_table
 
-    out = Path(folders[0]) / "figures" if out is None else out
-    files = report_campaign(folders[0], out, form)
-    print(text_table(Campaign(folders[0]).summary()))
+    out = options.out or Path(folder) / "figures"
+    files = report_campaign(folder, out, form)
+    print(text_table(load_campaign(folder).summary()))
     print(f"written to {out}/: {', '.join(file.name for file in files)}")
     return DONE
-
-
-def _is_film(argument: str) -> bool:
-    """Whether an argument after `--animate` is its value and not the folder of a run."""
-    return bool(Path(argument).suffix) and not Path(argument).is_dir()
 
 
 def _animate(run: Run, folder: str, film: Path) -> None:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from sixthsense.cli.common import wants_help
+from dataclasses import dataclass
+
 from sixthsense.cli.exits import DONE
-from sixthsense.cli.options import UsageError
+from sixthsense.cli.options import Options, parse
+
+
+@dataclass(frozen=True)
+class Scenes(Options):
+    """List the shipped scenes."""
 
 
 def command(args: list[str]) -> int:
     """List the shipped scenes."""
-    if wants_help(args):
-        print("usage: sixthsense scenes\n\nList the shipped scenes.")
-        return DONE
-    if args:
-        raise UsageError(f"scenes: found {args[0]!r}, allowed: no arguments")
+    parse(args, Scenes)
     from sixthsense.sources.scene import load_scene, shipped_scenes
 
     for name in shipped_scenes():

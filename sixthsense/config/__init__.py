@@ -1,18 +1,17 @@
 """The configuration: a tree of frozen, validated sections, its presets, and its files."""
 
-from sixthsense.config.explore import ExploreConfig
+from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
 from sixthsense.config.files import is_of_replay, load_config, prior_map_of, save_config
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
-    FollowConfig,
     GridConfig,
     ISAM2Config,
     KeyframeConfig,
     LinesConfig,
     PartitionConfig,
     PointsConfig,
-    RRTStarConfig,
+    ScansConfig,
     SplitConfig,
     WallsConfig,
 )
@@ -25,11 +24,8 @@ from sixthsense.config.platform import (
     WorldConfig,
 )
 from sixthsense.config.presets import PRESETS, preset
-from sixthsense.config.safety import SafetyConfig
-from sixthsense.config.scans import ScansConfig
-from sixthsense.config.section import ConfigError, Range, Section, as_table, merge
+from sixthsense.config.section import ConfigError, Distribution, Range, Section, as_table, merge
 from sixthsense.config.tree import Config
-from sixthsense.config.values import Distribution
 
 __all__ = [
     "PRESETS",

@@ -12,10 +12,15 @@ class ExtraError(InputError):
     """One line that names the package and how to install it."""
 
 
-def pandas() -> Any:
-    """The module; ExtraError that says how to install it if it is missing."""
+def import_extra(module: str, extra: str, error: type[InputError] = ExtraError) -> Any:
+    """A module that an extra installs; `error`, in one line that says how to install it, if it is missing."""
     try:
-        return import_module("pandas")
-    except ImportError as error:
-        allowed = "allowed: after pip install 'sixthsense[notebooks]'"
-        raise ExtraError(f"pandas: cannot be imported ({error}), {allowed}") from None
+        return import_module(module)
+    except ImportError as cause:
+        allowed = f"allowed: after pip install 'sixthsense[{extra}]'"
+        raise error(f"{module}: cannot be imported ({cause}), {allowed}") from None
+
+
+def pandas() -> Any:
+    """The module pandas."""
+    return import_extra("pandas", "notebooks")

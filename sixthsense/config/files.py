@@ -26,22 +26,7 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
     field of an earlier version is ignored at its default.
     """
     path = Path(file)
-    try:
-        if path.is_fifo():  # reading may block for ever
-            raise ConfigError(f"{path}: is a pipe, allowed: a TOML file")
-        with path.open(encoding="utf-8-sig") as stream:
-            text = stream.read(_MAX_LENGTH + 1)
-        if len(text) > _MAX_LENGTH:
-            raise ConfigError(f"{path}: found over {_MAX_LENGTH} characters, allowed: a configuration")
-        table = parse_toml(text)
-    except ConfigError:
-        raise
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: {error}") from None
+    table = read_table(path)
     if "versions" in table:  # a saved configuration
         if table.get("preset") in tuple(REMOVED_PRESETS):
             del table["preset"]  # it has all values of its preset
@@ -53,6 +38,27 @@ def load_config(file: str | Path, base: Config | None = None, otherwise: str = "
         table = without_removed(table)
         return merge(base or preset(table.get("preset", otherwise)), table)
     except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def read_table(file: str | Path) -> dict[str, Any]:
+    """The nested table of a TOML file; ConfigError for a file that cannot be read, or is not TOML."""
+    path = Path(file)
+    try:
+        if path.is_fifo():  # reading may block for ever
+            raise ConfigError(f"{path}: is a pipe, allowed: a TOML file")
+        with path.open(encoding="utf-8-sig") as stream:
+            text = stream.read(_MAX_LENGTH + 1)
+        if len(text) > _MAX_LENGTH:
+            raise ConfigError(f"{path}: found over {_MAX_LENGTH} characters, allowed: a configuration")
+        return parse_toml(text)
+    except ConfigError:
+        raise
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: is not UTF-8 text, allowed: a TOML file") from None
+    except ValueError as error:
         raise ConfigError(f"{path}: {error}") from None
 
 
@@ -88,10 +94,10 @@ def absolute(path: str | Path) -> Path:
 
 def is_of_replay(file: str | Path) -> bool:
     """Whether a valid configuration file was saved by a replay."""
-    return "replayed" in parse_toml(Path(file).read_text(encoding="utf-8-sig"))
+    return "replayed" in read_table(file)
 
 
 def prior_map_of(file: str | Path) -> dict[str, Any] | None:
     """What a valid configuration file says of the prior map of its run: name, digest and start; None without one."""
-    note = parse_toml(Path(file).read_text(encoding="utf-8-sig")).get("prior_map")
+    note = read_table(file).get("prior_map")
     return dict(note) if isinstance(note, Mapping) else None

@@ -1,4 +1,4 @@
-"""Configuration of the pipeline, stage by stage."""
+"""Configuration of the pipeline from a scan to estimate and map, stage by stage."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from sixthsense.config.section import ConfigError, Range, Section
-from sixthsense.config.values import Count, NonNegative, Positive, PositiveCount
+from sixthsense.config.section import ConfigError, Count, NonNegative, Positive, PositiveCount, Range, Section
 
 
 @dataclass(frozen=True)
@@ -139,6 +138,24 @@ class AssociationConfig(Section):
 
 
 @dataclass(frozen=True)
+class ScansConfig(Section):
+    """Alignment of scans with earlier scans, and loop closures (front_end scan-matching)."""
+
+    max_range_m: Positive = 30.0
+    """Returns farther away are not used."""
+    loop_closures: bool = True
+    """Off: scans are linked to recent ones alone, and no loop is closed."""
+    search_radius_m: Annotated[float, Range(0.0, 100.0)] = 15.0
+    """Old places up to this far from the estimate are searched for a loop closure, if its uncertainty allows them; 0:
+    only places that are certain are linked."""
+    min_score: Annotated[float, Range(0.3, 1.0)] = 0.62
+    """Least share of a submap's points that a loop closure must explain; lower finds more loop closures, and more wrong
+    ones."""
+    final_pass: bool = True
+    """At the end align the scans between keyframes once more."""
+
+
+@dataclass(frozen=True)
 class ISAM2Config(Section):
     """The smoother (Kaess et al., IJRR 31(2), 2012)."""
 
@@ -181,37 +198,3 @@ class GridConfig(Section):
         super().__post_init__()
         if self.min_hits > self.max_hits:
             raise ConfigError(f"min_hits: found {self.min_hits}, allowed: at most max_hits, {self.max_hits}")
-
-
-@dataclass(frozen=True)
-class RRTStarConfig(Section):
-    """The sampling planner: RRT* (Karaman and Frazzoli 2011) and Informed RRT* (Gammell et al. 2014)."""
-
-    informed: bool = True
-    """Once there is a path, sample the ellipse that a shorter one must lie in (Informed RRT*)."""
-    iterations: Annotated[int, Range(1, 10_000_000)] = 5_000
-    """States drawn per plan; without a path by then the planner gives up."""
-    range_m: NonNegative = 2.0
-    """Longest extension of the tree per draw; 0: a fifth of the diagonal of the reachable area."""
-    goal_bias: Annotated[float, Range(0.0, 1.0, open_low=True)] = 0.05
-    """Share of draws, before there is a path, that are the goal itself."""
-
-
-@dataclass(frozen=True)
-class FollowConfig(Section):
-    """Orient, then translate (report section 4.4)."""
-
-    heading_slack_rad: Positive = 0.02
-    """The robot drives when its heading is this close to the waypoint's direction."""
-    distance_slack_m: Positive = 0.02
-    """A waypoint this near is reached."""
-    goal_slack_m: Positive = 0.05
-    """A goal this near is reached."""
-    shortcut: bool = True
-    """Aim for the furthest waypoint in line of sight, not for the next."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.distance_slack_m > self.goal_slack_m:
-            found = f"distance_slack_m: found {self.distance_slack_m:g}"
-            raise ConfigError(f"{found}, allowed: at most goal_slack_m, {self.goal_slack_m:g}")

@@ -6,8 +6,16 @@ import math
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from sixthsense.config.section import Range, Section
-from sixthsense.config.values import AngularNoise, Distribution, Noise, NonNegative, Positive, PositiveCount
+from sixthsense.config.section import (
+    AngularNoise,
+    Distribution,
+    Noise,
+    NonNegative,
+    Positive,
+    PositiveCount,
+    Range,
+    Section,
+)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
+import itertools
 import math
 import numbers
 import reprlib
@@ -85,12 +88,21 @@ class Range:
         return f"{meant}allowed: {self} {self.unit}".rstrip()
 
 
+Positive = Annotated[float, Range(0.0, open_low=True)]
+NonNegative = Annotated[float, Range(0.0)]
+Noise = Annotated[float, Range(0.0, 100.0)]
+AngularNoise = Annotated[float, Range(0.0, 100.0, unit="rad")]
+PositiveCount = Annotated[int, Range(1)]
+Count = Annotated[int, Range(0)]
+Distribution = Literal["gaussian", "uniform"]
+
+
 class Section:
     """A node of the tree; creation checks each field against its annotation and coerces it."""
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
-            object.__setattr__(self, name, _checked(name, hint, getattr(self, name)))
+            object.__setattr__(self, name, checked(name, hint, getattr(self, name)))
 
     def completed(self, table: Mapping[str, Any]) -> Mapping[str, Any]:
         """The fields that are to be replaced, with those that follow from them."""
@@ -106,16 +118,19 @@ def _hints(cls: type) -> dict[str, Any]:
 _known_hints: dict[type, dict[str, Any]] = {}  # reading them takes most of a section's creation
 
 
-def _checked(name: str, hint: Any, value: Any) -> Any:
-    """`value` coerced to `hint`; ConfigError naming the field otherwise."""
+def checked(name: str, hint: Any, value: Any) -> Any:
+    """`value` coerced to the annotated type `hint`; ConfigError naming the field otherwise."""
     origin = typing.get_origin(hint)
     if origin is Annotated:
-        base, bounds = typing.get_args(hint)
-        value = value if isinstance(bounds, Names) else _checked(name, base, value)
-        if value not in bounds:
-            is_name = isinstance(bounds, Names)
-            allowed = allowed_names(bounds, nearest(value, bounds)) if is_name else bounds.allowed(value)
-            raise ConfigError(f"{name}: found {shown(value)}, {allowed}")
+        base, *notes = typing.get_args(hint)
+        for names in (note for note in notes if isinstance(note, Names)):
+            if value not in names:
+                raise ConfigError(f"{name}: found {shown(value)}, {allowed_names(names, nearest(value, names))}")
+            return value
+        value = checked(name, base, value)
+        for bounds in (note for note in notes if isinstance(note, Range)):
+            if value not in bounds:
+                raise ConfigError(f"{name}: found {shown(value)}, {bounds.allowed(value)}")
         return value
     if origin is Literal:
         choices = typing.get_args(hint)
@@ -124,16 +139,16 @@ def _checked(name: str, hint: Any, value: Any) -> Any:
         return value
     if origin in (typing.Union, types.UnionType):
         inner = next(a for a in typing.get_args(hint) if a is not type(None))
-        return None if value is None else _checked(name, inner, value)
+        return None if value is None else checked(name, inner, value)
     if origin is tuple:
         args = typing.get_args(hint)
         if args[-1] is Ellipsis:
             if not isinstance(value, (tuple, list)) or not value:
                 raise ConfigError(f"{name}: found {shown(value)}, allowed: a list")
-            return tuple(_checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
+            return tuple(checked(f"{name}, entry {k}", args[0], v) for k, v in enumerate(value, 1))
         if not isinstance(value, (tuple, list)) or len(value) != len(args):
             raise ConfigError(f"{name}: found {shown(value)}, allowed: {len(args)} numbers")
-        return tuple(_checked(name, a, v) for a, v in zip(args, value, strict=True))
+        return tuple(checked(name, a, v) for a, v in zip(args, value, strict=True))
     if hint is float:
         real = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not real or not abs(typing.cast(float, value)) <= _LARGEST:  # false for NaN
@@ -171,7 +186,7 @@ def merge(base: C, table: Mapping[str, Any], path: str = "") -> C:
             changes[name] = merge(current, value, f"{path}{key}.")
         else:
             try:
-                changes[name] = _checked(key, _hints(type(base))[name], value)
+                changes[name] = checked(key, _hints(type(base))[name], value)
             except ConfigError as error:
                 raise ConfigError(f"{path}{error}") from None
     try:
@@ -190,3 +205,19 @@ def as_table(section: Section) -> dict[str, Any]:
         if value is not None:
             table[f.name] = as_table(value) if isinstance(value, Section) else value
     return table
+
+
+def field_texts(cls: type) -> dict[str, str]:
+    """The docstring under each field of a dataclass, by the field's name; those of its base classes included."""
+    found: dict[str, str] = {}
+    for one in reversed(cls.__mro__):
+        if not dataclasses.is_dataclass(one):
+            continue
+        (definition,) = ast.parse(inspect.cleandoc("\n" + inspect.getsource(one))).body
+        assert isinstance(definition, ast.ClassDef)
+        for field, text in itertools.pairwise(definition.body):
+            if not (isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)):
+                continue
+            if isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                found[field.target.id] = " ".join(str(text.value.value).split())
+    return found

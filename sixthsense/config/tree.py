@@ -6,23 +6,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
-from sixthsense.config.explore import ExploreConfig
+from sixthsense.config.driving import ExploreConfig, FollowConfig, RRTStarConfig, SafetyConfig
 from sixthsense.config.names import ESTIMATORS, FILTERS, KEEP_POSES, PLANNERS
 from sixthsense.config.pipeline import (
     AssociationConfig,
     FeaturesConfig,
-    FollowConfig,
     GridConfig,
     ISAM2Config,
     KeyframeConfig,
-    RRTStarConfig,
+    ScansConfig,
 )
 from sixthsense.config.platform import AssumedConfig, LaserConfig, RobotConfig, WorldConfig
 from sixthsense.config.removed import OldName, with_current_names
-from sixthsense.config.safety import SafetyConfig
-from sixthsense.config.scans import ScansConfig
-from sixthsense.config.section import ConfigError, Range, Section
-from sixthsense.config.values import Count
+from sixthsense.config.section import ConfigError, Count, Range, Section, shown
 
 
 @dataclass(frozen=True)
@@ -122,3 +118,19 @@ class Config(Section):
             raise ConfigError(
                 f"laser.sweep_s: found {self.laser.sweep_s:g}, allowed: at most {between:g}, the time between two scans"
             )
+
+
+def task_of(given: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """The task that a goal or a tour among the `given` fields sets, as a table; empty without one.
+
+    Raises ConfigError for a goal or a tour with another task; `prefix` precedes the fields' names in it.
+    """
+    for task in ("goal", "tour"):
+        if given.get(task) is None:
+            continue
+        named = given.get("task", task)
+        if named != task:
+            found = named if isinstance(named, str) else shown(named)
+            raise ConfigError(f"{prefix}{task}: found with {prefix}task {found}, allowed: with {prefix}task {task}")
+        return {"task": task}
+    return {}

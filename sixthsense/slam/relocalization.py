@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from sixthsense.config import GridConfig
-from sixthsense.config.scans import ScansConfig
+from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.submap import Submap

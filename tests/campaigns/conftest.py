@@ -15,4 +15,4 @@ def nearby(monkeypatch):
         with distributed.Client(**options) as client:
             yield client
 
-    monkeypatch.setattr("sixthsense.campaigns.completion.connect", connect)
+    monkeypatch.setattr("sixthsense.campaigns.call.connect", connect)

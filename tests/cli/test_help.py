@@ -30,7 +30,7 @@ def test_the_help_fits_on_a_screen_of_24_lines_and_80_columns() -> None:
 def test_the_help_of_a_command_has_at_most_60_lines_of_80_columns(command: str) -> None:
     lines = page(command, "--help")
     assert len(lines) <= 60
-    assert max(map(len, lines)) <= (120 if command in ("campaign", "report") else 80)
+    assert max(map(len, lines)) <= 80
 
 
 @pytest.mark.parametrize("command", WITH_SETTINGS)
@@ -47,16 +47,9 @@ def test_the_whole_help_has_every_option_once_within_80_columns(command: str) ->
     [
         ("rnu apartment", "run"),
         ("run apartmnt", "apartment"),
-        ("calibrate ofice --out n.toml", "office"),
-        ("run --planer astar", "--planner"),
         ("run --laser.beems 3", "--laser.beams"),
         ("run --beams 3", "--laser.beams"),
-        ("run --estimator ekf-invarient", "ekf-invariant"),
         ("run --estimator ISAM2", "isam2"),
-        ("run --planner rrt", "rrtstar"),
-        ("run --preset wron", "worn"),
-        ("run --task explor", "explore"),
-        ("report somewhere --figure svg", "--figures"),
         ("completion zhs", "zsh"),
     ],
 )

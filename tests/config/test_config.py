@@ -31,32 +31,11 @@ def leaves(section: Section, path: str = "") -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", PRESETS)
-def test_every_preset_is_a_valid_configuration_that_knows_its_name(name: str) -> None:
-    assert preset(name).preset == name
-
-
-@pytest.mark.parametrize("name", PRESETS)
 def test_a_saved_configuration_is_read_back_as_it_was(name: str, tmp_path: Path) -> None:
     config = dataclasses.replace(preset(name), seed=2**40, goal=(0.1, 1 / 3), start=(1e-300, -2.0, math.pi))
+    assert config.preset == name
     save_config(config, tmp_path / "config.toml")
     assert load_config(tmp_path / "config.toml") == config
-
-
-def test_the_report_preset_has_the_reports_numbers() -> None:
-    config = preset("report")
-    assert config.robot.speed == 0.1
-    assert config.robot.turn_rate == 0.5
-    assert config.robot.integration_step_s == 0.01
-    assert config.robot.control_period_s == pytest.approx(1 / 60, rel=1e-3)
-    assert config.laser.period_ticks == 10
-    assert config.laser.max_range == 5.0
-    assert config.world.motion.distribution == "uniform"
-    assert config.world.laser.range_m == 0.01
-    assert config.features.lines.ransac_iterations == 1000
-    assert config.features.lines.ransac_threshold_m == 0.04
-    assert (config.association.match_gate, config.association.new_gate) == (20.0, 200.0)
-    assert (config.association.cull_period, config.association.cull_below) == (25, 3)
-    assert config.grid.cell_m == 0.04
 
 
 def test_the_simulated_noise_is_the_assumed_noise_except_in_presets_with_a_mismatch() -> None:
@@ -80,28 +59,18 @@ BAD_FIELDS = {
     "laser.beams": ('[laser]\nbeams = "many"', "'many'", "a whole number"),
     "laser.beams ": ("[laser]\nbeams = 1.5", "1.5", "a whole number"),
     "laser.beams  ": ("[laser]\nbeams = 1", "1", "2 to 100000"),
-    "laser.beams   ": ("[laser]\nbeams = true", "True", "a whole number"),
     "laser.beems": ("[laser]\nbeems = 3", "beems", "beams, fov, max_range"),
     "laser": ("laser = 3", "3", "a table"),
-    "lasers": ("[lasers]\nbeams = 3", "lasers", "scene, preset, estimator"),
     "laser.max_range": ("[laser]\nmax_range = nan", "nan", "a finite number"),
-    "laser.max_range ": ("[laser]\nmax_range = inf", "inf", "a finite number"),
     "laser.max_range  ": ("[laser]\nmax_range = 0", "0", "above 0"),
     "laser.mount": ("[laser]\nmount = [1, 2]", "[1, 2]", "3 numbers"),
-    "laser.mount ": ("[laser]\nmount = [1, 2, nan]", "nan", "a finite number"),
     "world.motion.speed": ("[world.motion]\nspeed = -0.1", "-0.1", "0 to 100"),
-    "world.motion.distribution": ('[world.motion]\ndistribution = "cauchy"', "'cauchy'", "gaussian, uniform"),
     "follow.shortcut": ("[follow]\nshortcut = 1", "1", "true or false"),
     "association.match_probability": ("[association]\nmatch_probability = 1.0", "1.0", "above 0"),
-    "association.match_gate": ("[association]\nmatch_gate = 0", "0", "above 0"),
     "estimator": ('estimator = "ekff"', "'ekff'", "ekf"),
-    "estimator ": ("estimator = []", "[]", "ekf"),
     "scene": ("scene = 3", "3", "a text"),
-    "goal": ("goal = 3", "3", "2 numbers"),
-    "seed": ("seed = -1", "-1", "at least 0"),
     "max_time": (f"max_time = 1{'0' * 400}", "1000", "a finite number"),
     "preset": ('preset = "no"', "'no'", "default, worn, noiseless, report, log"),
-    "preset ": ("preset = []", "[]", "default, worn, noiseless, report, log"),
 }
 
 
@@ -134,8 +103,3 @@ def test_a_file_that_is_no_configuration_is_one_line(text: str | bytes, said: st
         load_config(file)
     assert str(caught.value).startswith(f"{file}: {said}")
     assert "\n" not in str(caught.value)
-
-
-def test_a_configuration_cannot_be_changed() -> None:
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        Config().seed = 3  # type: ignore[misc]

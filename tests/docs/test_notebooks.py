@@ -34,10 +34,6 @@ def shown_texts(cell: dict[str, Any]) -> list[str]:
     return texts
 
 
-def test_there_are_notebooks() -> None:
-    assert NOTEBOOKS
-
-
 def test_a_notebook_was_run_from_top_to_bottom(notebook: Path) -> None:
     cells = code_cells(notebook)
     assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))

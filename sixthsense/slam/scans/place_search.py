@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.scans import ScansConfig
+from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.evidence import OldPass, PlacedScans, Surroundings, evidence_of, followed_back
