@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
@@ -18,8 +19,7 @@ from sixthsense.core.landmarks import LandmarkId, Observation, observation_innov
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_observations
-from sixthsense.slam.estimators.checks import check_prior
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
 from sixthsense.slam.estimators.ekf_observations import NewLandmark, expected, new_landmark
 from sixthsense.slam.estimators.ekf_parameters import Parameters
 from sixthsense.slam.estimators.triangle import columns, selected
@@ -53,7 +53,8 @@ class EKF:
         self._slots: dict[LandmarkId, int] = {}
         self._parameters = Parameters()
         self._pending = STANDSTILL
-        self._trajectory = Trajectory()
+        self._trajectory = array("d")
+        """x, y and theta at each update, which are returned without a loop over them"""
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: the joint covariance has a block more."""
@@ -110,7 +111,7 @@ class EKF:
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
             observations = self._parameters.sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
-        self._trajectory.append(self._in_world(self._pose))
+        self._trajectory.extend(self._in_world(self._pose).array())
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Marginalize landmarks out: remove their rows and columns of the covariance."""
@@ -146,7 +147,7 @@ class EKF:
 
     def trajectory(self) -> Array:
         """(K, 3), the filtered pose at each update."""
-        return self._trajectory.rows()
+        return np.array(self._trajectory).reshape(-1, 3)
 
     def _heading_lever(self, moved: Array) -> Array:
         """Displacement (2,) used in d position / d heading while the robot has `moved` by (2,)."""

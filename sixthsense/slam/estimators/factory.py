@@ -40,14 +40,10 @@ def make_estimator(name: str, start: Pose, start_cov: Array, isam2: ISAM2Config 
         from sixthsense.slam.estimators.ekf import EKF
 
         return EKF(start, start_cov)
-    if name == "ekf-fej":
-        from sixthsense.slam.estimators.ekf_fej import FirstEstimatesEKF
+    if name in ("ekf-fej", "ekf-oc"):
+        from sixthsense.slam.estimators.ekf_anchored import FirstEstimatesEKF, ObservabilityConstrainedEKF
 
-        return FirstEstimatesEKF(start, start_cov)
-    if name == "ekf-oc":
-        from sixthsense.slam.estimators.ekf_oc import ObservabilityConstrainedEKF
-
-        return ObservabilityConstrainedEKF(start, start_cov)
+        return (FirstEstimatesEKF if name == "ekf-fej" else ObservabilityConstrainedEKF)(start, start_cov)
     if name == "ekf-invariant":
         from sixthsense.slam.estimators.ekf_invariant import InvariantEKF
 

@@ -110,8 +110,8 @@ def test_a_link_to_a_pose_that_was_taken_out_is_one_to_the_pose_it_is_fixed_to()
     gone = next(k for k in range(20, 100) if one._chain.anchored(k)[0] != k)
     for before, after in ((gone, 99), (3, gone)):
         motion = Pose.from_array(truth[before]).inverse() @ Pose.from_array(truth[after])
-        for smoother in (one, two):
-            ids = smoother.link([Link(before, after, Odometry(motion, 1e-4 * np.eye(3)))])
+        link = Link(before, after, Odometry(motion, 1e-4 * np.eye(3)))
+        ids = [smoother.link([link]) for smoother in (one, two)]
         assert np.abs(one.trajectory()[:, :2] - two.trajectory()[:, :2]).max() < 0.06
-        one.unlink(ids)
-        two.unlink(ids)
+        one.unlink(ids[0])
+        two.unlink(ids[1])

@@ -30,7 +30,8 @@ class Forgetful(ISAM2):
         super().__init__(start, start_cov, CONVERGED)
 
     def unlink(self, ids):
-        self._links.drop(ids)
+        for i in ids:
+            del self._links[i]
 
 
 class Overconfident(ISAM2):
