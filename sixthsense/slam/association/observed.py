@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Observation
 from sixthsense.slam.estimators.base import Estimate
 
@@ -129,9 +130,7 @@ def _ends(z: Array, walls: Mask, extents: Array) -> Array:
     out = np.empty((len(z), 2, 2))
     for i in range(len(z)):
         if walls[i]:
-            c, s = math.cos(z[i, 0]), math.sin(z[i, 0])
-            for e in range(2):
-                out[i, e] = z[i, 1] * c - extents[i, e] * s, z[i, 1] * s + extents[i, e] * c
+            out[i] = line_ends(z[i], extents[i, 0], extents[i, 1])
         else:
             out[i] = z[i]
     return out

@@ -13,8 +13,7 @@ from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
-from sixthsense.slam.features.partition import partition
-from sixthsense.slam.features.split import split, split_pieces
+from sixthsense.slam.features.partition import partition, split, split_pieces
 
 
 def corners():
