@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core import landmarks
-from sixthsense.slam.estimators import ekf, ekf_observations, register_estimator
+from sixthsense.slam.estimators import ekf, ekf_algebra, register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.testing import check_estimator
 from sixthsense.testing.check import LAWS
@@ -84,7 +84,7 @@ def with_wrong_jacobian(name, kind, change):
     class Sabotaged(EKF):
         def update(self, observations):
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(ekf_observations, name, wrong_prediction if name == "predict" else wrong_initialization)
+                patch.setattr(ekf_algebra, name, wrong_prediction if name == "predict" else wrong_initialization)
                 super().update(observations)
 
     return Sabotaged

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import rotation_generator
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
-from sixthsense.slam.estimators.ekf_observations import NewLandmark
 
 
 class AnchoredEKF(EKF):
@@ -33,8 +31,6 @@ class AnchoredEKF(EKF):
         super().__init__(start, start_cov)
         self._point = np.zeros(2)
         """(2,) the robot's linearization point"""
-        self._anchors = np.zeros((0, 2))
-        """(n, 2) the landmarks' linearization points"""
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -58,15 +54,6 @@ class AnchoredEKF(EKF):
 
     def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
         return self._point, self._anchors[slots]
-
-    def _on_started(self) -> None:
-        self._anchors = self._means.copy()
-
-    def _on_added(self, landmarks: Sequence[NewLandmark]) -> None:
-        self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in landmarks)])
-
-    def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
-        self._anchors = self._anchors[slots]
 
 
 class FirstEstimatesEKF(AnchoredEKF):
