@@ -140,9 +140,9 @@ def without_correlations(part, factor, when):
             if when == "update":
                 self._scale()
 
-        def _on_added(self, observations):
-            super()._on_added(observations)
-            if when == "initialization":
+        def _augment(self, observations):
+            super()._augment(observations)
+            if observations and when == "initialization":
                 self._scale()
 
     return Sabotaged
@@ -165,9 +165,8 @@ class CountsTwice(EKF):
         repeated = {i: s for i, s in observations.items() if i in self.last}
         self.last = tuple(observations)
         if repeated:
-            rows = len(self._trajectory.rows())
             super().update(repeated)
-            self._trajectory._count = rows
+            del self._trajectory[-3:]
 
 
 @pytest.mark.parametrize("kind", KINDS)
