@@ -6,13 +6,12 @@ import gtsam
 import numpy as np
 import pytest
 from laws.nees import error_of, normalised
+from scanned import box, look
 
-from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
+from sixthsense.config import AssociationConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, predict_walls, translated
-from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.core.motion import Odometry
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
@@ -25,6 +24,7 @@ from sixthsense.sources.scene import load_scene
 from sixthsense.testing.estimation import joint_state
 
 WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
+ROOM = box(-3, -2, 6, 4)
 COV = np.array([[4e-5, 1e-5], [1e-5, 1e-4]])
 STEP = Odometry(Pose(0.2, 0.0, 0.1), np.diag([2e-4, 1e-4, 1e-4]))
 
@@ -33,49 +33,6 @@ def sight(pose, ids, rng=None, walls=WALLS):
     z, _, _ = predict_walls(pose, walls[list(ids)])
     noise = np.zeros_like(z) if rng is None else rng.multivariate_normal(np.zeros(2), COV, len(z))
     return {i: Observation(Kind.WALL, z[k] + noise[k], COV, (-1.0, 1.5)) for k, i in enumerate(ids)}
-
-
-def differences(function, at, step=1e-6):
-    columns = []
-    for k in range(len(at)):
-        ahead, behind = at.copy(), at.copy()
-        ahead[k] += step
-        behind[k] -= step
-        columns.append((function(ahead) - function(behind)) / (2 * step))
-    return np.column_stack(columns)
-
-
-@pytest.mark.parametrize("wall", WALLS)
-def test_jacobians_of_a_walls_observation_are_those_of_finite_differences(wall):
-    pose = Pose(1.2, -0.7, 0.9)
-    _, by_pose, by_wall = predict_walls(pose, wall[None])
-    assert np.allclose(by_pose[0], differences(lambda x: predict_walls(Pose(*x), wall[None])[0][0], pose.array()))
-    assert np.allclose(by_wall[0], differences(lambda w: predict_walls(pose, w[None])[0][0], wall))
-    z = predict_walls(pose, wall[None])[0][0]
-    mean, by_pose, by_z = initialize_landmark(pose, Observation(Kind.WALL, z, COV))
-    assert np.allclose([wrap_angle(mean[0] - wall[0]), mean[1] - wall[1]], 0.0, atol=1e-12)
-    there = lambda x, z: initialize_landmark(Pose(*x), Observation(Kind.WALL, z, COV))[0]  # noqa: E731
-    assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
-    assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
-    moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))
-    shift = lambda w: translated(w[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))[0][0]  # noqa: E731
-    assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
-
-
-@pytest.mark.parametrize("start_cov", [0.0, 1e-3])
-def test_the_smoother_has_the_pose_covariance_of_the_filter(start_cov):
-    """GTSAM's residual couples tangential and normal errors: tangential uncertainty must not affect the normal one."""
-    rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
-    filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
-    for k in range(12):
-        observations = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
-        sigmas = []
-        for estimator in (filtered, smoothed):
-            estimator.update(observations)
-            sigmas.append(np.sqrt(np.diag(estimator.estimate().pose_cov)))
-            estimator.predict(STEP)
-        assert np.allclose(*sigmas, rtol=0.05, atol=1e-5)
-        true = true @ Pose.from_array(STEP.motion.array() + rng.multivariate_normal(np.zeros(3), STEP.cov))
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -100,21 +57,13 @@ def test_poses_and_walls_are_consistent_over_many_runs(name):
     assert abs(np.mean(wall) - 2.0) < 4 * math.sqrt(4 / 60)
 
 
-def room(pose, sigma, rng, beams=360):
-    walls = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
-    config = LaserConfig(beams=beams)
-    bearings = Scan.from_config(np.ones(beams), config).bearings
-    ranges = cast_rays(pose, bearings, walls, config.max_range)
-    return Scan.from_config(ranges + sigma * rng.standard_normal(beams), config)
-
-
 def test_the_walls_of_a_room_are_observed_with_their_true_errors():
     rng, values = np.random.default_rng(3), []
     config = preset(features={"landmarks": "walls"})
     truth = np.array([[math.pi / 2, -2.0], [math.pi, -3.0], [-math.pi / 2, -2.0], [0.0, -3.0]])
     for _ in range(60):
         pose = Pose(*rng.uniform([-1.5, -1.0, -math.pi], [1.5, 1.0, math.pi]))
-        found = extract(room(pose, 0.01, rng), config.assumed, config.features, rng).observations
+        found = extract(look(pose, ROOM, sigma=0.01, rng=rng), config.assumed, config.features, rng).observations
         assert len(found) >= 4 and all(s.is_wall and s.z[1] < 0.0 for s in found)
         z, _, _ = predict_walls(pose, truth)
         for s in found:
@@ -155,11 +104,9 @@ def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
 def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, wall):
     # At these poses in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
     walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
-    exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
     z = predict_walls(pose, np.array([wall]))[0][0]
     for _ in range(60):
-        scan = Scan.from_config(exact + rng.normal(0.0, 0.01, len(exact)), config.laser)
-        for s in extract(scan, config.assumed, config.features, rng).observations:
+        for s in extract(look(pose, walls, config.laser, 0.01, rng), config.assumed, config.features, rng).observations:
             turn = wrap_angle(float(s.z[0] - z[0]))
             if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
                 turns.append(turn / math.sqrt(s.cov[0, 0]))
@@ -169,11 +116,9 @@ def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, w
 
 def test_a_mount_off_the_robots_centre_changes_no_wall():
     rng = np.random.default_rng(0)
-    mount, pose = Pose(0.3, -0.1, 0.5), Pose(0.4, 0.2, 0.3)
+    pose = Pose(0.4, 0.2, 0.3)
     config = preset(features={"landmarks": "walls"}, laser={"mount": (0.3, -0.1, 0.5)})
-    at = pose @ mount
-    scan = Scan.from_config(room(at, 0.0, rng).ranges, config.laser)
-    for s in extract(scan, config.assumed, config.features, rng).observations:
+    for s in extract(look(pose, ROOM, config.laser), config.assumed, config.features, rng).observations:
         alpha = wrap_angle(float(s.z[0]) + pose.theta)
         assert min(abs(wrap_angle(alpha - k * math.pi / 2)) for k in range(-2, 3)) < 1e-3
         assert np.abs(ends(pose, s)).max() < 3.05

@@ -2,25 +2,24 @@
 
 import numpy as np
 import pytest
+from scanned import box, look
 
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.loop import run
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 
 LASER = LaserConfig(beams=90)
-ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
+ROOM = box(-3, -2, 6, 4)
 NO_WALLS = np.zeros((0, 2, 2))
 
 CORNERS = {"landmarks": "corners"}  # with walls the block leaves nothing to correct
 
 
-def look(pose: Pose) -> Scan:
-    bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
-    return Scan.from_config(cast_rays(pose, bearings, ROOM, LASER.max_range), LASER)
+def seen(row: np.ndarray) -> Scan:
+    return look(Pose.from_array(row), ROOM, LASER)
 
 
 def poses(count: int) -> np.ndarray:
@@ -35,7 +34,7 @@ def by_hand(trajectory: np.ndarray, scans: list[Scan]) -> Grid:
 
 
 def test_without_movement_the_grid_is_not_rebuilt() -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
@@ -47,7 +46,7 @@ def test_without_movement_the_grid_is_not_rebuilt() -> None:
     ("shift", "rebuilt"), [([0.02, 0, 0], 0), ([0.03, 0, 0], 1), ([0, 0, 0.001], 0), ([0, 0, 0.03], 1)]
 )
 def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: int) -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
         mapper.add(poses(k + 1).copy, scans[k], NO_WALLS)
         assert mapper.grid.seen.any()
@@ -57,13 +56,13 @@ def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: 
     expected = by_hand(moved if rebuilt else poses(6), scans)
     assert np.array_equal(mapper.grid.occupancy(), expected.occupancy())
     assert mapper.rebuilds == rebuilt
-    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, look(Pose.from_array(poses(7)[-1])), NO_WALLS)
+    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, seen(poses(7)[-1]), NO_WALLS)
     assert mapper.grid.seen.any()
     assert mapper.rebuilds == rebuilt  # once is enough
 
 
 def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    scans, drawn, add = [look(Pose.from_array(row)) for row in poses(6)], [], Grid.add
+    scans, drawn, add = [seen(row) for row in poses(6)], [], Grid.add
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
     mapper = Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
@@ -78,7 +77,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
 
 @pytest.mark.parametrize("read_at", [(), (0,), (2, 3), (0, 1, 2, 3, 4, 5)])
 def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: tuple[int, ...]) -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         if k in read_at:
@@ -101,13 +100,10 @@ def test_a_smoother_that_sees_corners_again_rebuilds_its_map() -> None:
 
 def earlier() -> Grid:
     """The grid of an earlier run, in which there was a box in the middle of the room."""
-    box = np.array([[[0, -1], [0.5, -1]], [[0.5, -1], [0.5, -0.5]], [[0.5, -0.5], [0, -0.5]], [[0, -0.5], [0, -1]]])
     grid = Grid(GridConfig(), 0.2)
     for row in poses(40):
         pose = Pose(-2.0, row[1] - 2.0 if row[1] < 3.0 else 0.0, row[2])
-        bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
-        ranges = cast_rays(pose, bearings, np.concatenate([ROOM, box]), LASER.max_range)
-        grid.add(pose, Scan.from_config(ranges, LASER), NO_WALLS)
+        grid.add(pose, look(pose, np.concatenate([ROOM, box(0, -1, 0.5, 0.5)]), LASER), NO_WALLS)
     return grid
 
 
@@ -144,7 +140,7 @@ def test_an_earlier_obstacle_that_is_gone_becomes_free_after_a_few_scans() -> No
     mapper, rows = begun(), np.tile([-1.5, -0.73, 0.0], (20, 1))
     assert is_obstacle(mapper.grid, 0.02, -0.73)
     for k in range(20):
-        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
     assert not is_obstacle(mapper.grid, 0.02, -0.73)
 
 
@@ -154,10 +150,10 @@ def test_earlier_evidence_out_of_sight_stays_when_key_poses_move() -> None:
     mapper, rows = Mapper(GridConfig(), 0.2), poses(12)
     mapper.start_from(far.submap())
     for k in range(11):
-        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
         assert is_obstacle(mapper.grid, 20.02, 0.02)
     moved = rows + np.array([0.1, 0.0, 0.0])
-    mapper.add(moved.copy, look(Pose.from_array(moved[11])), NO_WALLS)
+    mapper.add(moved.copy, seen(moved[11]), NO_WALLS)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 1
     mapper.complete(rows)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 2

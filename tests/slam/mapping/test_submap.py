@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from scanned import box, look
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid
@@ -15,14 +15,13 @@ from sixthsense.slam.mapping.submap import Submap, add_submap
 from sixthsense.slam.mapping.tiles import TILE, Tiles
 
 LASER = LaserConfig(beams=120)
-ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
+ROOM = box(-3, -2, 6, 4)
 NO_WALLS = np.zeros((0, 2, 2))
 RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)
 
 
-def look(row: np.ndarray) -> Scan:
-    bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
-    return Scan.from_config(cast_rays(Pose.from_array(row), bearings, ROOM, LASER.max_range), LASER)
+def seen(row: np.ndarray) -> Scan:
+    return look(Pose.from_array(row), ROOM, LASER)
 
 
 def poses(count: int) -> np.ndarray:
@@ -32,7 +31,7 @@ def poses(count: int) -> np.ndarray:
 def drawn(rows: np.ndarray, config: GridConfig | None = None) -> Grid:
     grid = Grid(config or GridConfig(), 0.2)
     for row in rows:
-        grid.add(Pose.from_array(row), look(row), NO_WALLS)
+        grid.add(Pose.from_array(row), seen(row), NO_WALLS)
     return grid
 
 
@@ -95,14 +94,14 @@ def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.Monk
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
     rows = poses(count + 2)
     for k in range(count):
-        mapper.add(rows[: k + 1].copy, look(rows[k]), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
         assert mapper.grid.seen.any()
     assert len(added) == count and mapper.rebuilds == 0
     moved = rows.copy()
     for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
         added.clear()
         moved[scan, 0] += 0.04
-        mapper.add(moved[: count + 1 + k].copy, look(moved[count + k]), NO_WALLS)
+        mapper.add(moved[: count + 1 + k].copy, seen(moved[count + k]), NO_WALLS)
         assert mapper.grid.seen.any()
         assert mapper.rebuilds == k + 1
         assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet
@@ -145,7 +144,7 @@ def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytes
     )
     count = 12 * SCANS_PER_SUBMAP
     rows = np.array([[1.0 * k, 0.0, 0.0] for k in range(count + 2)])
-    scan = look(np.zeros(3))
+    scan = seen(np.zeros(3))
     for k in range(count):
         mapper.add(rows[: k + 1].copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
