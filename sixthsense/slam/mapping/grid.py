@@ -245,11 +245,6 @@ class Grid:
         self._counted()
         return self._box.left * self._config.cell_m, self._box.top * self._config.cell_m
 
-    @property
-    def cells_in_memory(self) -> int:
-        """Cells for which there is room: those of all tiles, and some for the next ones."""
-        return len(self._counted().hits)
-
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
         return np.where(self.obstacles, 100, np.where(self.seen, 0, -1)).astype(np.int8)
