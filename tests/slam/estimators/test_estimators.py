@@ -1,21 +1,36 @@
-"""The contract of every estimator; to test a new one, add its name to ESTIMATORS and FAMILIES."""
+"""The laws of every estimator; to test a new one, add its name to ESTIMATORS and FAMILIES."""
 
 import numpy as np
 import pytest
+from laws import links, parameters, prior_map
 
 from sixthsense.config.names import ESTIMATORS as NAMES
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.estimators import ESTIMATORS, make_estimator
+from sixthsense.slam.estimators import ESTIMATORS, Filter, Smoother, make_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.testing import check_estimator
 from sixthsense.testing.check import LAWS
 from sixthsense.testing.estimation import START_COV, fed, joint_state, make, noisy, sight, step
 
+SMOOTHERS = [name for name in ESTIMATORS if isinstance(make(name), Smoother)]
+OF_FILTERS = [*LAWS, *parameters.LAWS, *prior_map.LAWS]
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+
+@pytest.mark.parametrize("law", OF_FILTERS, ids=lambda law: law.name)
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_estimator_keeps_the_law(name, law):
     law.check(name)
+
+
+@pytest.mark.parametrize("law", links.LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("name", SMOOTHERS)
+def test_links_keep_the_laws(name, law):
+    law.check(name)
+
+
+def test_of_the_shipped_estimators_all_are_filters_and_one_is_a_smoother():
+    assert all(isinstance(make(name), Filter) for name in ESTIMATORS)
+    assert SMOOTHERS == ["isam2"]
 
 
 def test_as_the_noise_goes_to_zero_all_agree_with_each_other():
