@@ -60,6 +60,16 @@ def translations(landmarks: Array, walls: Mask, by: Array) -> tuple[Array, Array
 
 
 @numba.njit(cache=True, error_model="numpy")
+def line_ends(line: Array, first: float, last: float) -> Array:
+    """(2, 2) the points of a line (2,), alpha and d, at two places along it, m from the foot of its perpendicular."""
+    c, s = math.cos(line[0]), math.sin(line[0])
+    out = np.empty((2, 2))
+    out[0] = line[1] * c - first * s, line[1] * s + first * c
+    out[1] = line[1] * c - last * s, line[1] * s + last * c
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
 def innovation(z: Array, cov: Array, predicted: Array, is_wall: bool, value: Array, about: Array) -> None:
     """Fill in the innovation (2,) of an observation and its covariance (2, 2) about the prediction."""
     value[0], value[1] = z[0] - predicted[0], z[1] - predicted[1]

@@ -71,7 +71,7 @@ class Odometry:
 
     def is_carried(self) -> bool:
         """Whether no wheel has measured the motion: its position is known to some decimetres only."""
-        return bool(max(self.cov[0, 0], self.cov[1, 1]) > _CARRIED_M**2)
+        return bool(are_carried(self.cov))
 
     def cov_after(self) -> Array:
         """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,7 @@ SENSOR_PARAMETERS = 3
 """number of a sensor's parameters"""
 
 
-@dataclass(frozen=True, slots=True)
-class Sensor:
+class Sensor(NamedTuple):
     """Systematic errors of the points that a sensor reports in the robot's frame: those of its mount and lens.
 
     A scale of distances is not among them: only that of the wheels relative to the sensor's is observable.
@@ -32,11 +31,11 @@ class Sensor:
     @classmethod
     def from_array(cls, values: Array) -> Sensor:
         """The parameters of three numbers, in the order of the fields."""
-        return cls(*(float(value) for value in values))
+        return cls(*values.tolist())
 
     def array(self) -> Array:
         """(3,) in the order of the fields."""
-        return np.array(dataclasses.astuple(self))
+        return np.array(self)
 
     def corrected(self, point: Array) -> tuple[Array, Array]:
         """A reported point (2,) corrected, and its Jacobian (2, 2) by the reported one."""

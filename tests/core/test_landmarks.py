@@ -2,35 +2,46 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import initialize_point, innovations, observation_innovations, predict_points
+from sixthsense.core.landmarks import (
+    Kind,
+    Observation,
+    initialize_landmark,
+    innovations,
+    observation_innovations,
+    predict,
+    translated,
+)
 
 
-def test_jacobians_agree_with_finite_differences():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        pose, points = Pose(*rng.normal(size=3) * 3), rng.normal(size=(4, 2)) * 5
-        z, by_pose, by_landmark = predict_points(pose, points)
-        for k in range(3):
-            ahead, _, _ = predict_points(Pose.from_array(pose.array() + 1e-6 * np.eye(3)[k]), points)
-            assert np.allclose((ahead - z) / 1e-6, by_pose[:, :, k], atol=1e-4)
-        for k in range(2):
-            ahead, _, _ = predict_points(pose, points + 1e-6 * np.eye(2)[k])
-            assert np.allclose((ahead - z) / 1e-6, np.tile(by_landmark[:, k], (4, 1)), atol=1e-4)
-        mean, by_pose, by_z = initialize_point(pose, z[0])
-        for k in range(3):
-            ahead = initialize_point(Pose.from_array(pose.array() + 1e-6 * np.eye(3)[k]), z[0])[0]
-            assert np.allclose((ahead - mean) / 1e-6, by_pose[:, k], atol=1e-4)
-        for k in range(2):
-            ahead = initialize_point(pose, z[0] + 1e-6 * np.eye(2)[k])[0]
-            assert np.allclose((ahead - mean) / 1e-6, by_z[:, k], atol=1e-4)
+def differences(function, at, step=1e-6):
+    """(n, k) derivatives of a function's value (n,) by its argument (k,)."""
+    steps = step * np.eye(len(at))
+    return np.column_stack([(function(at + h) - function(at - h)) / (2.0 * step) for h in steps])
 
 
-def test_a_landmark_is_initialized_where_its_prediction_is_the_observation():
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        pose, z = Pose(*rng.normal(size=3)), rng.normal(size=2)
-        mean, _, _ = initialize_point(pose, z)
-        assert np.allclose(predict_points(pose, mean[None])[0][0], z)
+@pytest.mark.parametrize("kind", [Kind.CORNER, Kind.WALL])
+@pytest.mark.parametrize("seed", range(20))
+def test_jacobians_agree_with_finite_differences(kind, seed):
+    rng, is_wall = np.random.default_rng(seed), np.array([kind == Kind.WALL])
+    pose, landmark, by, cov = Pose(*rng.normal(size=3)), rng.normal(size=2), rng.normal(size=(1, 2)), np.eye(2)
+
+    def seen(x, landmark):
+        return predict(Pose(*x), landmark[None], is_wall)[0][0]
+
+    def initialized(x, z):
+        return initialize_landmark(Pose(*x), Observation(kind, z, cov))[0]
+
+    def shifted(landmark):
+        return translated(landmark[None], is_wall, by)[0][0]
+
+    (z,), (by_pose,), (by_landmark,) = predict(pose, landmark[None], is_wall)
+    assert np.allclose(by_pose, differences(lambda x: seen(x, landmark), pose.array()), atol=1e-8)
+    assert np.allclose(by_landmark, differences(lambda x: seen(pose.array(), x), landmark), atol=1e-8)
+    mean, by_pose, by_z = initialize_landmark(pose, Observation(kind, z, cov))
+    assert np.allclose(mean, landmark, atol=1e-12)  # where its prediction is the observation
+    assert np.allclose(by_pose, differences(lambda x: initialized(x, z), pose.array()), atol=1e-8)
+    assert np.allclose(by_z, differences(lambda z: initialized(pose.array(), z), z), atol=1e-8)
+    assert np.allclose(translated(landmark[None], is_wall, by)[1][0], differences(shifted, landmark), atol=1e-8)
 
 
 def test_a_line_that_turns_about_the_centre_of_its_returns_has_no_gap_there():

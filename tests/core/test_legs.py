@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scanned import box
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.ray_casting import NO_LEGS, Moving, cast_among, cast_rays, cast_sweep
 
-ROOM = np.array([[[-4, -3], [4, -3]], [[4, -3], [4, 3]], [[4, 3], [-4, 3]], [[-4, 3], [-4, -3]]], dtype=float)
+ROOM = box(-4, -3, 8, 6)
 RANGE = 10.0
 
 

@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import pytest
+from laws.nees import assert_consistent, error_of, normalised
 
 from sixthsense import loop
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
-from sixthsense.evaluation.metrics import nees_band
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.prior_map import read_prior_map
 from sixthsense.slam.prior_map import PriorMapError, PriorStart
@@ -111,17 +111,15 @@ def test_a_run_that_begins_with_a_map_can_be_the_map_of_the_next(first, tmp_path
 @pytest.mark.parametrize("estimator", ["ekf-invariant", "isam2"])
 def test_from_rough_poses_drawn_from_their_sigmas_pose_and_first_keyframe_are_consistent(first, estimator):
     prior, sigma, nees = read_prior_map(first), (0.25, 0.25, 0.15), []
-    scene, runs = scene_of(DIVIDER), 12
-    for seed in range(runs):
+    scene = scene_of(DIVIDER)
+    for seed in range(12):
         error = np.array(sigma) * np.random.default_rng(seed).standard_normal(3)
         pose = Pose.from_array(scene.start.array() + error)
         trace = driven(scene, 50 + seed, prior=PriorStart(prior, pose, sigma), estimator=estimator, max_time=3.0)
-        off = trace.key_estimates[0].pose.array() - trace.key_truths[0]
-        off[2] = wrap_angle(off[2])
-        nees.append(off @ np.linalg.solve(trace.key_estimates[0].pose_cov, off))
+        off = error_of(trace.key_estimates[0], Pose.from_array(trace.key_truths[0]))
+        nees.append(normalised(off, trace.key_estimates[0].pose_cov))
         assert np.hypot(*off[:2]) < 0.05
-    low, high = nees_band(runs, confidence=0.999)
-    assert low < np.mean(nees) < high
+    assert_consistent(nees, 3, confidence=0.999)
 
 
 def test_a_map_of_another_building_is_refused_at_the_first_scan(first):

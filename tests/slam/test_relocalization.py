@@ -6,12 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from scanned import box, look, outline
 
 from sixthsense import loop
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command, Tick
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.prior_map import read_prior_map
@@ -23,15 +22,6 @@ from sixthsense.sources.logs.log import RewindableSource
 from sixthsense.sources.scene import load_scene
 
 LASER, GRID = LaserConfig(max_range=6.0), GridConfig()
-
-
-def outline(*corners):
-    corners = np.array(corners, dtype=float)
-    return np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
-
-
-def box(x, y, w, h):
-    return outline((x, y), (x + w, y), (x + w, y + h), (x, y + h))
 
 
 # Two equal rooms with doors to a corridor along y = 4 to 6, which ends in a recess on its right.
@@ -51,9 +41,8 @@ ROOMS = np.concatenate(
 )  # fmt: skip
 
 
-def look(walls, pose, seed=0):
-    ranges = cast_rays(pose, beam_bearings(LASER), walls, LASER.max_range)
-    return Scan.from_config(ranges + 0.01 * np.random.default_rng(seed).standard_normal(len(ranges)), LASER)
+def seen(walls, pose, seed=0):
+    return look(pose, walls, LASER, 0.01, seed)
 
 
 def along(*points, step_m=0.2):
@@ -69,7 +58,7 @@ def along(*points, step_m=0.2):
 def map_of(walls, poses):
     grid = Grid(GRID, 0.2)
     for pose in poses:
-        grid.add(pose, look(walls, pose, 7), np.zeros((0, 2, 2)))
+        grid.add(pose, seen(walls, pose, 7), np.zeros((0, 2, 2)))
     none = np.zeros((0, 2))
     landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
     return PriorMap("earlier", "", landmarks, {}, grid.submap(), GRID.cell_m)
@@ -84,7 +73,7 @@ def search(poses, walls=ROOMS, prior=MAP, own=None):
     own = own or Pose(3.0, -2.0, 0.7)
     relocalizer = Relocalizer(prior.evidence, GRID)
     for k, pose in enumerate(poses):
-        found = relocalizer.take(look(walls, pose, k), own @ poses[0].inverse() @ pose)
+        found = relocalizer.take(seen(walls, pose, k), own @ poses[0].inverse() @ pose)
         if found is not None:
             return relocalizer.driven_m, pose.inverse() @ found @ own @ poses[0].inverse() @ pose
     return None

@@ -5,11 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scanned import look, outline
 
 from sixthsense.config import GridConfig, LaserConfig
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.submap import Submap
@@ -17,21 +16,19 @@ from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.slam.start_search import located
 
 LASER, GRID = LaserConfig(), GridConfig()
-CORNERS = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 4.0], [3.0, 4.0], [3.0, 3.0], [0.0, 3.0]])
-ROOM = np.stack([CORNERS, np.roll(CORNERS, -1, axis=0)], axis=1)
+ROOM = outline((0, 0), (5, 0), (5, 4), (3, 4), (3, 3), (0, 3))
 CORRIDOR = np.array([[[-30.0, -1.0], [30.0, -1.0]], [[-30.0, 1.0], [30.0, 1.0]]])
 TRUE = Pose(1.2, 1.1, 0.4)
 
 
-def look(walls, pose, seed=0):
-    ranges = cast_rays(pose, beam_bearings(LASER), walls, LASER.max_range)
-    return Scan.from_config(ranges + 0.01 * np.random.default_rng(seed).standard_normal(len(ranges)), LASER)
+def seen(walls, pose, seed=0):
+    return look(pose, walls, LASER, 0.01, seed)
 
 
 def map_of(walls, *poses):
     grid = Grid(GRID, 0.2)
     for pose in poses:
-        grid.add(pose, look(walls, pose, 7), np.zeros((0, 2, 2)))
+        grid.add(pose, seen(walls, pose, 7), np.zeros((0, 2, 2)))
     none = np.zeros((0, 2))
     landmarks = LandmarkPrior(np.zeros(0, np.int64), none, np.zeros(0, bool), np.zeros((0, 0)), np.zeros((0, 2, 2)))
     return PriorMap("earlier", "", landmarks, {}, grid.submap(), GRID.cell_m)
@@ -46,7 +43,7 @@ def test_a_rough_pose_is_found_to_a_few_centimetres(sigma, seed):
     sigmas = np.array([sigma, sigma, 0.5 * sigma])
     error = np.clip(np.random.default_rng(seed).standard_normal(3), -2.0, 2.0) * sigmas
     rough = Pose.from_array(TRUE.array() + error)
-    found = located(look(ROOM, TRUE), ROOM_MAP, rough, np.diag(sigmas**2), GRID)
+    found = located(seen(ROOM, TRUE), ROOM_MAP, rough, np.diag(sigmas**2), GRID)
     assert math.hypot(found.x - TRUE.x, found.y - TRUE.y) < 0.04
     assert abs(wrap_angle(found.theta - TRUE.theta)) < 0.015
 
@@ -54,7 +51,7 @@ def test_a_rough_pose_is_found_to_a_few_centimetres(sigma, seed):
 def test_a_wall_that_has_moved_does_not_shift_the_pose():
     changed = np.concatenate([ROOM, [[[2.2, 0.5], [2.2, 1.6]]]])
     rough = Pose(1.35, 1.0, 0.5)
-    found = located(look(changed, TRUE), ROOM_MAP, rough, np.diag([0.2, 0.2, 0.1]) ** 2, GRID)
+    found = located(seen(changed, TRUE), ROOM_MAP, rough, np.diag([0.2, 0.2, 0.1]) ** 2, GRID)
     assert math.hypot(found.x - TRUE.x, found.y - TRUE.y) < 0.05
 
 
@@ -62,7 +59,7 @@ def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
     """Nothing tells the place along it, so that the given one is as good as any."""
     corridor = map_of(CORRIDOR, *(Pose(float(x), 0.0, 0.0) for x in range(-12, 13)))
     true, rough = Pose(0.15, 0.1, 0.05), Pose(0.0, 0.0, 0.0)
-    found = located(look(CORRIDOR, true), corridor, rough, np.diag([0.08, 0.08, 0.04]) ** 2, GRID)
+    found = located(seen(CORRIDOR, true), corridor, rough, np.diag([0.08, 0.08, 0.04]) ** 2, GRID)
     assert abs(found.x - rough.x) < 0.06
     assert abs(found.y - true.y) < 0.03 and abs(found.theta - true.theta) < 0.015
 
@@ -71,18 +68,18 @@ def test_along_a_corridor_the_pose_stays_where_it_was_said_to_be():
 def test_a_scan_of_another_room_is_refused(cov):
     other = 2.2 * ROOM - np.array([3.0, 2.0])
     with pytest.raises(PriorMapError, match=r"^prior_map: found earlier, of which the first scan shows"):
-        located(look(other, TRUE), ROOM_MAP, TRUE, cov, GRID)
+        located(seen(other, TRUE), ROOM_MAP, TRUE, cov, GRID)
 
 
 def test_a_scan_into_what_the_map_has_not_seen_says_nothing_against_it():
     """The map ends in the middle of the room; beyond it there is no evidence."""
-    seen = ROOM_MAP.evidence
-    half = seen.cells[:, 1] < 60
-    part = Submap.of(seen.cells[half], seen.hits[half], seen.passes[half], seen.seen[half])
-    assert located(look(ROOM, TRUE), replace(ROOM_MAP, evidence=part), TRUE, np.zeros((3, 3)), GRID) is TRUE
+    known = ROOM_MAP.evidence
+    half = known.cells[:, 1] < 60
+    part = Submap.of(known.cells[half], known.hits[half], known.passes[half], known.seen[half])
+    assert located(seen(ROOM, TRUE), replace(ROOM_MAP, evidence=part), TRUE, np.zeros((3, 3)), GRID) is TRUE
 
 
 def test_a_scan_without_a_return_says_nothing_against_the_given_pose():
-    scan = look(ROOM, TRUE)
+    scan = seen(ROOM, TRUE)
     blank = replace(scan, ranges=np.full_like(scan.ranges, scan.max_range))
     assert located(blank, ROOM_MAP, TRUE, np.diag([0.3, 0.3, 0.2]) ** 2, GRID) is TRUE

@@ -16,8 +16,7 @@ from sixthsense.core.chi_square import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
-from sixthsense.slam.association.matches import Matches, match
-from sixthsense.slam.association.matching import compare_known
+from sixthsense.slam.association.matching import Matches, compare_known, match
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association, Record

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Observation
 from sixthsense.slam.estimators.base import Estimate
 
 Mask = NDArray[np.bool_]
-Limits = tuple[float, float, float]
-"""of a distance, m, a turn, rad, and a gap, m"""
 
 _TURN_LIMITS_RAD = (0.15, 0.6)
 """between two walls: always plausible below the first, never above the second"""
@@ -91,37 +90,15 @@ class Distances(NamedTuple):
         """
         widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
         turn = min(max(widest * heading_sigma, _TURN_LIMITS_RAD[0]), _TURN_LIMITS_RAD[1])
-        return _plausible(self, sigmas, known, widest, (cfg.pre_gate_m, turn, cfg.wall_gap_m))
+        of_walls = np.minimum(np.maximum(widest * sigmas, _OFFSET_LIMIT_M), cfg.pre_gate_m)[:, None]
+        of_points = np.minimum(widest * (sigmas[:, None] + 2.0 * known), cfg.pre_gate_m)
+        near = self.metres < np.where(self.length_m[:, None] > 0.0, of_walls, of_points)
+        return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < cfg.wall_gap_m))
 
     def apart(self, cfg: AssociationConfig) -> Mask:
         """(m, n) pairs that are far enough apart to be of two landmarks, whatever their covariances say."""
-        return ~_within(self, (cfg.new_separation_m, _TURN_LIMITS_RAD[0], cfg.wall_gap_m))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _plausible(distances: Distances, sigmas: Array, known: Array, widest: float, limits: Limits) -> Mask:
-    m, n = distances.metres.shape
-    most, turn, gap = limits
-    out = np.empty((m, n), np.bool_)
-    for i in range(m):
-        of_wall = min(max(widest * sigmas[i], _OFFSET_LIMIT_M), most)
-        for j in range(n):
-            of_point = min(most, widest * (sigmas[i] + 2.0 * known[j]))
-            near = distances.metres[i, j] < (of_wall if distances.length_m[i] > 0.0 else of_point)
-            out[i, j] = near and distances.turn_rad[i, j] < turn and distances.gap_m[i, j] < gap
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _within(distances: Distances, limits: Limits) -> Mask:
-    m, n = distances.metres.shape
-    metres, turn, gap = limits
-    out = np.empty((m, n), np.bool_)
-    for i in range(m):
-        for j in range(n):
-            near = distances.metres[i, j] <= metres and distances.turn_rad[i, j] < turn
-            out[i, j] = near and distances.gap_m[i, j] < gap
-    return out
+        near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _TURN_LIMITS_RAD[0])
+        return np.asarray(~(near & (self.gap_m < cfg.wall_gap_m)))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -129,9 +106,7 @@ def _ends(z: Array, walls: Mask, extents: Array) -> Array:
     out = np.empty((len(z), 2, 2))
     for i in range(len(z)):
         if walls[i]:
-            c, s = math.cos(z[i, 0]), math.sin(z[i, 0])
-            for e in range(2):
-                out[i, e] = z[i, 1] * c - extents[i, e] * s, z[i, 1] * s + extents[i, e] * c
+            out[i] = line_ends(z[i], extents[i, 0], extents[i, 1])
         else:
             out[i] = z[i]
     return out

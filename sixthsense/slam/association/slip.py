@@ -15,7 +15,7 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.matches import Matches
+from sixthsense.slam.association.matching import Matches
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _LEAST = 3

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.landmark_kernels import line_ends
 from sixthsense.core.landmarks import Observation, line_errors, observation_innovations, observed_centre
 from sixthsense.core.pose_kernels import Triple
 from sixthsense.slam.association.observed import Distances
@@ -52,26 +53,16 @@ def joined(landmark: Array, first: Array, second: Array) -> Array:
     low, high = math.inf, -math.inf
     for x, y in (first[0], first[1], second[0], second[1]):
         low, high = min(low, c * y - s * x), max(high, c * y - s * x)
-    return _on_line(landmark, low, high)
+    return line_ends(landmark, low, high)
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _ends(pose: Triple, line: Array, first: float, last: float) -> Array:
-    out = _on_line(line, first, last)
+    out = line_ends(line, first, last)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(2):
         x, y = out[k]
         out[k] = pose[0] + c * x - s * y, pose[1] + s * x + c * y
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _on_line(line: Array, first: float, last: float) -> Array:
-    """(2, 2) the points of a line (2,), alpha and d, at two places along it, m from the foot of its perpendicular."""
-    c, s = math.cos(line[0]), math.sin(line[0])
-    out = np.empty((2, 2))
-    out[0] = line[1] * c - first * s, line[1] * s + first * c
-    out[1] = line[1] * c - last * s, line[1] * s + last * c
     return out
 
 

@@ -10,7 +10,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.covariance import COVARIANCE_SLACK, covariance_fault
+from sixthsense.core.covariance import COVARIANCE_SLACK, are_covariances, check_covariance, covariance_fault
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import Odometry
@@ -198,25 +198,6 @@ class Smoother(Filter, Protocol):
         ...
 
 
-class Trajectory:
-    """A growing list of poses, returned as one array without a loop over them."""
-
-    def __init__(self) -> None:
-        self._rows = np.empty((64, 3))
-        self._count = 0
-
-    def append(self, pose: Pose) -> None:
-        """Add a pose at the end."""
-        if self._count == len(self._rows):
-            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
-        self._rows[self._count] = (pose.x, pose.y, pose.theta)
-        self._count += 1
-
-    def rows(self) -> Array:
-        """(K, 3), a copy."""
-        return self._rows[: self._count].copy()
-
-
 def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
     """Raise ValueError, naming the landmark, for an observation that is not finite or whose covariance is invalid."""
     if not observations:
@@ -238,3 +219,43 @@ def check_observations(observations: Mapping[LandmarkId, Observation]) -> None:
         fault = covariance_fault(cov[k], lowest=0.0) or "a singular covariance"
         found = f"observation of landmark {list(observations)[k]}: found {fault}"
         raise ValueError(f"{found}, allowed: a covariance, symmetric, with positive eigenvalues")
+
+
+def check_prior(prior: LandmarkPrior, has_begun: bool) -> None:
+    """Raise RuntimeError if the estimator has begun, ValueError for an invalid prior."""
+    if has_begun:
+        raise RuntimeError("start_from: found a call after the first motion or update, allowed: before both")
+    n = len(prior.ids)
+    if len(np.unique(prior.ids)) != n:
+        raise ValueError("prior: found ids that repeat, allowed: each landmark once")
+    if prior.landmarks.shape != (n, 2) or not np.isfinite(prior.landmarks).all():
+        raise ValueError(f"prior: found means {prior.landmarks.shape}, allowed: finite numbers, ({n}, 2)")
+    fault = covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK) if n else None
+    if prior.cov.shape != (2 * n, 2 * n) or fault:
+        raise ValueError(f"prior: found {fault or prior.cov.shape}, allowed: a covariance, ({2 * n}, {2 * n})")
+
+
+def check_parameters(name: str, prior: WheelEstimate | SensorEstimate, has_begun: bool) -> None:
+    """Raise RuntimeError if the estimator has begun, ValueError for an invalid covariance of the prior."""
+    if has_begun:
+        raise RuntimeError(f"estimate_{name}: found a call after the first motion or update, allowed: before both")
+    n, fault = len(prior.values.array()), covariance_fault(prior.cov, lowest=-COVARIANCE_SLACK)
+    if prior.cov.shape != (n, n) or fault:
+        raise ValueError(f"prior of {name}: found {fault or prior.cov.shape}, allowed: a covariance, ({n}, {n})")
+
+
+def check_links(links: Sequence[Link], poses: int) -> None:
+    """Raise KeyError for a link to a pose that is not one of the `poses` so far, ValueError for an invalid one."""
+    are_good = are_covariances([link.relative.cov for link in links])
+    for k, link in enumerate(links):
+        for pose in (link.before, link.after):
+            if not 0 <= pose < poses:
+                raise KeyError(f"link {k}: found pose {pose}, allowed: 0 to {poses - 1}")
+        if link.before == link.after:
+            raise ValueError(f"link {k}: found pose {link.after} at both ends, allowed: two poses")
+        if not are_good:
+            check_covariance(f"link {k}", link.relative.cov)
+        if not np.isfinite(link.relative.motion.array()).all():
+            raise ValueError(f"link {k}: found {link.relative.motion}, allowed: finite numbers")
+        if not link.loss_scale > 0.0:
+            raise ValueError(f"link {k}: found loss_scale {link.loss_scale}, allowed: above 0")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Collection, Mapping, Sequence
 from typing import ClassVar
 
@@ -18,11 +19,9 @@ from sixthsense.core.landmarks import LandmarkId, Observation, observation_innov
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Trajectory, check_observations
-from sixthsense.slam.estimators.checks import check_prior
-from sixthsense.slam.estimators.ekf_observations import NewLandmark, expected, new_landmark
+from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
+from sixthsense.slam.estimators.ekf_algebra import columns, expected, new_landmark, selected
 from sixthsense.slam.estimators.ekf_parameters import Parameters
-from sixthsense.slam.estimators.triangle import columns, selected
 
 
 class EKF:
@@ -32,9 +31,9 @@ class EKF:
     Internally the world's origin is the start, since a wall's (alpha, d) about a far origin linearizes badly: a turn of
     a short wall about its middle shifts d by d/2 times the square of the turn. The linearized system loses an
     unobservable direction, the heading of the whole map, so that the filter is overconfident once the robot has turned
-    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points`,
-    `_apply_correction` and the methods named `_on_...`. Those that keep that direction also take a wall's offset from a
-    centre on the wall. The standard filter would lose more by the heading that it gains about such a centre.
+    (Huang, Mourikis and Roumeliotis 2010). The variants override `_heading_lever`, `_linearization_points` and
+    `_apply_correction`. Those that keep that direction also take a wall's offset from a centre on the wall. The
+    standard filter would lose more by the heading that it gains about such a centre.
     """
 
     _has_centres: ClassVar[bool] = False
@@ -48,12 +47,15 @@ class EKF:
         self._walls = np.zeros(0, dtype=np.bool_)
         self._centres = np.zeros((0, 2))
         """(n, 2) of walls, or zero; zero for points"""
+        self._anchors = np.zeros((0, 2))
+        """(n, 2) means as first estimated, for variants that linearize there"""
         # Column-major and exactly as large as the state, so that dsyrk updates the triangle in place.
         self._cov = np.array(cov, order="F")
         self._slots: dict[LandmarkId, int] = {}
         self._parameters = Parameters()
         self._pending = STANDSTILL
-        self._trajectory = Trajectory()
+        self._trajectory = array("d")
+        """x, y and theta at each update, which are returned without a loop over them"""
 
     def start_from(self, prior: LandmarkPrior) -> None:
         """Begin with the landmarks of an earlier run: the joint covariance has a block more."""
@@ -63,9 +65,8 @@ class EKF:
         means, jacobian = translated(prior.landmarks, prior.walls, -(self._origin + self._centres))
         to_start = block_diag(*jacobian) if len(jacobian) else np.zeros((0, 0))
         self._cov = np.asfortranarray(block_diag(self._cov, to_start @ prior.cov @ to_start.T))
-        self._means, self._walls = means, prior.walls.copy()
+        self._means, self._anchors, self._walls = means, means.copy(), prior.walls.copy()
         self._slots = {i: k for k, i in enumerate(prior.ids.tolist())}
-        self._on_started()
 
     def estimate_wheels(self, prior: WheelEstimate) -> None:
         """Add the wheels' parameters to the state."""
@@ -110,7 +111,7 @@ class EKF:
             self._apply_correction(slots, np.concatenate([shift[:3], shift[self._head :]]))
             observations = self._parameters.sensed(observations)
         self._augment({i: observation for i, observation in observations.items() if i not in self._slots})
-        self._trajectory.append(self._in_world(self._pose))
+        self._trajectory.extend(self._in_world(self._pose).array())
 
     def forget(self, ids: Collection[LandmarkId]) -> None:
         """Marginalize landmarks out: remove their rows and columns of the covariance."""
@@ -121,8 +122,8 @@ class EKF:
         slots = np.array([slot for _, slot in keep], dtype=np.int64)
         kept = np.concatenate([np.arange(self._head), self._places(slots)])
         self._cov = selected(self._cov.T, kept).T
-        self._means, self._walls, self._centres = self._means[slots], self._walls[slots], self._centres[slots]
-        self._on_forgotten(slots)
+        self._means, self._anchors = self._means[slots], self._anchors[slots]
+        self._walls, self._centres = self._walls[slots], self._centres[slots]
         self._slots = {i: k for k, (i, _) in enumerate(keep)}
 
     def estimate(self) -> Estimate:
@@ -146,7 +147,7 @@ class EKF:
 
     def trajectory(self) -> Array:
         """(K, 3), the filtered pose at each update."""
-        return self._trajectory.rows()
+        return np.array(self._trajectory).reshape(-1, 3)
 
     def _heading_lever(self, moved: Array) -> Array:
         """Displacement (2,) used in d position / d heading while the robot has `moved` by (2,)."""
@@ -166,17 +167,8 @@ class EKF:
         """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""
         return joint
 
-    def _on_started(self) -> None:
-        """Called after the filter has begun with landmarks of an earlier run."""
-
-    def _on_added(self, landmarks: Sequence[NewLandmark]) -> None:
-        """Called after landmarks were added."""
-
     def _in_world(self, pose: Pose) -> Pose:
         return Pose(pose.x + self._origin[0], pose.y + self._origin[1], pose.theta)
-
-    def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
-        """Called after landmarks were removed: those in `slots` are left, in that order."""
 
     @property
     def _head(self) -> int:
@@ -289,6 +281,6 @@ class EKF:
         self._cov = larger
         self._means = np.vstack([self._means, *(landmark.mean for landmark in new)])
         self._centres = np.vstack([self._centres, *(landmark.centre for landmark in new)])
+        self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in new)])
         self._walls = np.concatenate([self._walls, [seen.is_wall for seen in observations.values()]])
-        self._on_added(new)
         self._slots |= {i: len(self._slots) + j for j, i in enumerate(observations)}

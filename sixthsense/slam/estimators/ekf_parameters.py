@@ -9,7 +9,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import WheelEstimate, Wheels
-from sixthsense.slam.estimators.checks import check_sensor, check_wheels
+from sixthsense.slam.estimators.base import check_parameters
 
 _NONE = slice(3, 3)
 
@@ -27,12 +27,12 @@ class Parameters:
 
     def add_wheels(self, prior: WheelEstimate, has_begun: bool) -> None:
         """Add the wheels' parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
-        check_wheels(prior, self.wheels is not None or has_begun)
+        check_parameters("wheels", prior, self.wheels is not None or has_begun)
         self.wheels, self.of_wheels = prior.values, self._added(prior.cov)
 
     def add_sensor(self, prior: SensorEstimate, has_begun: bool) -> None:
         """Add the sensor's parameters; RuntimeError if the filter has begun, ValueError for an invalid covariance."""
-        check_sensor(prior, self.sensor is not None or has_begun)
+        check_parameters("sensor", prior, self.sensor is not None or has_begun)
         self.sensor, self.of_sensor = prior.values, self._added(prior.cov)
 
     def _added(self, cov: Array) -> slice:

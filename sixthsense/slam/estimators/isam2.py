@@ -16,20 +16,23 @@ from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, Link, check_observations
-from sixthsense.slam.estimators.checks import check_links, check_prior
+from sixthsense.slam.estimators.base import (
+    Estimate,
+    LandmarkPrior,
+    Link,
+    check_links,
+    check_observations,
+    check_prior,
+)
+from sixthsense.slam.estimators.isam2_calibration import motion_factor, start_factor
 from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose2
 from sixthsense.slam.estimators.isam2_head import Head
-from sixthsense.slam.estimators.isam2_joint import JointCovariances
-from sixthsense.slam.estimators.isam2_links import LinkFactors
-from sixthsense.slam.estimators.isam2_observations import ObservationFactors
-from sixthsense.slam.estimators.isam2_observing import Observing
+from sixthsense.slam.estimators.isam2_observations import Observations
 from sixthsense.slam.estimators.isam2_prior import PriorFactor
 from sixthsense.slam.estimators.isam2_solution import Solution
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_wheels import motion_factor, start_factor
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
@@ -46,10 +49,11 @@ class ISAM2:
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:
         """Start at `start` (world frame) with `start_cov` (3, 3), which may be zero; ValueError if that is invalid."""
-        self._config, self._loss = config, loss_of(config)
-        self._factors, self._links = ObservationFactors(), LinkFactors()
+        self._config = config
+        self._links: dict[int, Link] = {}
+        """between poses in the graph, by the number of its factor"""
         self._prior = PriorFactor()
-        self._solver = Solver(config, self._renumber)
+        self._solver = Solver(config)
         self._unsolved = Unsolved()
         self._poses = 0
         """number of poses, solved and waiting"""
@@ -57,8 +61,7 @@ class ISAM2:
         self._head = Head(self._solver, start, check_covariance("start_cov", start_cov))
         self._chain = Chain()
         self._solution = Solution(self._solver, self._landmarks, self._head, self._chain)
-        self._observing = Observing(self._solver, self._landmarks, self._head, self._loss)
-        self._joint = JointCovariances(self._solver, self._solution, self._head)
+        self._observations = Observations(self._solver, self._landmarks, self._head, loss_of(config))
         self._reject_gate = float(chi_square_quantile(config.undo_probability, 2))  # infinite for 1
         self.rejected = 0
         """matches rejected as outliers so far"""
@@ -104,10 +107,8 @@ class ISAM2:
         if not observations:
             return
         first = self._unsolved.graph.size()
-        rows = self._observing.add(self._poses - 1, guess, observations, self._unsolved)
-        places = self._solve_waiting(self._chain.due())[first:]
-        for row, place in zip(rows, places, strict=True):
-            self._factors.add(row, place)
+        self._observations.add(self._poses - 1, guess, observations, self._unsolved)
+        self._observations.solved(self._solve_waiting(self._chain.due())[first:])
         if is_spare:
             self._chain.spare(self._poses - 1)
         self._solver.relinearize(self._last_solved, guess)
@@ -127,7 +128,8 @@ class ISAM2:
             self._guess_by(link)
             self._unsolved.graph.add(link_factor(X(link.before), X(link.after), link))
         guess = self._pose_at(self._poses - 1)
-        ids = self._links.add([(link.before, link.after) for link in attached], self._solve_waiting()[first:])
+        ids = self._solve_waiting()[first:]
+        self._links.update(zip(ids, attached, strict=True))
         self._solution.update(self._last_solved)
         off = to_pose2(guess).localCoordinates(to_pose2(self._head.pose))
         if np.abs(off).max() > self._config.relinearize_threshold:
@@ -136,9 +138,9 @@ class ISAM2:
 
     def unlink(self, ids: Collection[int]) -> None:
         """Remove links, and solve."""
-        places = self._links.drop(ids)
-        if places:
-            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+        factors = self._dropped(ids)
+        if factors:
+            self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), factors)
             self._solution.update(self._last_solved)
             self._converge()
 
@@ -148,8 +150,9 @@ class ISAM2:
             self._solve_waiting()
             self._solution.update(self._last_solved)
         self._chain.check_takeable(updates)
-        lost = self._links.of_poses(updates)
-        self._solve_waiting(updates, self._links.drop(lost))
+        gone = set(updates)
+        lost = [i for i, link in self._links.items() if link.before in gone or link.after in gone]
+        self._solve_waiting(updates, self._dropped(lost))
         self._solution.update(self._last_solved)
         return lost
 
@@ -160,9 +163,9 @@ class ISAM2:
             self._landmarks.keys[i]  # KeyError before anything is removed
         if not gone:
             return
-        places = self._factors.places(gone)
-        if places:
-            self._remove(places)
+        factors = self._observations.factors(gone)
+        if factors:
+            self._remove(factors)
         self._prior.forget(gone, self._solver, self._landmarks)
         self._landmarks.drop(gone)
         if self._head.is_solved:
@@ -177,7 +180,7 @@ class ISAM2:
 
     def joint_covariance(self, ids: Sequence[LandmarkId]) -> Array:
         """(3 + 2k, 3 + 2k) of the pose and the landmarks asked for, in that order."""
-        return self._joint.read(ids, self._pending)
+        return self._solution.joint_covariance(ids, self._pending)
 
     def trajectory(self) -> Array:
         """(K, 3), the pose at each update, smoothed with all observations so far."""
@@ -227,31 +230,36 @@ class ISAM2:
         self._unsolved.values.update(X(link.after), to_pose2(guess))
 
     def _solve_waiting(self, spare: Sequence[int] = (), gone: Sequence[int] = ()) -> list[int]:
-        """Give the solver what waits, and take out spare poses and the factors at `gone`; the places of what waited."""
+        """Give the solver what waits, and take out spare poses and the factors `gone`; the factors of what waited."""
         waiting = self._unsolved
         joined = self._chain.take_out(spare, self._pose_at, self._head.wheels is not None)
         for factor in joined.factors:
             waiting.graph.add(factor)
         last = None if waiting.poses else self._last_solved
-        gone = sorted([*gone, *joined.gone, *self._factors.drop_poses(spare)])
-        places = self._solver.update(waiting.graph, waiting.values, gone, last)
-        self._chain.placed(joined.followers, places[len(places) - len(joined.followers) :])
+        gone = sorted([*gone, *joined.gone, *self._observations.drop_poses(spare)])
+        factors = self._solver.update(waiting.graph, waiting.values, gone, last)
+        self._chain.solved(joined.followers, factors[len(factors) - len(joined.followers) :])
         for pose, (motion, at) in waiting.motions.items():
-            self._chain.add(pose, motion, places[at])
+            self._chain.add(pose, motion, factors[at])
         # New ones each time: a factor that is sent twice counts twice.
         self._unsolved, self._pending = Unsolved(), self._step
-        return places[: len(places) - len(joined.followers)]
+        return factors[: len(factors) - len(joined.followers)]
 
-    def _renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
-        for numbered in (self._prior, self._factors, self._chain, self._links):
-            numbered.renumber(before, after)
+    def _dropped(self, ids: Collection[int]) -> list[int]:
+        """The factors of links, which are dropped, ascending; KeyError, before any is dropped, for an unknown one."""
+        factors = sorted(set(ids))
+        for i in factors:
+            self._links[i]
+        for i in factors:
+            del self._links[i]
+        return factors
 
     def _adds_nothing(self, guess: Pose, observations: Mapping[LandmarkId, Observation]) -> bool:
         """Whether the observations from a pose, of which there are some, say next to nothing of the landmarks."""
         least = self._config.least_gain
         if not least or self._head.wheels is not None or not observations.keys() <= self._landmarks.keys.keys():
             return False
-        return self._joint.map_gain(guess, observations, self._pending) < least
+        return self._solution.map_gain(guess, observations, self._pending) < least
 
     def _converge(self) -> None:
         """Iterate until no pose moves: a loop that closes moves all of its poses, and weights of losses with them."""
@@ -264,10 +272,10 @@ class ISAM2:
             if np.abs(shift).max() <= 0.1 * self._config.relinearize_threshold:
                 return
 
-    def _remove(self, places: list[int]) -> None:
-        """Take factors out of the graph and solve."""
-        self._factors.drop(places)
-        self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), places)
+    def _remove(self, factors: list[int]) -> None:
+        """Take factors of observations out of the graph and solve."""
+        self._observations.drop(factors)
+        self._solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), factors)
         self._solver.iterate(self._config.iterations - 1)
         self._solution.update(self._last_solved)
 
@@ -279,8 +287,8 @@ class ISAM2:
         """
         for _ in range(_MAX_REJECTED):
             ids, means = self._landmarks.ids(), self._solution.landmarks().means
-            squared, places = self._factors.squared_residuals(self.trajectory(), ids, means)
+            squared, factors = self._observations.squared_residuals(self.trajectory(), ids, means)
             if not len(squared) or squared.max() <= self._reject_gate:
                 return
-            self._remove([int(places[squared.argmax()])])
+            self._remove([int(factors[squared.argmax()])])
             self.rejected += 1

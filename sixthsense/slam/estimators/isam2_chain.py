@@ -8,6 +8,7 @@ is less certain, and stays consistent, because poses are chosen by covariances a
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Collection, Sequence
 from typing import NamedTuple
 
@@ -22,9 +23,9 @@ from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.base import Link
-from sixthsense.slam.estimators.isam2_wheels import motion_factor
+from sixthsense.slam.estimators.isam2_calibration import motion_factor
 
-_UNPLACED = -1  # the place of a factor that the graph does not have yet
+_UNSOLVED = -1  # number of a factor that the solver does not have yet
 _WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their observations, too
 
 
@@ -33,19 +34,19 @@ class _Step(NamedTuple):
 
     before: int
     motion: Odometry
-    place: int
-    """of its factor"""
+    factor: int
+    """its number"""
 
 
 class Joined(NamedTuple):
     """What replaces the motions to poses that were taken out, and on from them."""
 
     gone: list[int]
-    """places of the factors of these motions"""
+    """factors of these motions"""
     followers: list[int]
     """the poses that followed them"""
     factors: list[gtsam.NonlinearFactor]
-    """of the motions to the followers, to be `placed`"""
+    """of the motions to the followers, to be `solved`"""
 
 
 class Chain:
@@ -58,14 +59,12 @@ class Chain:
         """poses that add nothing, the oldest first"""
         self._relative: dict[int, tuple[int, Odometry]] = {}
         """the pose that each pose which was taken out is fixed to, and where it is from there"""
-        self._gone = np.zeros((64, 2), dtype=np.int64)
-        """poses that were taken out, ascending, and those they are fixed to"""
-        self._motions = np.zeros((64, 3))
-        """from these to those"""
+        self._gone, self._motions = array("q"), array("d")
+        """pairs of a pose that was taken out, ascending, and the one it is fixed to; x, y and theta from there"""
 
-    def add(self, pose: int, motion: Odometry, place: int) -> None:
-        """Add a solved pose, whose motion from the pose before it has its factor at that place."""
-        self._steps[pose] = _Step(pose - 1, motion, place)
+    def add(self, pose: int, motion: Odometry, factor: int) -> None:
+        """Add a solved pose, whose motion from the pose before it has that factor."""
+        self._steps[pose] = _Step(pose - 1, motion, factor)
 
     def spare(self, pose: int) -> None:
         """Take in that a pose adds nothing."""
@@ -89,41 +88,31 @@ class Chain:
             step, after = self._steps[pose], self._steps[pose + 1]
             relative = pose_at(step.before).inverse() @ pose_at(pose)
             del self._steps[pose]
-            gone += [place for place in (step.place, after.place) if place != _UNPLACED]
-            self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), _UNPLACED)
-            self._fix(pose, step.before, Odometry(relative, step.motion.cov))
+            gone += [factor for factor in (step.factor, after.factor) if factor != _UNSOLVED]
+            self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), _UNSOLVED)
+            # The pose has at most the uncertainty of the motion from its anchor.
+            self._relative[pose] = step.before, Odometry(relative, step.motion.cov)
+            self._gone.extend((pose, step.before))
+            self._motions.extend(relative.array())
         out = set(poses)
         self._spare = [pose for pose in self._spare if pose not in out]
         followers = [pose + 1 for pose in poses if pose + 1 not in out]
-        factors = [self._factor_to(pose, with_wheels) for pose in followers]
+        to_followers = [(self._steps[pose], X(pose)) for pose in followers]
+        factors = [motion_factor(X(step.before), key, step.motion, with_wheels) for step, key in to_followers]
         return Joined(gone, followers, factors)
-
-    def _fix(self, pose: int, anchor: int, relative: Odometry) -> None:
-        n = len(self._relative)
-        if n == len(self._gone):
-            self._gone = np.concatenate([self._gone, np.zeros_like(self._gone)])
-            self._motions = np.concatenate([self._motions, np.zeros_like(self._motions)])
-        self._gone[n], self._motions[n] = (pose, anchor), relative.motion.array()
-        # The pose has at most the uncertainty of the motion from its anchor.
-        self._relative[pose] = anchor, relative
-
-    def _factor_to(self, pose: int, with_wheels: bool) -> gtsam.NonlinearFactor:
-        step = self._steps[pose]
-        return motion_factor(X(step.before), X(pose), step.motion, with_wheels)
 
     def check_takeable(self, poses: Sequence[int]) -> None:
         """Raise KeyError for a pose that cannot be taken out."""
-        n = len(self._relative)
-        least = int(self._gone[n - 1, 0]) if n else 0
+        least = self._gone[-2] if self._gone else 0
         for pose in poses:
             if pose <= least or pose not in self._steps or pose + 1 not in self._steps:
                 raise KeyError(f"updates: found {pose}, allowed: ascending, after {least}, and before the last")
             least = pose
 
-    def placed(self, poses: Sequence[int], places: Sequence[int]) -> None:
-        """Take in the places of the factors of the motions to some poses."""
-        for pose, place in zip(poses, places, strict=True):
-            self._steps[pose] = self._steps[pose]._replace(place=place)
+    def solved(self, poses: Sequence[int], factors: Sequence[int]) -> None:
+        """Take in the numbers of the factors of the motions to some poses."""
+        for pose, factor in zip(poses, factors, strict=True):
+            self._steps[pose] = self._steps[pose]._replace(factor=factor)
 
     def anchored(self, pose: int) -> tuple[int, Odometry]:
         """The pose in the graph that a pose is fixed to, itself if it was not taken out, and where it is from there."""
@@ -137,18 +126,12 @@ class Chain:
         back = to_after if to_after is STANDSTILL else to_after.inverse()
         return Link(before, after, to_before.then(link.relative).then(back), link.loss_scale)
 
-    def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
-        """Renumber the factors: those at the places `before` are now at `after`."""
-        moved = dict(zip(before, after, strict=True))
-        self._steps = {k: step._replace(place=moved.get(step.place, _UNPLACED)) for k, step in self._steps.items()}
-
     def all_poses(self, kept: Array) -> Array:
         """(K, 3) all poses, of those (m, 3) that are in the graph."""
-        n = len(self._relative)
-        if not n:
+        if not self._gone:
             return kept
-        (gone, anchors), relative = self._gone[:n].T, self._motions[:n]
-        poses = np.empty((len(kept) + n, 3))
+        (gone, anchors), relative = np.array(self._gone).reshape(-1, 2).T, np.array(self._motions).reshape(-1, 3)
+        poses = np.empty((len(kept) + len(gone), 3))
         is_kept = np.ones(len(poses), dtype=np.bool_)
         is_kept[gone] = False
         poses[is_kept] = kept

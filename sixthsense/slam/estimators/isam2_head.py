@@ -10,12 +10,11 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
-from sixthsense.slam.estimators.checks import check_sensor, check_wheels
+from sixthsense.slam.estimators.base import check_parameters
+from sixthsense.slam.estimators.isam2_calibration import SENSOR, WHEELS, parameters_factor
 from sixthsense.slam.estimators.isam2_factors import to_pose
-from sixthsense.slam.estimators.isam2_sensor import SENSOR, sensor_factor
 from sixthsense.slam.estimators.isam2_solver import Solver
 from sixthsense.slam.estimators.isam2_state import Unsolved
-from sixthsense.slam.estimators.isam2_wheels import KEY, prior_factor
 
 
 class Head:
@@ -37,9 +36,9 @@ class Head:
 
     def add_wheels(self, prior: WheelEstimate, unsolved: Unsolved, has_begun: bool) -> None:
         """Add the wheels' parameters; RuntimeError if the estimator has begun."""
-        check_wheels(prior, self.wheels is not None or has_begun)
-        unsolved.values.insert(KEY, prior.values.array())
-        unsolved.graph.add(prior_factor(prior))
+        check_parameters("wheels", prior, self.wheels is not None or has_begun)
+        unsolved.values.insert(WHEELS, prior.values.array())
+        unsolved.graph.add(parameters_factor(WHEELS, prior))
         self.wheels, self._cov = prior.values, block_diag(self._cov, prior.cov)
 
     def wheel_estimate(self) -> WheelEstimate | None:
@@ -48,9 +47,9 @@ class Head:
 
     def add_sensor(self, prior: SensorEstimate, unsolved: Unsolved, has_begun: bool) -> None:
         """Add the sensor's parameters; RuntimeError if the estimator has begun."""
-        check_sensor(prior, self.sensor is not None or has_begun)
+        check_parameters("sensor", prior, self.sensor is not None or has_begun)
         unsolved.values.insert(SENSOR, prior.values.array())
-        unsolved.graph.add(sensor_factor(prior))
+        unsolved.graph.add(parameters_factor(SENSOR, prior))
         self.sensor, self._sensor_prior = prior.values, prior
 
     def sensor_estimate(self) -> SensorEstimate | None:
@@ -64,7 +63,7 @@ class Head:
         self._last, self._has_cov = last, False
         self.pose = to_pose(self._solver.isam.calculateEstimatePose2(last))
         if self.wheels is not None:
-            self.wheels = Wheels.from_array(self._solver.isam.calculateEstimateVector(KEY))
+            self.wheels = Wheels.from_array(self._solver.isam.calculateEstimateVector(WHEELS))
         if self.sensor is not None:
             self.sensor = Sensor.from_array(self._solver.isam.calculateEstimateVector(SENSOR))
 
@@ -89,7 +88,7 @@ class Head:
 
     def keys(self) -> list[int]:
         """Keys of the variables."""
-        return [self._last] if self.wheels is None else [self._last, KEY]
+        return [self._last] if self.wheels is None else [self._last, WHEELS]
 
     def to_world(self) -> Array:
         """From GTSAM's tangents of these variables to the axes of `cov`."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import gtsam
 import numpy as np
@@ -20,14 +20,14 @@ _ALONG_M = 1e-3  # sigma of the place of a wall's origin along the wall, which i
 
 
 class PriorFactor:
-    """The factor, its place in the graph, and what is left of the earlier landmarks."""
+    """The factor, its number, and what is left of the earlier landmarks."""
 
     def __init__(self) -> None:
         """Begin without landmarks."""
         self._prior: LandmarkPrior | None = None
         self._frames: dict[LandmarkId, Array] = {}
         """(3,) initial frame of each wall"""
-        self._place = -1
+        self._number = -1
 
     def start(self, prior: LandmarkPrior, solver: Solver, landmarks: Landmarks) -> None:
         """Add the landmarks to an empty solver, and to `landmarks`."""
@@ -44,24 +44,19 @@ class PriorFactor:
                 self._frames[i] = frames[k]
         landmarks.means = np.where(prior.walls[:, None], means, prior.landmarks)
         factor, values = self._factor(landmarks)
-        self._place = solver.update(_graph_of(factor), values)[0]
+        self._number = solver.update(_graph_of(factor), values)[0]
 
     def forget(self, ids: Collection[LandmarkId], solver: Solver, landmarks: Landmarks) -> None:
         """Leave the marginal covariance of the landmarks that are not in `ids`."""
         if self._prior is None or not np.isin(self._prior.ids, list(ids)).any():
             return
-        self._prior, gone = self._prior.without(ids), [self._place]
+        self._prior, gone = self._prior.without(ids), [self._number]
         if not len(self._prior.ids):
             self._prior = None
             solver.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), gone)
             return
         factor, _ = self._factor(landmarks)
-        self._place = solver.update(_graph_of(factor), gtsam.Values(), gone)[0]
-
-    def renumber(self, before: Sequence[int], after: Sequence[int]) -> None:
-        """Renumber the factors: those at the places `before`, ascending, are now at `after`."""
-        if self._prior is not None and self._place in before:
-            self._place = after[list(before).index(self._place)]
+        self._number = solver.update(_graph_of(factor), gtsam.Values(), gone)[0]
 
     def _factor(self, landmarks: Landmarks) -> tuple[gtsam.NonlinearFactor, gtsam.Values]:
         """The factor, and the earlier landmarks, about which it is quadratic.

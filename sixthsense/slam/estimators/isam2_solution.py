@@ -1,13 +1,19 @@
-"""The solver's present solution, read when it is asked for: reading all poses takes longer than most updates."""
+"""The present solution with its covariances, read when they are asked for: reading takes longer than most updates."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
+from scipy.linalg import block_diag
 
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.slam.estimators.isam2_chain import Chain
+from sixthsense.core.landmarks import LandmarkId, Observation
+from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.slam.estimators.isam2_chain import Chain, map_gain
 from sixthsense.slam.estimators.isam2_factors import to_pose
 from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_solver import Solver
@@ -23,18 +29,19 @@ class Solution:
     def __init__(self, solver: Solver, landmarks: Landmarks, head: Head, chain: Chain) -> None:
         """Begin without a solution."""
         self._solver, self._landmarks, self._head, self._chain = solver, landmarks, head, chain
-        self.count = 0
-        """of solutions so far"""
         self._poses: Array | None = np.zeros((0, 3))
         """all poses, once they were asked for"""
         self._in_graph = np.zeros((0, 3))
         self._has_read = True
         """whether poses and landmarks are those of the last solution"""
+        self._joint, self._pending = np.zeros((3, 3)), STANDSTILL
+        """the last joint covariance that was asked for, and the motion since the solution then"""
+        self._rows: dict[LandmarkId, int] = {}
+        """of the landmarks in it; none of an earlier solution"""
 
     def update(self, last: int) -> None:
         """Take in that there is a new solution, whose last pose has this key."""
-        self._has_read, self._poses = False, None
-        self.count += 1
+        self._has_read, self._poses, self._rows = False, None, {}
         self._head.update(last)
 
     def pose_at(self, k: int) -> Pose:
@@ -46,7 +53,7 @@ class Solution:
 
     def poses(self) -> Array:
         """(K, 3) all solved poses."""
-        self.read()
+        self._read()
         if self._poses is None:
             self._poses = self._chain.all_poses(self._in_graph)
         return self._poses
@@ -54,10 +61,43 @@ class Solution:
     def landmarks(self) -> Landmarks:
         """The landmarks with their present means."""
         if self._landmarks.keys or len(self._landmarks.means):
-            self.read()
+            self._read()
         return self._landmarks
 
-    def read(self) -> None:
+    def joint_covariance(self, ids: Sequence[LandmarkId], pending: Odometry) -> Array:
+        """(3 + 2k, 3 + 2k) of the pose after a motion since the solution and of the landmarks; KeyError for others."""
+        landmarks, cov = self.landmarks(), self._head.cov()
+        keys = [landmarks.keys[i] for i in ids]
+        if not keys:
+            return self._head.propagated(cov, pending)
+        # GTSAM answers in the order of the query, each variable in its own tangent.
+        to_world, of_head = [landmarks.by_tangent[i] for i in ids], self._head.is_solved
+        joint = self._solver.joint_covariance([*self._head.keys(), *keys] if of_head else keys)
+        to_axes = block_diag(*([self._head.to_world()] if of_head else []), *to_world)
+        joint = to_axes @ joint @ to_axes.T
+        if not of_head:  # landmarks of an earlier run, and the start
+            joint = block_diag(cov, joint)
+        joint[: len(cov), : len(cov)] = cov
+        joint = self._head.propagated(0.5 * (joint + joint.T), pending)
+        self._joint, self._pending = joint.copy(), pending
+        self._rows = {i: 3 + 2 * k for k, i in enumerate(ids)}
+        return joint
+
+    def map_gain(self, pose: Pose, observations: Mapping[LandmarkId, Observation], pending: Odometry) -> float:
+        """What observations of known landmarks from the pose after a motion say of these in the mean, nats.
+
+        Infinite where nobody has asked for their joint covariance: who matches observations has, and for the gain alone
+        it would cost too much.
+        """
+        if self._pending is not pending or not self._rows.keys() >= observations.keys():
+            return math.inf
+        asked = np.concatenate([np.arange(3), *(self._rows[i] + np.arange(2) for i in observations)])
+        landmarks, joint = self.landmarks(), self._joint[np.ix_(asked, asked)]
+        row = {i: k for k, i in enumerate(landmarks.keys)}
+        rows = [row[i] for i in observations]
+        return map_gain(pose, joint, landmarks.means[rows], landmarks.walls()[rows], list(observations.values()))
+
+    def _read(self) -> None:
         """Read poses and landmarks from the solver, if they are not those of the last solution."""
         if self._has_read:
             return

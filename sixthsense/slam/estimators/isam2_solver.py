@@ -19,20 +19,23 @@ class Solver:
     """Solves with Cholesky factorization until that fails, next to a certain start or among very different sigmas.
 
     From then on the same factors are in a solver that uses QR. Cholesky takes a third of the time, since QR stacks all
-    factors of walls that are seen from everywhere.
+    factors of walls that are seen from everywhere. A factor keeps the number that it was given.
     """
 
-    def __init__(self, config: ISAM2Config, on_renumber: Callable[[Sequence[int], Sequence[int]], None]) -> None:
-        """Start empty; `on_renumber` is called with factors' places before, ascending, and after a change."""
+    def __init__(self, config: ISAM2Config) -> None:
+        """Start empty."""
         self.isam = gtsam.ISAM2(solver_parameters(config))
         """for reading estimates"""
-        self._config, self._on_renumber = config, on_renumber
-        self._by_qr = False
+        self._config, self._by_qr = config, False
+        self._places: dict[int, int] = {}
+        """in the graph of the solver that uses QR, of factors by number that the first solver had"""
+        self._ahead = 0
+        """by how much the number of a later factor exceeds its place"""
 
     def update(
         self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, gone: Sequence[int] = (), last: int | None = None
     ) -> list[int]:
-        """Add factors and values, remove the factors at the places `gone`, and solve; the places of the new factors.
+        """Add factors and values, remove the factors `gone`, and solve; the numbers of the new factors, ascending.
 
         The variable with the key `last` is eliminated last, so that its covariance costs little; by default those of
         the new factors are. Raises RuntimeError when QR finds no solution either.
@@ -43,12 +46,13 @@ class Solver:
             groups.insert2(last, 1)
             extra.push_back(last)
         try:
-            result = self.isam.update(graph, values, list(gone), groups, None, extra)
-            return list(result.getNewFactorsIndices())
+            places = [self._places.get(factor, factor - self._ahead) for factor in gone]
+            result = self.isam.update(graph, values, places, groups, None, extra)
+            return [place + self._ahead for place in result.getNewFactorsIndices()]
         except RuntimeError:
             # Before it fails the solver has added the new factors to its graph and removed the old ones.
-            places = self._switch_to_qr()
-            return places[len(places) - graph.size() :]
+            count = self._switch_to_qr()
+            return list(range(count - graph.size(), count))
 
     def iterate(self, count: int = 1) -> None:
         """Solve again from the present solution."""
@@ -80,22 +84,24 @@ class Solver:
             self._switch_to_qr()
             return query()
 
-    def _switch_to_qr(self) -> list[int]:
-        """Move all factors to a solver that uses QR; their new places."""
+    def _switch_to_qr(self) -> int:
+        """Move all factors to a solver that uses QR; how many there were so far, removed ones included."""
         if self._by_qr:
             raise RuntimeError("the factor graph has no solution")
         self._by_qr = True
         factors, values = self.isam.getFactorsUnsafe(), gtsam.Values(self.isam.getLinearizationPoint())
-        kept = [k for k in range(factors.size()) if factors.at(k) is not None]
+        count = int(factors.size())
+        kept = [k for k in range(count) if factors.at(k) is not None]
         graph = gtsam.NonlinearFactorGraph()
         for k in kept:
             graph.add(factors.at(k))
         self.isam = gtsam.ISAM2(solver_parameters(self._config, "QR"))
-        places = list(self.isam.update(graph, values).getNewFactorsIndices())
-        self._on_renumber(kept, places)
+        self.isam.update(graph, values)
+        self._places = {factor: place for place, factor in enumerate(kept)}
+        self._ahead = count - len(kept)
         for _ in range(self._config.iterations):
             self.isam.update()
-        return places
+        return count
 
 
 def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "QR"] = "CHOLESKY") -> gtsam.ISAM2Params:

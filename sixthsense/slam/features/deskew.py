@@ -4,6 +4,10 @@ Beam i of a sweep starts from the robot's pose at the beam's own time. Odometry 
 the scan's stamp; over a tenth of a second its error is far below the laser's. The result is a scan of one instant, with
 bearings that are no longer evenly spaced. Its beams start at the laser's pose at the stamp. This is exact for their
 ends; the cells that they cross are off by the robot's own motion, through free space.
+
+The motion from a beam's time to the scan's stamp is as uncertain as odometry is over that lag: a random walk, whose
+covariance grows with the lag. All observations of a scan share that error, but an estimator takes them as independent:
+with F of them the pose would be overconfident by a factor of F. So the share of each is multiplied by F.
 """
 
 from __future__ import annotations
@@ -12,12 +16,14 @@ import dataclasses
 import itertools
 import math
 from collections import deque
+from collections.abc import Sequence
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, interpolated
+from sixthsense.core.landmarks import Observation, initialize_landmark, line_point
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.source import ControlTicks
@@ -72,6 +78,24 @@ class Deskewer:
             if stamps_s[-1] <= begin_s:
                 break
         return np.array(stamps_s[::-1]), np.array(poses[::-1]), whole
+
+
+def add_sweep_noise(observations: Sequence[Observation], scan: Scan) -> tuple[Observation, ...]:
+    """Observations (robot's frame) with the noise of the scan's sweep; unchanged where the scan was not de-skewed."""
+    if scan.sweep is None or not observations:
+        return tuple(observations)
+    cov = len(observations) * scan.sweep.cov
+    bearings = scan.bearings
+    out = []
+    for observation in observations:
+        middle = 0.5 * (observation.extent[0] + observation.extent[1])
+        seen = line_point(observation.z, middle) if observation.is_wall else observation.z
+        x, y = scan.T_robot_laser.inverse() @ seen
+        bearing = bearings[0] + (math.atan2(y, x) - bearings[0]) % (2.0 * math.pi)
+        lag = float(np.interp(bearing, bearings, scan.sweep.lags))
+        _, by_motion, _ = initialize_landmark(Pose(), observation)  # (2, 3) by a motion of the robot's frame
+        out.append(dataclasses.replace(observation, cov=observation.cov + lag * by_motion @ cov @ by_motion.T))
+    return tuple(out)
 
 
 def _without_overlap(directions: Array, scan: Scan) -> tuple[slice, bool]:

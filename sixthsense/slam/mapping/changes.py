@@ -1,11 +1,22 @@
-"""Where a map has changed, for readers that keep something up to date."""
+"""Boxes of cells, and where a map has changed, for readers that keep something up to date."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError
+from sixthsense.core.geometry import Array
+
+MAX_CELLS = 100_000_000
+"""Largest grid; more cells come from a wrong pose or range, or from too small a cell."""
+MIN_GROWTH = 64
+"""The box of a grid grows by at least this many cells on a side."""
+MAX_BOX = 1_000_000_000
+"""Cells of the largest box; more come from a wrong pose or range, or from too small a cell."""
 
 Revision = tuple[int, int]
 """State of a map, to ask later what has changed since."""
@@ -50,6 +61,38 @@ def box_of(cells: NDArray[np.int64]) -> Box:
     return Box(top, left, bottom + 1, right + 1)
 
 
+def cell_box(low: Array, high: Array, most: int = MAX_CELLS) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive; both whole numbers.
+
+    Raises InputError when they are more than `most`, or so far out that floats no longer tell them apart.
+    """
+    height, width = high - low
+    if not (height * width <= most and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
+        raise InputError(
+            f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
+            f"allowed: at most {most:,} cells, within 2^48 of the origin"
+        )
+    return (int(low[0]), int(low[1])), (int(height), int(width))
+
+
+def grown_box(box: Box, low: Array, high: Array) -> Box:
+    """The box extended to hold the cells from (2,) `low` up to `high`, exclusive; InputError if that is too large."""
+    old_low, old_high = np.full(2, np.inf), np.full(2, -np.inf)
+    if box.bottom > box.top:
+        old_low, old_high = (np.array(corner, dtype=np.float64) for corner in (box[:2], box[2:]))
+    if (low >= old_low).all() and (high <= old_high).all():
+        return box
+    # A side that must move moves by at least a quarter of the extent, so that masks are seldom drawn anew.
+    all_low, all_high = np.minimum(low, old_low), np.maximum(high, old_high)
+    step = np.maximum(MIN_GROWTH, (all_high - all_low) // 4)
+    roomy_low = np.where(low < old_low, low - step, old_low)
+    roomy_high = np.where(high > old_high, high + step, old_high)
+    if np.prod(roomy_high - roomy_low) <= MAX_CELLS:
+        all_low, all_high = roomy_low, roomy_high
+    (row, col), (height, width) = cell_box(all_low, all_high, MAX_BOX)
+    return Box(row, col, row + height, col + width)
+
+
 class Changes:
     """The boxes in which a map has changed, one for each scan."""
 
@@ -80,3 +123,38 @@ class Changes:
             return Box(0, 0, 0, 0)
         tops, lefts, bottoms, rights = zip(*boxes, strict=True)
         return Box(min(tops), min(lefts), max(bottoms), max(rights))
+
+
+class Masks(NamedTuple):
+    """Masks of a grid, (H, W), read-only: snapshots are made of them without a copy."""
+
+    box: Box
+    revision: Revision
+    seen: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
+    """by the inflation of an obstacle"""
+
+
+def masks_of(
+    part: Callable[[Literal["cover", "seen"], Box], NDArray[Any]],
+    changes: Changes,
+    box: Box,
+    reach: int,
+    drawn: Masks | None,
+) -> Masks:
+    """The masks of a box of cells, from those that were drawn before; `reach` is of the inflation.
+
+    `part` gives (H, W) what is kept of the cells in a box.
+    """
+    if drawn is not None and (drawn.box, drawn.revision) == (box, changes.revision):
+        return drawn
+    since = changes.since(drawn.revision) if drawn is not None and drawn.box == box else None
+    if drawn is None or since is None:
+        seen, covered = part("seen", box), part("cover", box) > 0
+    else:
+        rows, cols = since.grown(reach).within((box.top, box.left), drawn.seen.shape)
+        changed = Box(box.top + rows.start, box.left + cols.start, box.top + rows.stop, box.left + cols.stop)
+        seen, covered = drawn.seen.copy(), drawn.covered.copy()
+        seen[rows, cols], covered[rows, cols] = part("seen", changed), part("cover", changed) > 0
+    seen.flags.writeable = covered.flags.writeable = False
+    return Masks(box, changes.revision, seen, covered)

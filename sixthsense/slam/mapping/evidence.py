@@ -77,32 +77,24 @@ class ScanCells(NamedTuple):
     """(2 W, 2) both ends of each fitted wall"""
 
 
-def line_cells(r0: int, c0: int, r1: int, c1: int) -> NDArray[np.int64]:
-    """The (N, 2) cells (row, col) of Bresenham's line from (r0, c0) to (r1, c1), both ends included."""
-    width = abs(c1 - c0) + 1
-    cells = np.empty(max(abs(r1 - r0), width - 1) + 1, dtype=np.int64)
-    row, col = min(r0, r1), min(c0, c1)
-    _line(r0 - row, c0 - col, r1 - row, c1 - col, width, cells)
-    return np.stack([cells // width + row, cells % width + col], axis=1)
-
-
 @numba.njit(cache=True, error_model="numpy")
-def _line(r0: int, c0: int, r1: int, c1: int, width: int, cells: NDArray[np.int64]) -> int:
-    """Fill `cells` with the flat indices, row * `width` + col, of Bresenham's line; returns how many."""
+def line_places(r0: int, c0: int, r1: int, c1: int) -> Places:
+    """(N,) places of Bresenham's line from the cell (r0, c0) to (r1, c1), both ends included."""
     down, across = abs(r1 - r0), abs(c1 - c0)
-    row_step, col_step = width if r1 > r0 else -width, 1 if c1 > c0 else -1
+    row_step, col_step = ROW if r1 > r0 else -ROW, 1 if c1 > c0 else -1
     major, minor, major_step, minor_step = across, down, col_step, row_step
     if down > across:
         major, minor, major_step, minor_step = down, across, row_step, col_step
-    cell, error = r0 * width + c0, major // 2
+    places = np.empty(major + 1, dtype=np.int64)
+    place, error = r0 * ROW + c0, major // 2
     for k in range(major + 1):
-        cells[k] = cell
-        cell += major_step
+        places[k] = place
+        place += major_step
         error -= minor
         if error < 0:
-            cell += minor_step
+            place += minor_step
             error += major
-    return major + 1
+    return places
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -113,13 +105,13 @@ def touched_squares(scan: ScanCells, reach: int, first: tuple[int, int], squares
     """
     laser, ends, walls = scan.laser, scan.ends, scan.walls
     for i in range(len(ends)):
-        line = _places(laser[0], laser[1], ends[i, 0], ends[i, 1])
+        line = line_places(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for place in line:
             squares[(place >> (32 + SHIFT)) - first[0], ((place & 0xFFFFFFFF) >> SHIFT) - first[1]] = True
         if scan.returned[i]:
             _mark_around(squares, ends[i, 0] - (first[0] << SHIFT), ends[i, 1] - (first[1] << SHIFT), reach)
     for j in range(0, len(walls), 2):
-        for place in _places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
+        for place in line_places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
             row, col = (place >> 32) - (first[0] << SHIFT), (place & 0xFFFFFFFF) - (first[1] << SHIFT)
             _mark_around(squares, row, col, reach)
 
@@ -129,14 +121,6 @@ def _mark_around(squares: Bools, row: int, col: int, reach: int) -> None:
     for r in range((row - reach) >> SHIFT, ((row + reach) >> SHIFT) + 1):
         for c in range((col - reach) >> SHIFT, ((col + reach) >> SHIFT) + 1):
             squares[r, c] = True
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _places(r0: int, c0: int, r1: int, c1: int) -> Places:
-    """The places of Bresenham's line."""
-    line = np.empty(max(abs(r1 - r0), abs(c1 - c0)) + 1, dtype=np.int64)
-    _line(r0, c0, r1, c1, ROW, line)
-    return line
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -166,10 +150,10 @@ def count_scan(cells: Cells, index: Index, scan: ScanCells, number: int, stencil
         if returned[i]:
             _hit(cells, index, place, hit, stencil, rules)
     for j in range(0, len(walls), 2):
-        for place in _places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
+        for place in line_places(walls[j, 0], walls[j, 1], walls[j + 1, 0], walls[j + 1, 1]):
             _hit(cells, index, place, hit, stencil, rules)
     for i in range(len(ends)):
-        line = _places(laser[0], laser[1], ends[i, 0], ends[i, 1])
+        line = line_places(laser[0], laser[1], ends[i, 0], ends[i, 1])
         for place in line[: len(line) - 1] if returned[i] else line:
             cell = slot(index, place)
             if cells.stamp[cell] == passed:

@@ -10,11 +10,9 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
+from sixthsense.slam.mapping.changes import cell_box
 
-MAX_CELLS = 100_000_000
-"""Largest grid; more cells come from a wrong pose or range, or from too small a cell."""
 TOUCH = 1e-9
 """Tolerance of geometric tests, in cells: a corner that is just touched counts as touched."""
 
@@ -177,20 +175,6 @@ def frozen(mask: Bools) -> Bools:
     array = np.array(mask, dtype=np.bool_)
     array.flags.writeable = False
     return array
-
-
-def cell_box(low: Array, high: Array, most: int = MAX_CELLS) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Corner (row, col) and shape (H, W) of the cells from (2,) `low` up to `high`, exclusive; both whole numbers.
-
-    Raises InputError when they are more than `most`, or so far out that floats no longer tell them apart.
-    """
-    height, width = high - low
-    if not (height * width <= most and max(np.abs(low).max(), np.abs(high).max()) < 2.0**48):
-        raise InputError(
-            f"grid: found {height:.4g} x {width:.4g} cells from row {low[0]:.4g}, column {low[1]:.4g}, "
-            f"allowed: at most {most:,} cells, within 2^48 of the origin"
-        )
-    return (int(low[0]), int(low[1])), (int(height), int(width))
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -16,12 +16,10 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box, Changes, box_of
+from sixthsense.slam.mapping.changes import MAX_CELLS, Box, Changes, Masks, box_of, cell_box, grown_box, masks_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, touched_squares
-from sixthsense.slam.mapping.freespace import MAX_CELLS, Bools, Ellipse, FreeSpace, cell_box
-from sixthsense.slam.mapping.growth import grown_box
+from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
-from sixthsense.slam.mapping.masks import Masks, masks_of
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
 from sixthsense.slam.mapping.tiles import ROW, TILE, Places, Tiles
 
@@ -185,8 +183,12 @@ class Grid:
         """(H, W) the cells of a box that the inflation of an obstacle covers, with a margin as of `free_space`."""
         stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
         reach = int(stencil.max(initial=0))
-        obstacles = self.part("obstacles", box.grown(reach))
-        return np.asarray(stamped(obstacles, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
+        solid = self._solid(box.grown(reach))
+        return np.asarray(stamped(solid, stencil)[reach:, reach:][: box.bottom - box.top, : box.right - box.left])
+
+    def _solid(self, box: Box) -> Bools:
+        """(H, W) the cells of a box that are inflated."""
+        return self.part("obstacles", box)
 
     @property
     def changes(self) -> Changes:
@@ -243,11 +245,6 @@ class Grid:
         self._counted()
         return self._box.left * self._config.cell_m, self._box.top * self._config.cell_m
 
-    @property
-    def cells_in_memory(self) -> int:
-        """Cells for which there is room: those of all tiles, and some for the next ones."""
-        return len(self._counted().hits)
-
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
         return np.where(self.obstacles, 100, np.where(self.seen, 0, -1)).astype(np.int8)
@@ -256,7 +253,7 @@ class Grid:
         """Seen cells and inflation of the whole map; kept, and drawn again where it has changed."""
         self._counted()
         self._check_size()
-        self._drawn = masks_of(self, self._box, self._reach, self._drawn)
+        self._drawn = masks_of(self.part, self._changes, self._box, self._reach, self._drawn)
         return self._drawn
 
     def _whole(self, name: Literal["hits", "passes", "cover", "seen", "obstacles"]) -> NDArray[Any]:

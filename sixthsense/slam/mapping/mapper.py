@@ -14,7 +14,7 @@ from sixthsense.slam.mapping.changes import Box, box_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import disc, disc_cells, marked, stamped
+from sixthsense.slam.mapping.inflation import disc, disc_cells, marked
 from sixthsense.slam.mapping.submap import Submap, weakened
 from sixthsense.slam.mapping.tiles import TILE
 
@@ -60,15 +60,10 @@ class DrawnGrid(Grid):
         super().clear()
         self._passing = self._passing[:0]
 
-    def inflated(self, box: Box, margin_m: float) -> Bools:
-        """As of any grid, with the bodies."""
-        blocked = super().inflated(box, margin_m)
-        if not len(self._passing):
-            return blocked
-        stencil = disc(max(self._inflation + margin_m / self._config.cell_m, 0.0))
-        reach = int(stencil.max(initial=0))
-        bodies = marked(box.grown(reach), self._passing)
-        return np.asarray(blocked | stamped(bodies, stencil)[reach:, reach:][: blocked.shape[0], : blocked.shape[1]])
+    def _solid(self, box: Box) -> Bools:
+        """Obstacles, and the bodies."""
+        obstacles = super()._solid(box)
+        return obstacles | marked(box, self._passing) if len(self._passing) else obstacles
 
     def complete(self) -> None:
         """Draw what is due for the last time."""

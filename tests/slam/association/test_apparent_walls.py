@@ -22,20 +22,18 @@ def footprint(first, last, robot=(0.0, -2.0)):
     return Footprint.of(Pose(*robot, 0.0), np.array([[first, 0.0], [last, 0.0]]))
 
 
-def test_the_same_stretch_from_the_same_place_has_the_same_error():
-    assert correlation(footprint(-1.0, 1.0), footprint(-1.0, 1.0)) == 1.0
-
-
-def test_stretches_that_do_not_overlap_have_errors_of_their_own():
-    assert correlation(footprint(-1.0, 1.0), footprint(1.5, 3.0)) == 0.0
-
-
-def test_what_is_seen_of_both_counts():
-    assert correlation(footprint(-1.0, 1.0), footprint(0.0, 2.0, (1.0, -2.0))) == pytest.approx(1.0 / 3.0)
-
-
-def test_the_other_side_of_a_wall_has_an_error_of_its_own():
-    assert correlation(footprint(-1.0, 1.0), footprint(-1.0, 1.0, (0.0, 2.0))) < 1e-6
+@pytest.mark.parametrize(
+    ("one", "other", "expected"),
+    [
+        (footprint(-1.0, 1.0), footprint(-1.0, 1.0), 1.0),
+        (footprint(-1.0, 1.0), footprint(1.5, 3.0), 0.0),
+        (footprint(-1.0, 1.0), footprint(0.0, 2.0, (1.0, -2.0)), 1.0 / 3.0),
+        (footprint(-1.0, 1.0), footprint(-1.0, 1.0, (0.0, 2.0)), 0.0),
+    ],
+    ids=["same", "no overlap", "overlap", "other side"],
+)
+def test_an_error_of_shape_stays_for_what_both_observations_see_from_one_side(one, other, expected):
+    assert correlation(one, other) == pytest.approx(expected, abs=1e-6)
 
 
 def wall_from(pose, cov):

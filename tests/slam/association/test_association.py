@@ -47,23 +47,23 @@ def test_known_landmarks_are_matched_in_any_order():
         assert math.dist(estimate.pose @ observation.z, POINTS[i]) < 0.2
 
 
-def test_a_far_observation_is_new_and_an_ambiguous_one_is_discarded():
-    estimator, associator = known(AssociationConfig(new_separation_m=0.0))
-    sigma = 0.02 * math.sqrt(2)  # of the innovation
-    new, doubtful, near = (POINTS[0] + [k * sigma, 0.0] for k in (12.0, 4.5, 1.0))
-    for point, matched, born in ((new, 0, 1), (doubtful, 0, 0), (near, 1, 0)):
-        found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
-        assert (found.dof // 2, len(found.observations) - found.dof // 2) == (matched, born)
-        assert found.discarded == 1 - matched - born
-
-
-def test_the_reports_thresholds_are_on_the_squared_mahalanobis_distance():
-    estimator, associator = known(REPORT)
-    sigma = 0.02 * math.sqrt(2)
-    for squared, matched, born in ((19.0, 1, 0), (21.0, 0, 0), (199.0, 0, 0), (201.0, 0, 1)):
-        point = POINTS[0] + [math.sqrt(squared) * sigma, 0.0]
-        found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
-        assert (found.dof // 2, len(found.observations) - found.dof // 2) == (matched, born)
+@pytest.mark.parametrize(
+    ("config", "squared", "expected"),
+    [
+        *(
+            (AssociationConfig(new_separation_m=0.0), k**2, n)
+            for k, n in ((1.0, (1, 0)), (4.5, (0, 0)), (12.0, (0, 1)))
+        ),
+        *((REPORT, k, n) for k, n in ((19.0, (1, 0)), (21.0, (0, 0)), (199.0, (0, 0)), (201.0, (0, 1)))),
+    ],
+)
+def test_a_near_observation_is_matched_a_far_one_is_new_and_an_ambiguous_one_is_discarded(config, squared, expected):
+    """By the squared Mahalanobis distance, as in the report."""
+    estimator, associator = known(config)
+    point = POINTS[0] + [0.02 * math.sqrt(2 * squared), 0.0]
+    found = associator.associate([Observation(Kind.END, point, np.eye(2) * 4e-4)], estimator)
+    assert (found.dof // 2, len(found.observations) - found.dof // 2) == expected
+    assert found.discarded == 1 - sum(expected)
 
 
 def test_two_observations_are_never_of_one_landmark():

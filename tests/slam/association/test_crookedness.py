@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from scanned import look
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark, innovations, predict_walls
-from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
 
@@ -101,8 +100,7 @@ def nis_of_neighbours(walls, seeds):
         seen = []
         crookedness = Crookedness()
         for pose in poses:
-            ranges = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
-            scan = Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), config.laser)
+            scan = look(pose, walls, config.laser, 0.01, rng)
             found = extract(scan, config.assumed, config.features, rng).observations
             seen.append([s for s in found if s.is_wall])
             for observation in seen[-1]:

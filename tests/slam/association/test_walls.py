@@ -5,13 +5,13 @@ import math
 import gtsam
 import numpy as np
 import pytest
+from laws.nees import error_of, normalised
+from scanned import box, look
 
-from sixthsense.config import AssociationConfig, ISAM2Config, LaserConfig, preset
-from sixthsense.core.geometry import Pose, rotation, wrap_angle
-from sixthsense.core.landmarks import Kind, Observation, initialize_landmark, predict_walls, translated
-from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.config import AssociationConfig, preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.core.motion import Odometry
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
@@ -21,16 +21,12 @@ from sixthsense.slam.estimators import ESTIMATORS, make_estimator
 from sixthsense.slam.estimators.isam2_walls import lines, measurement
 from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
+from sixthsense.testing.estimation import joint_state
 
 WALLS = np.array([[0.0, -4.0], [math.pi / 2, -3.0], [3.0, -5.0], [-math.pi / 2, -4.5], [0.7, -6.0], [2.4, -5.0]])
+ROOM = box(-3, -2, 6, 4)
 COV = np.array([[4e-5, 1e-5], [1e-5, 1e-4]])
 STEP = Odometry(Pose(0.2, 0.0, 0.1), np.diag([2e-4, 1e-4, 1e-4]))
-CONVERGED = ISAM2Config(relinearize_threshold=1e-9, iterations=5)
-
-
-@pytest.fixture(params=ESTIMATORS)
-def name(request):
-    return request.param
 
 
 def sight(pose, ids, rng=None, walls=WALLS):
@@ -39,144 +35,7 @@ def sight(pose, ids, rng=None, walls=WALLS):
     return {i: Observation(Kind.WALL, z[k] + noise[k], COV, (-1.0, 1.5)) for k, i in enumerate(ids)}
 
 
-def driven(name, steps=10, transform=None, seed=0):
-    """An estimator after a short drive that observes walls, and the true pose; the world moved by `transform`."""
-    T, start, rng = transform or Pose(), Pose(0.3, -0.2, 0.4), np.random.default_rng(seed)
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(T.theta)
-    cov = np.diag([0.002, 0.003, 0.001])
-    estimator, true = make_estimator(name, T @ start, turn @ cov @ turn.T, CONVERGED), start
-    for k in range(steps):
-        estimator.predict(STEP)
-        true = true @ STEP.motion
-        estimator.update(sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng))
-    return estimator, T @ true
-
-
-def everything(estimator):
-    estimate = estimator.estimate()
-    return estimate, estimator.joint_covariance(estimate.ids.tolist())
-
-
-def differences(function, at, step=1e-6):
-    columns = []
-    for k in range(len(at)):
-        ahead, behind = at.copy(), at.copy()
-        ahead[k] += step
-        behind[k] -= step
-        columns.append((function(ahead) - function(behind)) / (2 * step))
-    return np.column_stack(columns)
-
-
-@pytest.mark.parametrize("wall", WALLS)
-def test_jacobians_of_a_walls_observation_are_those_of_finite_differences(wall):
-    pose = Pose(1.2, -0.7, 0.9)
-    _, by_pose, by_wall = predict_walls(pose, wall[None])
-    assert np.allclose(by_pose[0], differences(lambda x: predict_walls(Pose(*x), wall[None])[0][0], pose.array()))
-    assert np.allclose(by_wall[0], differences(lambda w: predict_walls(pose, w[None])[0][0], wall))
-    z = predict_walls(pose, wall[None])[0][0]
-    mean, by_pose, by_z = initialize_landmark(pose, Observation(Kind.WALL, z, COV))
-    assert np.allclose([wrap_angle(mean[0] - wall[0]), mean[1] - wall[1]], 0.0, atol=1e-12)
-    there = lambda x, z: initialize_landmark(Pose(*x), Observation(Kind.WALL, z, COV))[0]  # noqa: E731
-    assert np.allclose(by_pose, differences(lambda x: there(x, z), pose.array()), atol=1e-8)
-    assert np.allclose(by_z, differences(lambda z: there(pose.array(), z), z), atol=1e-8)
-    moved, jacobian = translated(wall[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))
-    shift = lambda w: translated(w[None], np.ones(1, dtype=bool), np.array([[3.0, -8.0]]))[0][0]  # noqa: E731
-    assert np.allclose(jacobian[0], differences(shift, wall)) and np.allclose(moved[0], shift(wall))
-
-
-def test_a_new_wall_is_initialized_where_it_was_observed(name):
-    estimator, _ = driven(name)
-    estimator.predict(STEP)
-    before = estimator.estimate()
-    observation = Observation(Kind.WALL, np.array([2.0, -3.0]), COV, (0.5, 2.0))
-    estimator.update({77: observation})
-    after, (mean, by_pose, by_z) = estimator.estimate(), initialize_landmark(before.pose, observation)
-    assert after.ids[-1] == 77 and after.walls.all() and np.allclose(after.landmarks[-1], mean, atol=1e-9)
-    joint = estimator.joint_covariance([77])
-    expected = by_pose @ before.pose_cov @ by_pose.T + by_z @ COV @ by_z.T
-    # The smoother fixes the wall's frame along the wall by a factor with a large sigma.
-    assert np.allclose(joint[3:, 3:], expected, rtol=1e-4, atol=1e-7)
-    assert np.allclose(joint[3:, :3], by_pose @ before.pose_cov, rtol=1e-4, atol=1e-7)
-
-
-def test_a_wall_with_zero_innovation_changes_no_mean_and_increases_no_variance(name):
-    estimator, _ = driven(name)
-    estimator.predict(STEP)
-    before, cov = everything(estimator)
-    z, _, _ = predict_walls(before.pose, before.landmarks[[0, 3]])
-    ids = before.ids[[0, 3]].tolist()
-    estimator.update({i: Observation(Kind.WALL, z[k], COV, (-1.0, 1.0)) for k, i in enumerate(ids)})
-    after, cov_after = everything(estimator)
-    assert np.allclose(before.pose.array(), after.pose.array(), atol=1e-7)
-    # The smoother's factor depends on the estimated wall frame, which moves a little with each solution.
-    assert np.linalg.eigvalsh(cov - cov_after).min() > (-1e-5 if name == "isam2" else -1e-8)
-
-
-@pytest.mark.parametrize("transform", [Pose(0, 0, 2.5), Pose(40.0, -30.0, 0.0), Pose(-40.0, 7.0, -1.2)])
-def test_moving_the_world_moves_walls_with_it(name, transform):
-    (plain, cov), (moved, cov_moved) = everything(driven(name)[0]), everything(driven(name, transform=transform)[0])
-    assert np.allclose((transform @ plain.pose).position, moved.pose.position, atol=1e-6)
-    turned = plain.landmarks + np.array([transform.theta, 0.0])
-    expected, jacobian = translated(
-        turned, np.ones(len(turned), dtype=bool), np.tile(transform.position, (len(turned), 1))
-    )
-    assert np.allclose(wrap_angle(expected[:, 0] - moved.landmarks[:, 0]), 0.0, atol=1e-6)
-    assert np.allclose(expected[:, 1], moved.landmarks[:, 1], atol=1e-5)
-    T = np.eye(len(cov))
-    T[:2, :2] = rotation(transform.theta)
-    for k, block in enumerate(jacobian):
-        T[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k] = block
-    assert np.allclose(T @ cov @ T.T, cov_moved, rtol=1e-3, atol=1e-6)
-
-
-@pytest.mark.parametrize("start_cov", [0.0, 1e-3])
-def test_the_smoother_has_the_pose_covariance_of_the_filter(start_cov):
-    """GTSAM's residual couples tangential and normal errors: tangential uncertainty must not affect the normal one."""
-    rng, true, start = np.random.default_rng(4), Pose(0.3, -0.2, 0.4), Pose(0.3, -0.2, 0.4)
-    filtered, smoothed = (make_estimator(n, start, start_cov * np.eye(3), ISAM2Config()) for n in ("ekf", "isam2"))
-    for k in range(12):
-        observations = sight(true, [0, 1, 4] if k % 2 else [1, 2, 3, 5], rng)
-        sigmas = []
-        for estimator in (filtered, smoothed):
-            estimator.update(observations)
-            sigmas.append(np.sqrt(np.diag(estimator.estimate().pose_cov)))
-            estimator.predict(STEP)
-        assert np.allclose(*sigmas, rtol=0.05, atol=1e-5)
-        true = true @ Pose.from_array(STEP.motion.array() + rng.multivariate_normal(np.zeros(3), STEP.cov))
-
-
-def test_forgetting_a_wall_leaves_the_others(name):
-    estimator, _ = driven(name)
-    before = estimator.estimate()
-    estimator.forget([before.ids[1]])
-    after, joint = everything(estimator)
-    assert after.ids.tolist() == np.delete(before.ids, 1).tolist()
-    assert np.linalg.eigvalsh(joint).min() > 0.0
-    if name != "isam2":
-        assert np.allclose(after.landmarks, np.delete(before.landmarks, 1, axis=0))
-
-
-def test_all_estimators_agree_on_walls_and_points_as_the_noise_goes_to_zero(name):
-    rng, scale = np.random.default_rng(1), 1e-6
-    estimator, true = make_estimator(name, Pose(), np.zeros((3, 3)), CONVERGED), Pose()
-    points = rng.uniform(-4, 4, (4, 2))
-    for _ in range(30):
-        true = true @ Pose.from_array(STEP.motion.array() + scale * rng.standard_normal(3))
-        estimator.predict(Odometry(STEP.motion, scale**2 * np.eye(3)))
-        z = predict_walls(true, WALLS)[0] + scale * rng.standard_normal(WALLS.shape)
-        seen = {k: Observation(Kind.WALL, row, scale**2 * np.eye(2), (-1.0, 1.0)) for k, row in enumerate(z)}
-        for k, point in enumerate(points):
-            at = true.inverse() @ point + scale * rng.standard_normal(2)
-            seen[10 + k] = Observation(Kind.END, at, scale**2 * np.eye(2))
-        estimator.update(seen)
-    estimate = estimator.estimate()
-    assert np.allclose(estimate.pose.array(), true.array(), atol=1e-5)
-    assert np.allclose(wrap_angle(estimate.landmarks[:6, 0] - WALLS[:, 0]), 0.0, atol=1e-5)
-    assert np.allclose(estimate.landmarks[:6, 1], WALLS[:, 1], atol=1e-5)
-    assert np.allclose(estimate.landmarks[6:], points, atol=1e-5)
-
-
+@pytest.mark.parametrize("name", ESTIMATORS)
 def test_poses_and_walls_are_consistent_over_many_runs(name):
     """NEES of the pose (3) and of each wall (2) within 4 sigma of their mean over 60 runs."""
     pose, wall = [], []
@@ -188,24 +47,14 @@ def test_poses_and_walls_are_consistent_over_many_runs(name):
             true = true @ Pose.from_array(STEP.motion.array() + error)
             estimator.predict(STEP)
             estimator.update(sight(true, rng.choice(6, 3, replace=False), rng))
-        estimate, joint = everything(estimator)
-        e = estimate.pose.array() - true.array()
-        e[2] = wrap_angle(e[2])
-        pose.append(e @ np.linalg.solve(joint[:3, :3], e))
-        d = estimate.landmarks - WALLS[estimate.ids]
-        d[:, 0] = wrap_angle(d[:, 0])
-        blocks = [joint[a : a + 2, a : a + 2] for a in range(3, len(joint), 2)]
-        wall.append(np.mean([r @ np.linalg.solve(block, r) for r, block in zip(d, blocks, strict=True)]))
+        estimate, joint = joint_state(estimator)
+        error = error_of(estimate, true, WALLS)
+        pose.append(normalised(error[:3], joint[:3, :3]))
+        wall.append(
+            np.mean([normalised(error[a : a + 2], joint[a : a + 2, a : a + 2]) for a in range(3, len(joint), 2)])
+        )
     assert abs(np.mean(pose) - 3.0) < 4 * math.sqrt(6 / 60)
     assert abs(np.mean(wall) - 2.0) < 4 * math.sqrt(4 / 60)
-
-
-def room(pose, sigma, rng, beams=360):
-    walls = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
-    config = LaserConfig(beams=beams)
-    bearings = Scan.from_config(np.ones(beams), config).bearings
-    ranges = cast_rays(pose, bearings, walls, config.max_range)
-    return Scan.from_config(ranges + sigma * rng.standard_normal(beams), config)
 
 
 def test_the_walls_of_a_room_are_observed_with_their_true_errors():
@@ -214,7 +63,7 @@ def test_the_walls_of_a_room_are_observed_with_their_true_errors():
     truth = np.array([[math.pi / 2, -2.0], [math.pi, -3.0], [-math.pi / 2, -2.0], [0.0, -3.0]])
     for _ in range(60):
         pose = Pose(*rng.uniform([-1.5, -1.0, -math.pi], [1.5, 1.0, math.pi]))
-        found = extract(room(pose, 0.01, rng), config.assumed, config.features, rng).observations
+        found = extract(look(pose, ROOM, sigma=0.01, rng=rng), config.assumed, config.features, rng).observations
         assert len(found) >= 4 and all(s.is_wall and s.z[1] < 0.0 for s in found)
         z, _, _ = predict_walls(pose, truth)
         for s in found:
@@ -255,11 +104,9 @@ def test_a_walls_factor_does_not_depend_on_the_predicted_pose():
 def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, wall):
     # At these poses in the apartment that return lies 2 to 4 cm off the wall's line, at its end.
     walls, config, rng, turns = load_scene("apartment").walls, preset(), np.random.default_rng(4), []
-    exact = cast_rays(pose, beam_bearings(config.laser), walls, config.laser.max_range)
     z = predict_walls(pose, np.array([wall]))[0][0]
     for _ in range(60):
-        scan = Scan.from_config(exact + rng.normal(0.0, 0.01, len(exact)), config.laser)
-        for s in extract(scan, config.assumed, config.features, rng).observations:
+        for s in extract(look(pose, walls, config.laser, 0.01, rng), config.assumed, config.features, rng).observations:
             turn = wrap_angle(float(s.z[0] - z[0]))
             if s.is_wall and abs(turn) < 0.1 and abs(s.z[1] - z[1]) < 0.3:
                 turns.append(turn / math.sqrt(s.cov[0, 0]))
@@ -269,11 +116,9 @@ def test_a_neighbouring_wall_with_a_single_return_does_not_rotate_a_wall(pose, w
 
 def test_a_mount_off_the_robots_centre_changes_no_wall():
     rng = np.random.default_rng(0)
-    mount, pose = Pose(0.3, -0.1, 0.5), Pose(0.4, 0.2, 0.3)
+    pose = Pose(0.4, 0.2, 0.3)
     config = preset(features={"landmarks": "walls"}, laser={"mount": (0.3, -0.1, 0.5)})
-    at = pose @ mount
-    scan = Scan.from_config(room(at, 0.0, rng).ranges, config.laser)
-    for s in extract(scan, config.assumed, config.features, rng).observations:
+    for s in extract(look(pose, ROOM, config.laser), config.assumed, config.features, rng).observations:
         alpha = wrap_angle(float(s.z[0]) + pose.theta)
         assert min(abs(wrap_angle(alpha - k * math.pi / 2)) for k in range(-2, 3)) < 1e-3
         assert np.abs(ends(pose, s)).max() < 3.05

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from laws.nees import assert_consistent, error_of, normalised
 from scipy.stats import chi2
 
 from sixthsense.config import ISAM2Config
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import predict_points
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.metrics import nees_band, nees_invariant
@@ -18,17 +19,6 @@ LAP, RADIUS = 40, 4.0
 ROUND = Pose(2.0 * math.pi * RADIUS / LAP, 0.0, 2.0 * math.pi / LAP)
 ANGLES = np.linspace(0.0, 2.0 * math.pi, 12, endpoint=False)
 RING = (RADIUS + 1.5) * np.column_stack([np.cos(ANGLES), np.sin(ANGLES)]) + [0.0, RADIUS]
-
-
-def normalised(error, cov):
-    return float(error @ np.linalg.solve(cov, error))
-
-
-def error_of(estimate, true, points):
-    """(3 + 2n,) of pose and landmarks, estimate less truth, world frame."""
-    pose = estimate.pose.array() - true.array()
-    pose[2] = wrap_angle(pose[2])
-    return np.append(pose, (estimate.landmarks - points[estimate.ids]).ravel())
 
 
 def short_drive(name, seed, steps=50, sigma=0.03):
@@ -58,9 +48,8 @@ def test_on_short_drives_pose_map_and_innovations_are_consistent(name):
     """40 runs; with little rotation the standard filter is consistent, too."""
     runs = 40
     pose, whole, nis, dof = np.array([short_drive(name, seed) for seed in range(runs)]).T
-    for values, freedom in ((pose, 3), (whole, 13)):
-        low, high = nees_band(runs, freedom, confidence=0.99)
-        assert low < values.mean() < high
+    assert_consistent(pose, 3)
+    assert_consistent(whole, 13)
     low, high = chi2.ppf([0.005, 0.995], dof.sum())  # innovations are white, so those of one run are independent
     assert low < nis.sum() < high
 
@@ -108,35 +97,23 @@ def bands(runs):
     return np.array([nees_band(runs, dof) for dof in (3, 3, 1, 2)]).T
 
 
-def assert_consistent(name, runs, count, heading_sigma):
-    lower, upper = bands(runs)
-    values = mean_laps(name, runs, count, heading_sigma)[:4]
-    assert ((lower < values) & (values < upper)).all(), values
-
-
-def assert_overconfident(name, runs, count, heading_sigma):
-    values = mean_laps(name, runs, count, heading_sigma)[:4]
-    assert (values > bands(runs)[1]).all(), values
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "runs"), [(name, 20 if name == "isam2" else 40) for name in CONSISTENT])
 def test_over_several_rounds_the_consistent_estimators_stay_in_their_bands(name, runs):
     """Without the NEES of the whole map: with a heading this uncertain it is 1.35 to 1.74 per degree of freedom."""
-    assert_consistent(name, runs, 4, 0.06)
+    (lower, upper), values = bands(runs), mean_laps(name, runs, 4, 0.06)[:4]
+    assert ((lower < values) & (values < upper)).all(), values
 
 
 @pytest.mark.slow
 def test_over_several_rounds_the_standard_filter_leaves_its_bands():
     """On the same drives, measured: pose 4.0 (band to 3.8), heading 1.80 (1.48), landmark 3.2 (2.7)."""
-    assert_overconfident("ekf", 40, 4, 0.06)
+    values = mean_laps("ekf", 40, 4, 0.06)[:4]
+    assert (values > bands(40)[1]).all(), values
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_the_whole_map_is_consistent_while_the_heading_is_certain(name):
     """Two hundred short drives, five landmarks and the pose at once; 40 of them in the fast test."""
-    runs = 200
-    whole = np.array([short_drive(name, seed)[1] for seed in range(1000, 1000 + runs)])
-    low, high = nees_band(runs, 13, confidence=0.99)
-    assert low < whole.mean() < high
+    assert_consistent([short_drive(name, seed)[1] for seed in range(1000, 1200)], 13)

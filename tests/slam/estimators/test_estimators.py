@@ -1,21 +1,55 @@
-"""The contract of every estimator; to test a new one, add its name to ESTIMATORS and FAMILIES."""
+"""The laws of every estimator; to test a new one, add its name to ESTIMATORS and FAMILIES."""
 
 import numpy as np
 import pytest
+from laws import links, parameters, prior_map
 
 from sixthsense.config.names import ESTIMATORS as NAMES
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.estimators import ESTIMATORS, make_estimator
+from sixthsense.core.motion import Odometry
+from sixthsense.slam.estimators import ESTIMATORS, Filter, Link, Smoother, make_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.testing import check_estimator
 from sixthsense.testing.check import LAWS
 from sixthsense.testing.estimation import START_COV, fed, joint_state, make, noisy, sight, step
 
+SMOOTHERS = [name for name in ESTIMATORS if isinstance(make(name), Smoother)]
+OF_FILTERS = [*LAWS, *parameters.LAWS, *prior_map.LAWS]
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+
+@pytest.mark.parametrize("law", OF_FILTERS, ids=lambda law: law.name)
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_every_estimator_keeps_the_law(name, law):
     law.check(name)
+
+
+@pytest.mark.parametrize("law", links.LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("name", SMOOTHERS)
+def test_links_keep_the_laws(name, law):
+    law.check(name)
+
+
+@pytest.mark.parametrize("name", SMOOTHERS)
+def test_a_link_says_nothing_of_a_direction_that_it_has_not_observed(name):
+    """As along a corridor: millimetres across, and a kilometre along."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        smoother = make(name, Pose(), 1e-12 * np.eye(3))
+        smoother.update({})
+        smoother.predict(Odometry(Pose(1.0, 0.2, 0.3), 0.01**2 * np.eye(3)))
+        smoother.update({})
+        before = smoother.estimate().pose_cov
+        link = Odometry(Pose(1.01, 0.2, 0.3), (axes * np.array([0.003, 0.008, 1000.0]) ** 2) @ axes.T)
+        smoother.link([Link(0, 1, link)])
+        unseen = axes[:, 2]
+        along = [unseen @ np.linalg.inv(cov) @ unseen for cov in (before, smoother.estimate().pose_cov)]
+        assert along[1] == pytest.approx(along[0], rel=0.05)
+
+
+def test_of_the_shipped_estimators_all_are_filters_and_one_is_a_smoother():
+    assert all(isinstance(make(name), Filter) for name in ESTIMATORS)
+    assert SMOOTHERS == ["isam2"]
 
 
 def test_as_the_noise_goes_to_zero_all_agree_with_each_other():

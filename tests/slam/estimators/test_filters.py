@@ -7,6 +7,7 @@ from scipy.linalg import block_diag, expm
 from sixthsense.core.geometry import Pose, rotation
 from sixthsense.core.landmarks import initialize_point, predict_points
 from sixthsense.core.motion import compose_jacobians
+from sixthsense.slam.estimators.ekf_algebra import selected
 from sixthsense.testing.estimation import START, START_COV, driven, fed, joint_state, make, random_log, sight, step
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
@@ -253,3 +254,20 @@ def test_forgetting_removes_rows_and_columns_and_changes_no_bit_of_the_rest(name
     index = [0, 1, 2, 3, 4, 7, 8, 11, 12]
     assert np.array_equal(cov_after, cov[np.ix_(index, index)])
     assert after.pose == before.pose and np.array_equal(after.landmarks, before.landmarks[[0, 2, 4]])
+
+
+def lower(matrix: np.ndarray) -> np.ndarray:
+    return np.asfortranarray(np.where(np.tri(len(matrix), dtype=bool), matrix, np.nan))
+
+
+def symmetric(n: int) -> np.ndarray:
+    half = np.random.default_rng(n).standard_normal((n, n))
+    return half + half.T
+
+
+@pytest.mark.parametrize("index", [[], [0], [2, 3, 7], list(range(9))])
+def test_selected_rows_and_columns_are_those_of_the_whole_matrix(index: list[int]) -> None:
+    full, places = symmetric(9), np.array(index, dtype=np.int64)
+    found = selected(lower(full).T, places).T
+    assert found.flags.f_contiguous
+    assert np.array_equal(np.tril(found), np.tril(full[np.ix_(places, places)]))

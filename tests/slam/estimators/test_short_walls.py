@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from laws.nees import assert_consistent
 from laws.short_walls import drive_past_short_walls
 
-from sixthsense.evaluation.metrics import nees_band, nees_world
+from sixthsense.evaluation.metrics import nees_world
 
 RUNS = 12
 
@@ -13,8 +14,7 @@ RUNS = 12
 def test_short_walls_leave_the_pose_consistent_however_far_they_are(name):
     drives = [drive_past_short_walls(name, seed, 30.0, 0.03) for seed in range(RUNS)]
     errors, covs = np.array([errors[-1] for errors, _ in drives]), np.array([covs[-1] for _, covs in drives])
-    low, high = nees_band(RUNS, confidence=0.999)
-    assert low < nees_world(errors, covs).mean() < high
+    assert_consistent(nees_world(errors, covs), 3, confidence=0.999)
     # A bias would shift all runs along the way.
     sigma = np.sqrt(covs[:, 0, 0].mean() / RUNS)
     assert abs(errors[:, 0].mean()) < 3.3 * sigma

@@ -1,26 +1,19 @@
-"""Beginning with the landmarks of an earlier run: the laws, for all shipped estimators, and NEES over runs in a row."""
+"""Beginning with the landmarks of an earlier run: NEES over runs in a row."""
 
 import numpy as np
 import pytest
-from laws.prior_map import LAWS, begun, prior_from
-from laws.wheels import PRIOR, TRUE, calibrated, increment
+from laws.nees import assert_consistent, error_of, normalised
+from laws.parameters import PRIOR, TRUE, WHEELS
+from laws.prior_map import begun, prior_from
 
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation
-from sixthsense.evaluation.metrics import nees_band
-from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.batch import to_robot
-from sixthsense.testing.estimation import POINTS, make, noisy, sight, step
+from sixthsense.testing.estimation import POINTS, make, noisy, step
 
 WALLS = np.array([[0.0, 5.0], [0.5 * np.pi, 4.0]])
 LANDMARKS = np.vstack([POINTS, WALLS])
 START_COV = np.diag([0.05, 0.05, 0.02]) ** 2
-
-
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_estimators_that_begin_with_a_prior_map_keep_the_laws(name, law):
-    law.check(name)
 
 
 def drive(estimator, true, rng, sigma):
@@ -47,24 +40,17 @@ def runs_in_a_row(name, seed, sigma, start_cov, runs=4):
         true = drive(estimator, true, rng, sigma)
         prior = prior_from(estimator)
         estimate = estimator.estimate()
-        error = np.append(estimate.pose.array() - true.array(), estimate.landmarks - LANDMARKS[estimate.ids])
-        angles = np.append([2], 3 + 2 * np.flatnonzero(estimate.walls))
-        error[angles] = wrap_angle(error[angles])
-        found.append((error, estimator.joint_covariance(estimate.ids.tolist())))
+        found.append((error_of(estimate, true, LANDMARKS), estimator.joint_covariance(estimate.ids.tolist())))
     return found
 
 
 @pytest.mark.parametrize("name", ["ekf-invariant", "isam2"])
 def test_pose_and_map_are_consistent_after_each_of_four_runs_in_a_row(name):
-    nees, seeds = np.zeros((4, 2)), 12 if name == "isam2" else 25
-    for seed in range(seeds):
-        for k, (error, cov) in enumerate(runs_in_a_row(name, seed, 0.02, START_COV)):
-            nees[k, 0] += error[:3] @ np.linalg.solve(cov[:3, :3], error[:3])
-            nees[k, 1] += error[3:] @ np.linalg.solve(cov[3:, 3:], error[3:])
-    low, high = nees_band(seeds, confidence=0.999)
-    assert (nees[:, 0] / seeds > low).all() and (nees[:, 0] / seeds < high).all()
-    low, high = nees_band(seeds, 2 * len(LANDMARKS), confidence=0.999)
-    assert (nees[:, 1] / seeds > low).all() and (nees[:, 1] / seeds < high).all()
+    runs = [runs_in_a_row(name, seed, 0.02, START_COV) for seed in range(12 if name == "isam2" else 25)]
+    for k in range(4):
+        for part, dof in ((slice(0, 3), 3), (slice(3, None), 2 * len(LANDMARKS))):
+            nees = [normalised(run[k][0][part], run[k][1][part, part]) for run in runs]
+            assert_consistent(nees, dof, confidence=0.999)
 
 
 @pytest.mark.parametrize("name", ["ekf-invariant", "isam2"])
@@ -82,21 +68,14 @@ def test_each_run_makes_the_map_better_and_says_so(name):
 def test_wheels_are_estimated_beside_a_prior_map(name):
     """Landmarks of an earlier run say as much of the wheels as the same landmarks say in one run."""
     rng, sigma = np.random.default_rng(3), 0.01
-    first, _ = calibrated(name, 40, sigma, rng)
-    start, cov = Pose(), 1e-6 * np.eye(3)
-    estimator = make(name, start, cov)
-    estimator.estimate_wheels(PRIOR)
-    prior = prior_from(first)
-    estimator.start_from(prior)
+    first, _ = WHEELS.driven(name, 40, sigma, rng)
+    estimator = WHEELS.start(name, None, Pose(), 1e-6 * np.eye(3))
+    estimator.start_from(prior_from(first))
     with pytest.raises(RuntimeError, match="estimate_wheels"):
         estimator.estimate_wheels(PRIOR)
-    at = start
-    for k in range(40):
-        motion = np.diag([sigma, sigma, 0.5 * sigma]) ** 2
-        at = at @ noisy(increment(k, TRUE, motion), rng)
-        estimator.predict(increment(k, estimator.wheels().values, motion))
-        estimator.update(sight(at, rng.choice(len(POINTS), 3, replace=False).tolist(), rng, 5.0 * sigma))
+    WHEELS.drive(estimator, 40, sigma, rng, TRUE)
     found = estimator.wheels()
-    off = found.values.array() - TRUE.array()
-    assert off @ np.linalg.solve(found.cov, off) < 18.5  # 0.999 of chi-square with 4 degrees of freedom
+    assert (
+        normalised(found.values.array() - TRUE.array(), found.cov) < 18.5
+    )  # 0.999 of chi-square, 4 degrees of freedom
     assert np.trace(found.cov) < 0.5 * np.trace(PRIOR.cov)

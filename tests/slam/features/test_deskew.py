@@ -4,12 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scanned import box, look
 
 from sixthsense.config import AssumedConfig, Config, LaserConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_distance
-from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world
@@ -23,7 +23,7 @@ from sixthsense.sources.logs.rosbag import read_bag
 from sixthsense.sources.logs.runfolder import read_run
 from sixthsense.sources.world import World
 
-ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
+ROOM = box(-2, -2, 4, 4)
 SWEPT = preset("noiseless", laser={"sweep_s": 0.1, "mount": (0.1, -0.05, 0.3)})
 ASSUMED = AssumedConfig()
 
@@ -90,9 +90,7 @@ def test_the_landmarks_of_a_de_skewed_scan_are_those_of_an_instantaneous_one(lan
     config = merge(SWEPT, {"features": {"landmarks": landmarks}})
     for speed, turn_rate in ((0.5, 0.0), (0.2, 0.8), (0.2, -0.8)):
         _, moved, truth = last_scan(config, speed, turn_rate)
-        mount = Pose(*config.laser.mount)
-        ranges = cast_rays(truth @ mount, beam_bearings(config.laser), ROOM, config.laser.max_range)
-        instant = Scan.from_config(ranges, dataclasses.replace(config.laser, sweep_s=0.0))
+        instant = look(truth, ROOM, dataclasses.replace(config.laser, sweep_s=0.0))
         one, two = (
             extract(s, ASSUMED, config.features, np.random.default_rng(0)).observations for s in (moved, instant)
         )

@@ -3,18 +3,17 @@ import math
 
 import numpy as np
 import pytest
+from scanned import box, look
 
 from sixthsense.config import PartitionConfig, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, observation_innovations, predict_walls
-from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.laser import Scan
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
 from sixthsense.slam.features.line_fit import fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
-from sixthsense.slam.features.partition import partition
-from sixthsense.slam.features.split import split, split_pieces
+from sixthsense.slam.features.partition import partition, split, split_pieces
 
 
 def corners():
@@ -22,19 +21,13 @@ def corners():
     return preset(features={"landmarks": "corners"})
 
 
-def box(x0, y0, x1, y1):
-    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    return [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
-
-
 # A room with a doorway between two stub walls, and a cupboard.
-WALLS = np.array([*box(0, 0, 6, 4), [(3, 0), (3, 1.5)], [(3, 2.5), (3, 4)], *box(4.5, 2.5, 5, 3)], dtype=float)
+WALLS = np.concatenate([box(0, 0, 6, 4), [[(3, 0), (3, 1.5)], [(3, 2.5), (3, 4)]], box(4.5, 2.5, 0.5, 0.5)])
 LANDMARKS = np.unique(np.concatenate([WALLS.reshape(-1, 2)]), axis=0)
 
 
 def scan_from(pose, config, rng=None, sigma=0.01, walls=WALLS):
-    ranges = cast_rays(pose @ Pose(*config.laser.mount), beam_bearings(config.laser), walls, config.laser.max_range)
-    return Scan.from_config(ranges if rng is None else ranges + rng.normal(0, sigma, len(ranges)), config.laser)
+    return look(pose, walls, config.laser, 0.0 if rng is None else sigma, rng)
 
 
 def free_poses(rng, count):
@@ -227,7 +220,7 @@ def test_the_covariances_follow_the_noise(sigma):
 def test_two_corners_of_one_wall_have_independent_errors():
     """Each return is evidence once: the halves of a wall's returns make its two ends."""
     config, rng = corners(), np.random.default_rng(7)
-    room, pose = np.array(box(-2, -1.5, 2, 1.5), dtype=float), Pose(0.2, 0.1, 0.0)
+    room, pose = box(-2, -1.5, 4, 3), Pose(0.2, 0.1, 0.0)
     pairs = []
     for _ in range(1500):
         features = extract(scan_from(pose, config, rng, walls=room), config.assumed, config.features, rng)

@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from scanned import look
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.line_fit import LaserSigmas, across_line, fit_line
 from sixthsense.slam.features.straightness import cut_gains, shape, straight_pieces
@@ -86,9 +85,7 @@ def test_a_bend_of_a_degree_and_a_half_is_cut_where_it_is():
 
 
 def walls_observed(walls, config, rng):
-    ranges = cast_rays(Pose(), beam_bearings(config.laser), walls, config.laser.max_range)
-    noise = config.assumed.laser.range_m
-    scan = Scan.from_config(ranges + rng.normal(0.0, noise, len(ranges)), config.laser)
+    scan = look(Pose(), walls, config.laser, config.assumed.laser.range_m, rng)
     return [s for s in extract(scan, config.assumed, config.features, rng).observations if s.is_wall]
 
 

@@ -8,9 +8,10 @@ from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.slam.mapping.evidence import line_cells
+from sixthsense.slam.mapping.evidence import line_places
 from sixthsense.slam.mapping.freespace import FreeSpace
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.tiles import ROW
 
 NO_WALLS = np.empty((0, 2, 2))
 ROOM = np.array(
@@ -45,6 +46,12 @@ def cells_by_world(grid: Grid, values: Array) -> dict[tuple[int, int], int]:
     x0, y0 = grid.origin
     row0, col0 = round(y0 / CONFIG.cell_m), round(x0 / CONFIG.cell_m)
     return {(int(r) + row0, int(c) + col0): int(values[r, c]) for r, c in np.argwhere(values)}
+
+
+def line_cells(r0: int, c0: int, r1: int, c1: int) -> Array:
+    """(N, 2) cells of Bresenham's line, wherever they lie: places count rows and columns from 0."""
+    places, low = line_places(r0 + 1000, c0 + 1000, r1 + 1000, c1 + 1000), 1000
+    return np.stack([places // ROW - low, places % ROW - low], axis=1)
 
 
 CONFIG = GridConfig(cell_m=0.1)

@@ -1,41 +1,46 @@
-"""The grid follows the smoothed poses of its keyframes."""
+"""The grid follows the smoothed poses of its keyframes, and is composed of submaps."""
 
 import numpy as np
 import pytest
+from scanned import box, look
 
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.ray_casting import cast_rays
 from sixthsense.loop import run
+from sixthsense.slam.mapping.changes import Box
+from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
+from sixthsense.slam.mapping.submap import Submap, add_submap
+from sixthsense.slam.mapping.tiles import TILE, Tiles
 
-LASER = LaserConfig(beams=90)
-ROOM = np.array([[[-3, -2], [3, -2]], [[3, -2], [3, 2]], [[3, 2], [-3, 2]], [[-3, 2], [-3, -2]]], dtype=np.float64)
+LASER = LaserConfig(beams=120)
+ROOM = box(-3, -2, 6, 4)
 NO_WALLS = np.zeros((0, 2, 2))
+
+RULES = EvidenceRules(min_hits=2, max_hits=10, passes_per_hit=4.0)
 
 CORNERS = {"landmarks": "corners"}  # with walls the block leaves nothing to correct
 
 
-def look(pose: Pose) -> Scan:
-    bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
-    return Scan.from_config(cast_rays(pose, bearings, ROOM, LASER.max_range), LASER)
+def seen(row: np.ndarray) -> Scan:
+    return look(Pose.from_array(row), ROOM, LASER)
 
 
 def poses(count: int) -> np.ndarray:
     return np.array([[0.2 * k - 1.0, 0.1 * k, 0.3 * k] for k in range(count)])
 
 
-def by_hand(trajectory: np.ndarray, scans: list[Scan]) -> Grid:
-    grid = Grid(GridConfig(), 0.2)
+def by_hand(trajectory: np.ndarray, scans: list[Scan], config: GridConfig | None = None) -> Grid:
+    grid = Grid(config or GridConfig(), 0.2)
     for row, scan in zip(trajectory, scans, strict=True):
         grid.add(Pose.from_array(row), scan, NO_WALLS)
     return grid
 
 
 def test_without_movement_the_grid_is_not_rebuilt() -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
@@ -47,7 +52,7 @@ def test_without_movement_the_grid_is_not_rebuilt() -> None:
     ("shift", "rebuilt"), [([0.02, 0, 0], 0), ([0.03, 0, 0], 1), ([0, 0, 0.001], 0), ([0, 0, 0.03], 1)]
 )
 def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: int) -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
         mapper.add(poses(k + 1).copy, scans[k], NO_WALLS)
         assert mapper.grid.seen.any()
@@ -57,13 +62,13 @@ def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: 
     expected = by_hand(moved if rebuilt else poses(6), scans)
     assert np.array_equal(mapper.grid.occupancy(), expected.occupancy())
     assert mapper.rebuilds == rebuilt
-    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, look(Pose.from_array(poses(7)[-1])), NO_WALLS)
+    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, seen(poses(7)[-1]), NO_WALLS)
     assert mapper.grid.seen.any()
     assert mapper.rebuilds == rebuilt  # once is enough
 
 
 def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: pytest.MonkeyPatch) -> None:
-    scans, drawn, add = [look(Pose.from_array(row)) for row in poses(6)], [], Grid.add
+    scans, drawn, add = [seen(row) for row in poses(6)], [], Grid.add
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
     mapper = Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
@@ -78,7 +83,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
 
 @pytest.mark.parametrize("read_at", [(), (0,), (2, 3), (0, 1, 2, 3, 4, 5)])
 def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: tuple[int, ...]) -> None:
-    scans, mapper = [look(Pose.from_array(row)) for row in poses(6)], Mapper(GridConfig(), 0.2)
+    scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
         mapper.add(poses(k + 1).copy, scan, NO_WALLS)
         if k in read_at:
@@ -101,13 +106,10 @@ def test_a_smoother_that_sees_corners_again_rebuilds_its_map() -> None:
 
 def earlier() -> Grid:
     """The grid of an earlier run, in which there was a box in the middle of the room."""
-    box = np.array([[[0, -1], [0.5, -1]], [[0.5, -1], [0.5, -0.5]], [[0.5, -0.5], [0, -0.5]], [[0, -0.5], [0, -1]]])
     grid = Grid(GridConfig(), 0.2)
     for row in poses(40):
         pose = Pose(-2.0, row[1] - 2.0 if row[1] < 3.0 else 0.0, row[2])
-        bearings = Scan.from_config(np.ones(LASER.beams), LASER).bearings
-        ranges = cast_rays(pose, bearings, np.concatenate([ROOM, box]), LASER.max_range)
-        grid.add(pose, Scan.from_config(ranges, LASER), NO_WALLS)
+        grid.add(pose, look(pose, np.concatenate([ROOM, box(0, -1, 0.5, 0.5)]), LASER), NO_WALLS)
     return grid
 
 
@@ -144,7 +146,7 @@ def test_an_earlier_obstacle_that_is_gone_becomes_free_after_a_few_scans() -> No
     mapper, rows = begun(), np.tile([-1.5, -0.73, 0.0], (20, 1))
     assert is_obstacle(mapper.grid, 0.02, -0.73)
     for k in range(20):
-        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
     assert not is_obstacle(mapper.grid, 0.02, -0.73)
 
 
@@ -154,10 +156,144 @@ def test_earlier_evidence_out_of_sight_stays_when_key_poses_move() -> None:
     mapper, rows = Mapper(GridConfig(), 0.2), poses(12)
     mapper.start_from(far.submap())
     for k in range(11):
-        mapper.add(rows[: k + 1].copy, look(Pose.from_array(rows[k])), NO_WALLS)
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
         assert is_obstacle(mapper.grid, 20.02, 0.02)
     moved = rows + np.array([0.1, 0.0, 0.0])
-    mapper.add(moved.copy, look(Pose.from_array(moved[11])), NO_WALLS)
+    mapper.add(moved.copy, seen(moved[11]), NO_WALLS)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 1
     mapper.complete(rows)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 2
+
+
+def turning(count: int) -> np.ndarray:
+    return np.array([[1.5 * np.sin(0.2 * k), 0.8 * np.cos(0.3 * k), 0.25 * k] for k in range(count)])
+
+
+def drawn(rows: np.ndarray, config: GridConfig | None = None) -> Grid:
+    return by_hand(rows, [seen(row) for row in rows], config)
+
+
+def plain_add(grid: Cells, first: tuple[int, int], submap: Submap, rules: EvidenceRules) -> None:
+    """The reference of `add_submap`, on whole arrays; no cell is in a submap twice."""
+    at = submap.cells[:, 0] - first[0], submap.cells[:, 1] - first[1]
+    is_hit = submap.hits > 0
+    hits = np.where(is_hit, np.minimum(grid.hits[at] + submap.hits, rules.max_hits), grid.hits[at])
+    most = np.floor(rules.passes_per_hit * hits)
+    passes = np.where(is_hit, np.minimum(grid.passes[at], most), grid.passes[at]) + submap.passes
+    is_obstacle = is_hit & (submap.passes <= rules.passes_per_hit * submap.hits)
+    grid.hits[at], grid.passes[at] = hits, np.where(is_obstacle, np.minimum(passes, most), passes)
+    grid.seen[at] |= submap.seen
+
+
+def random_submap(rng: np.random.Generator) -> Submap:
+    cells = np.argwhere(rng.random((20, 30)) < 0.4) + np.array([-5, 7])
+    count = len(cells)
+    hits = (rng.integers(0, 4, count) * rng.integers(0, 2, count)).astype(np.int32)
+    return Submap.of(cells, hits, rng.integers(0, 30, count).astype(np.int32), rng.random(count) < 0.8)
+
+
+def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        tiles, box = Tiles(), Box(-5, 7, 15, 37)
+        tiles.cover(box)
+        tiles.allocate(tiles.lacking(np.ones(tiles.index.shape, dtype=np.bool_)))
+        fast = Cells.empty(tiles.index.size * TILE * TILE)
+        plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600)))
+        for _ in range(6):
+            submap = random_submap(rng)
+            add_submap(fast, tiles.index, tiles.places(submap.cells), submap, RULES)
+            plain_add(plain, (-5, 7), submap, RULES)
+        for name in ("hits", "passes", "seen"):
+            assert np.array_equal(tiles.part(getattr(fast, name), box), getattr(plain, name))
+
+
+@pytest.mark.parametrize("config", [GridConfig(), GridConfig(min_hits=2, passes_per_hit=0.5)])
+def test_a_grid_composed_of_one_submap_is_the_grid_it_was_taken_from(config: GridConfig) -> None:
+    grid, composed = drawn(turning(12), config), Grid(config, 0.2)
+    composed.compose([grid.submap()])
+    for name in ("hits", "passes", "seen", "obstacles"):
+        there, here = np.argwhere(getattr(grid, name)), np.argwhere(getattr(composed, name))
+        shift = np.round(np.subtract(grid.origin, composed.origin)[::-1] / config.cell_m).astype(int)
+        assert np.array_equal(there + shift, here)
+        assert np.array_equal(getattr(grid, name)[tuple(there.T)], getattr(composed, name)[tuple(here.T)])
+
+
+def test_a_static_room_is_the_same_in_submaps_as_scan_by_scan() -> None:
+    whole, composed = drawn(turning(40)), Grid(GridConfig(), 0.2)
+    composed.compose([drawn(turning(40)[k : k + 10]).submap() for k in range(0, 40, 10)])
+    for name in ("obstacles", "seen"):
+        assert getattr(composed, name).sum() == pytest.approx(getattr(whole, name).sum(), rel=0.02)
+
+
+def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    count = 3 * SCANS_PER_SUBMAP + 4
+    mapper, added, add = Mapper(GridConfig(), 0.2), [], Grid.add
+    monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
+    rows = turning(count + 2)
+    for k in range(count):
+        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        assert mapper.grid.seen.any()
+    assert len(added) == count and mapper.rebuilds == 0
+    moved = rows.copy()
+    for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
+        added.clear()
+        moved[scan, 0] += 0.04
+        mapper.add(moved[: count + 1 + k].copy, seen(moved[count + k]), NO_WALLS)
+        assert mapper.grid.seen.any()
+        assert mapper.rebuilds == k + 1
+        assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet
+    shift = np.abs(mapper._drawn_at - moved[: len(mapper._drawn_at)])
+    assert shift.max() == 0.0
+    assert mapper.grid.obstacles.sum() == pytest.approx(drawn(moved[: count + 2]).obstacles.sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_tiles_composed_anew_are_as_if_all_were(seed: int) -> None:
+    """Submaps that move by turns, some of them far: evidence, obstacles and inflation, cell for cell."""
+    rng, count = np.random.default_rng(seed), 8
+    config = GridConfig(min_hits=2, passes_per_hit=3.0)
+    rows = turning(5 * count) + np.array([1.5 * (seed % 2), 0.0, 0.0]) * np.arange(5 * count)[:, None]
+    submaps = [drawn(rows[5 * k : 5 * k + 5], config).submap() for k in range(count)]
+    partly, whole = Grid(config, 0.2), Grid(config, 0.2)
+    partly.compose(submaps)
+    masks = partly.free_space()
+    for _ in range(4):
+        before = list(submaps)
+        moved = rng.choice(count, 2, replace=False).tolist()
+        for k in moved:
+            shift = rng.normal(0.0, 1.0, 3) * (3.0, 3.0, 0.5)
+            submaps[k] = drawn(rows[5 * k : 5 * k + 5] + shift, config).submap()
+        partly.recompose(submaps, [s.box for k in moved for s in (before[k], submaps[k])])
+        whole.compose(submaps)
+        box = Box(*partly._box)
+        for name in ("hits", "passes", "cover", "seen", "obstacles"):
+            assert np.array_equal(partly.part(name, box), whole.part(name, box)), name
+        masks = partly.free_space()  # those of the time before are brought up to date
+        assert np.array_equal(masks.blocked, partly.part("cover", box) > 0)
+        assert np.array_equal(masks.seen, partly.seen)
+
+
+def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long corridor of which one end moves: as many submaps are composed as lie there."""
+    mapper, given, recompose = Mapper(GridConfig(), 0.2), [], Grid.recompose
+    monkeypatch.setattr(
+        Grid, "recompose", lambda self, submaps, boxes: (given.append(len(submaps)), recompose(self, submaps, boxes))
+    )
+    count = 12 * SCANS_PER_SUBMAP
+    rows = np.array([[1.0 * k, 0.0, 0.0] for k in range(count + 2)])
+    scan = seen(np.zeros(3))
+    for k in range(count):
+        mapper.add(rows[: k + 1].copy, scan, NO_WALLS)
+        assert mapper.grid.seen.any()
+    moved = rows.copy()
+    moved[3, 1] += 0.1
+    mapper.add(moved[: count + 1].copy, scan, NO_WALLS)
+    assert mapper.grid.seen.any() and mapper.rebuilds == 1
+    assert len(given) == 1 and 1 <= given[0] <= 3
+    again = Mapper(GridConfig(), 0.2)
+    for k in range(count + 1):
+        again.add(moved[: k + 1].copy, scan, NO_WALLS)
+        assert again.grid.seen.any()
+    for name in ("seen", "obstacles"):
+        assert np.array_equal(getattr(mapper.grid, name), getattr(again.grid, name))

@@ -1,41 +1,30 @@
-"""The wheels' parameters on line: the laws, for all shipped estimators, and NEES of pose and parameters."""
+"""Parameters of wheels and sensor on line: NEES of pose and parameters, and runs."""
 
 import numpy as np
 import pytest
-from laws.wheels import LAWS, PRIOR, calibrated, estimate_of
+from laws.nees import assert_consistent, error_of, normalised
+from laws.parameters import KINDS
 
 import sixthsense as ss
 from sixthsense.config import ConfigError, preset
-from sixthsense.core.geometry import wrap_angle
-from sixthsense.core.wheels import PARAMETERS, Wheels
-from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.slam.estimators.ekf import EKF
 
 
-@pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.label)
 @pytest.mark.parametrize("name", ESTIMATORS)
-def test_estimated_wheels_keep_the_laws(name, law):
-    law.check(name)
-
-
-@pytest.mark.parametrize("name", ESTIMATORS)
-def test_with_wheels_from_the_prior_pose_and_parameters_are_consistent(name):
-    """Each run with other wheels."""
-    runs, of_pose, of_wheels = 8 if name == "isam2" else 40, [], []
-    for seed in range(runs):
+def test_with_values_from_the_prior_pose_and_parameters_are_consistent(name, kind):
+    """Each run with other values."""
+    of_pose, of_parameters = [], []
+    for seed in range(8 if name == "isam2" else 40):
         rng = np.random.default_rng(seed)
-        wheels = Wheels.from_array(np.linalg.cholesky(PRIOR.cov) @ rng.standard_normal(PARAMETERS))
-        estimator, true = calibrated(name, 40, 0.01, rng, wheels)
-        estimate, found = estimator.estimate(), estimate_of(estimator)
-        error = estimate.pose.array() - true.array()
-        error[2] = wrap_angle(error[2])
-        off = found.values.array() - wheels.array()
-        of_pose.append(error @ np.linalg.solve(estimate.pose_cov, error))
-        of_wheels.append(off @ np.linalg.solve(found.cov, off))
-    for values, freedom in ((of_pose, 3), (of_wheels, PARAMETERS)):
-        low, high = nees_band(runs, freedom, confidence=0.99)
-        assert low < np.mean(values) < high
+        values = kind.drawn(rng)
+        estimator, true = kind.driven(name, 40, 0.01, rng, values)
+        estimate, found = estimator.estimate(), kind.found(estimator)
+        of_pose.append(normalised(error_of(estimate, true), estimate.pose_cov))
+        of_parameters.append(normalised(found.values.array() - values.array(), found.cov))
+    assert_consistent(of_pose, 3)
+    assert_consistent(of_parameters, len(kind.prior.cov))
 
 
 def test_a_run_with_worn_wheels_finds_their_errors_and_its_folder_keeps_them(tmp_path):

@@ -1,9 +1,8 @@
-"""EKF-SLAM with first-estimates Jacobians (Huang, Mourikis and Roumeliotis, ICRA 2008; IJRR 29(5), 2010)."""
+"""EKF-SLAM whose Jacobians keep the observability of SLAM (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010)."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import rotation_generator
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
-from sixthsense.slam.estimators.ekf_observations import NewLandmark
 
 
 class AnchoredEKF(EKF):
@@ -33,8 +31,6 @@ class AnchoredEKF(EKF):
         super().__init__(start, start_cov)
         self._point = np.zeros(2)
         """(2,) the robot's linearization point"""
-        self._anchors = np.zeros((0, 2))
-        """(n, 2) the landmarks' linearization points"""
 
     def estimate(self) -> Estimate:
         """The pose with all motion so far, its covariance, and the landmarks' means."""
@@ -59,21 +55,46 @@ class AnchoredEKF(EKF):
     def _linearization_points(self, slots: NDArray[np.int64]) -> tuple[Array, Array]:
         return self._point, self._anchors[slots]
 
-    def _on_started(self) -> None:
-        self._anchors = self._means.copy()
-
-    def _on_added(self, landmarks: Sequence[NewLandmark]) -> None:
-        self._anchors = np.vstack([self._anchors, *(landmark.anchor for landmark in landmarks)])
-
-    def _on_forgotten(self, slots: NDArray[np.int64]) -> None:
-        self._anchors = self._anchors[slots]
-
 
 class FirstEstimatesEKF(AnchoredEKF):
-    """The robot's linearization point is its predicted position, which later corrections do not change."""
+    """The robot's linearization point is its predicted position, which later corrections do not change (ICRA 2008)."""
 
     def _heading_lever(self, moved: Array) -> Array:
         # From prediction to prediction (Huang et al. 2008, eq. 26); the standard filter starts at the corrected pose.
         lever = self._pose.position + moved - self._point
         self._point = self._point + lever
         return np.asarray(lever)
+
+
+class ObservabilityConstrainedEKF(AnchoredEKF):
+    """The linearization point follows the newest estimates as closely as the observability constraint allows.
+
+    Of all points that keep the null vector the filter takes those nearest to the estimates, in least squares over the
+    robot's displacement and the levers of its observations (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010,
+    section 5.2: for one landmark, half of the gap between anchor and estimate goes to each). The landmarks of the last
+    update are used in place of those of the next, so that the point is known when the robot moves.
+    """
+
+    def __init__(self, start: Pose, start_cov: Array) -> None:
+        super().__init__(start, start_cov)
+        self._shift = np.zeros(2)
+        """(2,) added to the robot's next displacement, to give that of the linearization point"""
+
+    def _heading_lever(self, moved: Array) -> Array:
+        lever = moved + self._shift
+        self._point = self._point + lever
+        self._shift = np.zeros(2)
+        return np.asarray(lever)
+
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
+        super()._apply_correction(slots, shift)
+        walls = self._walls[slots]
+        point, anchors = self._linearization_points(slots)
+        lag = self._pose.position - point
+        gaps = (anchors - self._means[slots])[~walls] + lag  # (m, 2)
+        alpha = anchors[walls, 0]
+        along = np.column_stack([-np.sin(alpha), np.cos(alpha)])
+        # argmin of |shift|^2 + sum over points |gap - shift|^2 + sum over walls (along . (lag - shift))^2: for a wall,
+        # d offset / d angle depends on the robot's position along it.
+        spread = along.T @ along
+        self._shift = np.linalg.solve((1 + len(gaps)) * np.eye(2) + spread, gaps.sum(axis=0) + spread @ lag)

@@ -1,25 +1,18 @@
-"""What a filter expects to observe of its landmarks, and new landmarks, with their Jacobians."""
+"""The algebra of a filter: expected observations and new landmarks with their Jacobians, and symmetric matrices.
+
+A symmetric matrix is kept as its lower triangle in a column-major array.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import Observation, initialize_landmark, observed_centre, predict, translated
-
-
-class Expected(NamedTuple):
-    """Observations that a filter expects."""
-
-    z: Array
-    """(m, 2) at the estimate"""
-    by_pose: Array
-    """(m, 2, 3) at the linearization point"""
-    by_landmark: Array
-    """(m, 2, 2) at the linearization point"""
 
 
 class NewLandmark(NamedTuple):
@@ -39,15 +32,16 @@ class NewLandmark(NamedTuple):
 
 def expected(
     pose: Pose, means: Array, point: Array, anchors: Array, walls: NDArray[np.bool_], centres: Array
-) -> Expected:
-    """What is expected of landmarks `means` (m, 2), walls about `centres` (m, 2), from a pose in their frame.
+) -> tuple[Array, Array, Array]:
+    """Expected observations (m, 2) of landmarks `means` (m, 2), walls about `centres` (m, 2), from a pose.
 
-    The Jacobians are taken at the robot's linearization `point` (2,) and at the landmarks' `anchors` (m, 2).
+    Also returns their Jacobians by the pose (m, 2, 3) and by the landmark (m, 2, 2), taken at the robot's linearization
+    `point` (2,) and at the landmarks' `anchors` (m, 2).
     """
     z, _, _ = predict(pose, translated(means, walls, centres)[0], walls)
     about_start, by_mean = translated(anchors, walls, centres)
     _, by_pose, by_landmark = predict(Pose(point[0], point[1], pose.theta), about_start, walls)
-    return Expected(z, by_pose, by_landmark @ by_mean)
+    return z, by_pose, by_landmark @ by_mean
 
 
 def new_landmark(pose: Pose, point: Array, observation: Observation, has_centre: bool) -> NewLandmark:
@@ -64,3 +58,31 @@ def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[A
     mean, by_pose, by_z = initialize_landmark(pose, observation)
     about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z
+
+
+@numba.njit(cache=True, error_model="numpy")
+def selected(upper: Array, index: NDArray[np.int64]) -> Array:
+    """(k, k) the rows and columns at `index` (k,), which ascends, of a matrix (n, n) whose transpose is `upper`.
+
+    The result is a transpose, too. What lies below the diagonal of a transpose is undefined.
+    """
+    k = len(index)
+    out = np.empty((k, k))
+    for j in range(k):
+        row = upper[index[j]]
+        for i in range(j, k):
+            out[j, i] = row[index[i]]
+    return out
+
+
+@numba.njit(cache=True, error_model="numpy")
+def columns(upper: Array, index: NDArray[np.int64]) -> Array:
+    """(k, n) the columns at `index` (k,), one a row, of a symmetric matrix (n, n) whose transpose is `upper`."""
+    k, n = len(index), len(upper)
+    out = np.empty((k, n))
+    for j in range(k):
+        i = index[j]
+        out[j, i:] = upper[i, i:]
+        for other in range(i):
+            out[j, other] = upper[other, i]
+    return out

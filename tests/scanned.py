@@ -1,0 +1,35 @@
+"""Rooms to look at, and the scans that a laser takes of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sixthsense.config import LaserConfig
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.laser import Scan, beam_bearings
+from sixthsense.core.ray_casting import cast_rays
+
+
+def outline(*corners: tuple[float, float]) -> Array:
+    """(n, 2, 2) walls from corner to corner and back to the first one."""
+    points = np.array(corners, dtype=np.float64)
+    return np.stack([points, np.roll(points, -1, axis=0)], axis=1)
+
+
+def box(x: float, y: float, width: float, height: float) -> Array:
+    """(4, 2, 2) the sides of a rectangle, counter-clockwise from its lower left corner."""
+    return outline((x, y), (x + width, y), (x + width, y + height), (x, y + height))
+
+
+def look(
+    pose: Pose,
+    walls: Array,
+    laser: LaserConfig | None = None,
+    sigma: float = 0.0,
+    rng: np.random.Generator | int = 0,
+) -> Scan:
+    """A scan of walls (W, 2, 2) from a robot at `pose`, with noise of `sigma`, m, drawn from `rng` or a seed."""
+    laser = laser or LaserConfig()
+    ranges = cast_rays(pose @ Pose(*laser.mount), beam_bearings(laser), walls, laser.max_range)
+    noise = sigma * np.random.default_rng(rng).standard_normal(len(ranges)) if sigma else 0.0
+    return Scan.from_config(ranges + noise, laser)
