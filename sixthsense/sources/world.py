@@ -175,22 +175,27 @@ class World:
         self._config = config
         self.drive = Drive.of(config, radius_m)
         """limits and errors of the robot's drive"""
-        laser, robot = config.laser, config.robot
-        solid = walls if glass is None else np.concatenate([walls, glass])
-        # Twice the top speed: noise makes the robot faster than its wheels say.
-        between_scans_m = 2.0 * robot.speed * laser.period_ticks * robot.control_period_s
-        self._visible = NearWalls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
-        self._solid = NearWalls(solid, radius_m + _MOVED_M + between_scans_m)
+        self._place(walls, glass)
         self._rng = rng
         self._draws = np.zeros((0, DRAWS))  # of ticks until the next scan
         self._truth = start
         self._odometry = start
         self._ticks = 0
         self._collided = False
+        laser = config.laser
         self._bearings = beam_bearings(laser)
         self._times_s = sweep_times(laser.beams, time_increment(laser))
         # True poses at the last control ticks, back to the beginning of a sweep.
         self._past: deque[Pose] = deque([start], maxlen=laser.period_ticks + 2)
+
+    def _place(self, walls: Array, glass: Array | None = None) -> None:
+        """Have the robot among `walls` and `glass` from now on."""
+        laser, robot = self._config.laser, self._config.robot
+        solid = walls if glass is None else np.concatenate([walls, glass])
+        # Twice the top speed: noise makes the robot faster than its wheels say.
+        between_scans_m = 2.0 * robot.speed * laser.period_ticks * robot.control_period_s
+        self._visible = NearWalls(walls, laser.max_range + _MOVED_M + 2.0 * robot.speed * laser.sweep_s)
+        self._solid = NearWalls(solid, self.drive.radius_m + _MOVED_M + between_scans_m)
 
     def step(self, command: Command) -> Tick | None:
         """Drive for one control tick with `command`, clipped to the robot's limits; None after a collision.

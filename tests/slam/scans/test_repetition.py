@@ -9,7 +9,6 @@ from test_front_end import drive, ticks
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.core.motion import STANDSTILL
 from sixthsense.slam.scans.evidence import Evidence, OldPass, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.mount import Mount
@@ -38,7 +37,7 @@ def graph_of(poses, walls, laser):
     rng = np.random.default_rng(0)
     graph = ScanGraph(stored(*(scan_at(pose, walls, laser, rng=rng) for pose in poses)), None, 0.01)
     for pose in poses:
-        graph.add(pose.array(), Mount(Pose()), STANDSTILL)
+        graph.add(pose.array(), Mount(Pose()))
     return graph
 
 
