@@ -8,6 +8,7 @@ from collections.abc import Collection
 import gtsam
 import numpy as np
 
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.estimators.base import LandmarkPrior
@@ -93,7 +94,7 @@ def _jacobians(prior: LandmarkPrior, frames: Array) -> list[Array]:
     `frames` (n, 3) are those of walls; of points they are unused.
     """
     n = len(prior.ids)
-    root = np.linalg.inv(np.linalg.cholesky(prior.cov + _FLOOR**2 * np.eye(2 * n)))  # R^-1 of cov = R R^T
+    root = root_information(prior.cov + _FLOOR**2 * np.eye(2 * n))
     _, axes = lines(frames)
     along = np.cumsum(prior.walls) - 1 + 2 * n
     blocks = []

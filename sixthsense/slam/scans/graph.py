@@ -236,10 +236,8 @@ class ScanGraph:
     def squares(self, links: Sequence[KeyframeLink]) -> Array:
         """(n,) squared Mahalanobis distances of links from the estimate."""
         ends = np.array([(link.target, link.source) for link in links], dtype=np.int64).reshape(-1, 2)
-        poses = np.array([link.pose for link in links]).reshape(-1, 3)
-        return self._squares(ends, poses, np.array([link.cov for link in links]).reshape(-1, 3, 3))
-
-    def _squares(self, ends: NDArray[np.int64], relative: Array, covs: Array) -> Array:
+        covs = np.array([link.cov for link in links]).reshape(-1, 3, 3)
+        relative = np.array([link.pose for link in links]).reshape(-1, 3)
         off = relative - between(self.poses[ends[:, 0]], self.poses[ends[:, 1]])
         off[:, 2] = wrap_angle(off[:, 2])
         return np.asarray(((root_information(covs) @ off[:, :, None]) ** 2).sum(axis=(1, 2)))
