@@ -70,11 +70,16 @@ def covariance_fault(cov: Array, lowest: float) -> str:
     """Why a matrix is no covariance, or an empty text; `lowest` allowed eigenvalue, relative to the largest entry."""
     if not np.isfinite(cov).all():
         return "a value that is not finite"
-    scale = float(np.abs(cov).max())
-    if np.abs(cov - cov.T).max() > COVARIANCE_SLACK * scale:
+    asymmetry, scale, smallest = _extremes(np.asarray(cov, dtype=np.float64))
+    if asymmetry > COVARIANCE_SLACK * scale:
         return "an asymmetric matrix"
-    smallest = float(np.linalg.eigvalsh(cov)[0])
     return f"an eigenvalue of {smallest:.3g}" if smallest < lowest * scale else ""
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _extremes(cov: Array) -> tuple[float, float, float]:
+    """The largest difference from the transpose, the largest entry, and the smallest eigenvalue."""
+    return np.abs(cov - cov.T).max(), np.abs(cov).max(), np.linalg.eigvalsh(cov)[0]
 
 
 def are_covariances(values: Sequence[Array]) -> bool:

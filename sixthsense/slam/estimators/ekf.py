@@ -12,15 +12,15 @@ from scipy.linalg import block_diag
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-from sixthsense.core.covariance import check_covariance
+from sixthsense.core.covariance import check_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmark_kernels import stacked
-from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, rotation_generator, translated
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, translated
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
-from sixthsense.slam.estimators.ekf_algebra import columns, expected, new_landmark, selected
+from sixthsense.slam.estimators.ekf_algebra import expected, new_landmark, propagate, seen_through, selected
 from sixthsense.slam.estimators.ekf_parameters import Parameters
 
 
@@ -204,17 +204,13 @@ class EKF:
             return
         wheels = self._parameters.wheels
         pending = self._pending if wheels is None else self._pending.with_wheels(wheels)
-        pose = self._pose @ pending.motion
-        phi, g = compose_jacobians(self._pose.theta, pending.motion)
-        phi[:2, 2] = rotation_generator(self._heading_lever(pose.position - self._pose.position))
+        theta, pose = self._pose.theta, self._pose @ pending.motion
+        lever = self._heading_lever(pose.position - self._pose.position)
         by_head = np.eye(self._head)
-        by_head[:3, :3] = phi
+        by_head[0, 2], by_head[1, 2] = -lever[1], lever[0]
         if wheels is not None and pending.wheels is not None:
-            by_head[:3, self._parameters.of_wheels] = g @ pending.wheels.jacobian
-        head_cov = by_head @ self._symmetric(np.arange(self._head)) @ by_head.T
-        head_cov[:3, :3] += g @ pending.cov @ g.T
-        self._cov[: self._head, : self._head] = 0.5 * (head_cov + head_cov.T)
-        self._cov[self._head :, : self._head] = self._cov[self._head :, : self._head] @ by_head.T
+            by_head[:3, self._parameters.of_wheels] = Pose(theta=theta).adjoint() @ pending.wheels.jacobian
+        propagate(self._cov.T, by_head, turned_covariance(pending.cov, theta))
         self._pose = pose
         self._pending = STANDSTILL
 
@@ -223,9 +219,9 @@ class EKF:
 
         Returns the correction (3 + 2n,) of the state, which the caller applies.
         """
-        m = len(slots)
         walls, points = self._walls[slots], self._linearization_points(slots)
-        predicted, by_pose, by_landmark = expected(self._pose, self._means[slots], *points, walls, self._centres[slots])
+        pose = self._pose.x, self._pose.y, self._pose.theta
+        predicted, by_pose, by_landmark = expected(pose, self._means[slots], *points, walls, self._centres[slots])
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
         for k, observation in enumerate(observations):
             if observation.shape_cov is not None:
@@ -237,14 +233,11 @@ class EKF:
             if observation.sensor is not None:
                 H[2 * k : 2 * k + 2, self._parameters.of_sensor] = self._parameters.by_sensor(predicted[k])
         index = np.concatenate([np.arange(self._head), self._places(slots)])
-        cross = columns(self._cov.T, index).T @ H.T  # Sigma H^T, (n, 2m)
-        S = H @ cross[index]
-        for k in range(m):
-            S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
+        cross, S = seen_through(self._cov.T, index, H, noise)
         root, fault = dpotrf(S, lower=1)
         if fault:
             raise np.linalg.LinAlgError("update: the innovations' covariance is not positive definite")
-        W = dtrsm(1.0, root, cross, side=1, lower=1, trans_a=1)  # (n, 2m)
+        W = dtrsm(1.0, root, cross.T, side=1, lower=1, trans_a=1, overwrite_b=1)  # (n, 2m)
         self._cov = dsyrk(-1.0, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
         return np.asarray(W @ dtrsm(1.0, root, innovation.reshape(-1, 1), lower=1)[:, 0])
 

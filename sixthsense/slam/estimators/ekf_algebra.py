@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, rotation
-from sixthsense.core.landmarks import Observation, initialize_landmark, observed_centre, predict, translated
+from sixthsense.core.landmark_kernels import predictions, translations
+from sixthsense.core.landmarks import Observation, initialize_landmark, observed_centre, translated
+from sixthsense.core.pose_kernels import Triple
 
 
 class NewLandmark(NamedTuple):
@@ -30,18 +32,21 @@ class NewLandmark(NamedTuple):
     """(2, 2)"""
 
 
+@numba.njit(cache=True, error_model="numpy")
 def expected(
-    pose: Pose, means: Array, point: Array, anchors: Array, walls: NDArray[np.bool_], centres: Array
+    pose: Triple, means: Array, point: Array, anchors: Array, walls: NDArray[np.bool_], centres: Array
 ) -> tuple[Array, Array, Array]:
     """Expected observations (m, 2) of landmarks `means` (m, 2), walls about `centres` (m, 2), from a pose.
 
     Also returns their Jacobians by the pose (m, 2, 3) and by the landmark (m, 2, 2), taken at the robot's linearization
     `point` (2,) and at the landmarks' `anchors` (m, 2).
     """
-    z, _, _ = predict(pose, translated(means, walls, centres)[0], walls)
-    about_start, by_mean = translated(anchors, walls, centres)
-    _, by_pose, by_landmark = predict(Pose(point[0], point[1], pose.theta), about_start, walls)
-    return z, by_pose, by_landmark @ by_mean
+    z, _, _ = predictions(pose, translations(means, walls, centres)[0], walls)
+    about_start, by_mean = translations(anchors, walls, centres)
+    _, by_pose, by_landmark = predictions((point[0], point[1], pose[2]), about_start, walls)
+    for k in range(len(means)):  # the first row of `by_mean` is (1, 0), and its last number 1
+        by_landmark[k, :, 0] += by_landmark[k, :, 1] * by_mean[k, 1, 0]
+    return z, by_pose, by_landmark
 
 
 def new_landmark(pose: Pose, point: Array, observation: Observation, has_centre: bool) -> NewLandmark:
@@ -58,6 +63,36 @@ def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[A
     mean, by_pose, by_z = initialize_landmark(pose, observation)
     about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z
+
+
+@numba.njit(cache=True, error_model="numpy")
+def propagate(upper: Array, by_head: Array, noise: Array) -> None:
+    """Move the first k parts of a state, in place: Sigma = F Sigma F^T + N with the Jacobian F, `by_head` (k, k).
+
+    `upper` is the transpose of Sigma (n, n). N is `noise` (3, 3) of the pose.
+    """
+    k = len(by_head)
+    own = upper[:k, :k].copy()
+    for i in range(k):
+        own[i, :i] = own[:i, i]
+    own = by_head @ own @ by_head.T
+    own[:3, :3] += noise
+    upper[:k, :k] = 0.5 * (own + own.T)
+    if len(upper) > k:
+        upper[:k, k:] = by_head @ upper[:k, k:].copy()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def seen_through(upper: Array, index: NDArray[np.int64], H: Array, noise: Array) -> tuple[Array, Array]:
+    """H Sigma (2m, n), and H Sigma H^T + noise (2m, 2m), where H has the columns `H` (2m, k) at `index` (k,) alone.
+
+    `upper` is the transpose of Sigma (n, n), `noise` (m, 2, 2) of the observations.
+    """
+    cross = H @ columns(upper, index)
+    S = cross[:, index] @ H.T
+    for k in range(len(noise)):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
+    return cross, S
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dsyr2k
 
-from sixthsense.core.geometry import Array, Pose, rotation
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.estimators.ekf import EKF
 
@@ -31,15 +31,12 @@ class InvariantEKF(EKF):
     _has_centres = True
 
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
-        theta, before = float(shift[2]), (self._pose.x, self._pose.y)
-        V = _left_jacobian(theta)
-        (x, y), means, U = _corrected(before, self._means, self._walls, self._centres, shift, V, self._head)
-        self._pose, self._means = Pose(x, y, self._pose.theta + theta), means
-        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T + B (e_p - e_theta J p)^T, U = (u, B).
-        of_pose = np.vstack([self._symmetric(np.arange(3)), self._cov[3:, :3]])  # Sigma's columns of the pose
-        C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, before[1]], [0.0, 1.0, -before[0]]])  # theta and xi_p of the pose's
-        W = of_pose @ C.T + 0.5 * U @ (C @ of_pose[:3] @ C.T)
-        self._cov = dsyr2k(1.0, U, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+        before = self._pose.x, self._pose.y
+        (x, y), means, U = _corrected(before, self._means, self._walls, self._centres, shift, self._head)
+        self._pose, self._means = Pose(x, y, self._pose.theta + float(shift[2])), means
+        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + U C.
+        W = _transported(self._cov.T, before, U)
+        self._cov = dsyr2k(1.0, U.T, W.T, trans=1, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -49,7 +46,6 @@ def _corrected(
     walls: NDArray[np.bool_],
     centres: Array,
     shift: Array,
-    V: Array,
     head: int,
 ) -> tuple[tuple[float, float], Array, Array]:
     """The robot's position and the means (n, 2) after a correction by `shift` (3 + 2n,), and U (head + 2n, 3).
@@ -61,10 +57,11 @@ def _corrected(
     """
     theta = shift[2]
     c, s = math.cos(theta), math.sin(theta)
+    along, aside = _left_jacobian(theta)
     U, moved = np.zeros((head + 2 * len(means), 3)), np.empty(means.shape)
     x, y = position
     xi, eta = shift[0] + theta * y, shift[1] - theta * x
-    new = c * x - s * y + V[0, 0] * xi + V[0, 1] * eta, s * x + c * y + V[1, 0] * xi + V[1, 1] * eta
+    new = c * x - s * y + along * xi - aside * eta, s * x + c * y + aside * xi + along * eta
     U[0, 0], U[1, 0] = y - new[1], new[0] - x
     for k in range(len(means)):
         a, b = means[k]
@@ -77,13 +74,33 @@ def _corrected(
             U[row + 1] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
         else:
             xi, eta = da + theta * b, db - theta * a
-            moved[k, 0] = c * a - s * b + V[0, 0] * xi + V[0, 1] * eta
-            moved[k, 1] = s * a + c * b + V[1, 0] * xi + V[1, 1] * eta
+            moved[k, 0] = c * a - s * b + along * xi - aside * eta
+            moved[k, 1] = s * a + c * b + aside * xi + along * eta
             U[row, 0], U[row + 1, 0] = b - moved[k, 1], moved[k, 0] - a
     return new, moved, U
 
 
-def _left_jacobian(theta: float) -> Array:
-    """V (2, 2) of SE(2): exp(xi) translates by V xi_p."""
+@numba.njit(cache=True, error_model="numpy")
+def _left_jacobian(theta: float) -> tuple[float, float]:
+    """The first column of V (2, 2) of SE(2), a rotation times a factor: exp(xi) translates by V xi_p."""
     half = 0.5 * theta
-    return rotation(half) * np.sinc(half / np.pi)  # sin(half) / half
+    factor = math.sin(half) / half if half != 0.0 else 1.0
+    return factor * math.cos(half), factor * math.sin(half)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _transported(upper: Array, position: Place, U: Array) -> Array:
+    """W (n, 3) with Sigma + U W^T + W U^T = T Sigma T^T, where T = I + U C; `upper` (n, n) is Sigma's transpose.
+
+    C takes theta and the xi_p of the robot at a position from the errors of its pose.
+    """
+    x, y = position
+    W = np.empty(U.shape)
+    for i in range(len(U)):
+        ex, ey, theta = upper[0, i], upper[min(i, 1), max(i, 1)], upper[min(i, 2), max(i, 2)]
+        W[i] = theta, ex + y * theta, ey - x * theta
+    own = np.empty((3, 3))  # C Sigma C^T
+    own[0] = W[2]
+    own[1] = W[0] + y * W[2]
+    own[2] = W[1] - x * W[2]
+    return W + 0.5 * U @ own
