@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_among, cast_rays
+from sixthsense.core.ray_casting import beams_of, cast_among, cast_rays
 from sixthsense.evaluation.coverage import visible_area
 from sixthsense.navigation.gridsearch import shortest_path
 from sixthsense.slam.features import extract
@@ -65,12 +65,10 @@ def noisy_scans(scene: Scene, poses: Iterable[Pose], rng: np.random.Generator) -
     return [Scan.from_config(ranges + rng.normal(0.0, noise, len(ranges)), laser) for ranges in clean]
 
 
-def cast_rays_numpy(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float) -> Array:
-    """Vectorised reference: all beams against all walls in range, by Cramer's rule on (M, N) matrices."""
-    angles = bearings + T_world_laser.theta
-    directions = np.stack([np.cos(angles), np.sin(angles)])  # (2, N)
-    start = walls[:, 0] - T_world_laser.position
-    along = walls[:, 1] - walls[:, 0]
+def cast_rays_numpy(T_world_laser: Pose, directions: Array, walls: Array, max_range: float) -> Array:
+    """Vectorised reference: beams (2, N) of the laser against all walls in range, by Cramer's rule on (M, N)."""
+    in_frame = T_world_laser.inverse() @ walls
+    start, along = in_frame[:, 0], in_frame[:, 1] - in_frame[:, 0]
     s = np.clip(-(start * along).sum(axis=1) / (along * along).sum(axis=1), 0.0, 1.0)
     nearest = start + s[:, None] * along
     near = (nearest * nearest).sum(axis=1) <= max_range**2
@@ -103,18 +101,21 @@ def raycast_figures(poses: int = 1000, checked: int = 50) -> Figures:
     """Time of the kernel and of the NumPy reference at random poses, and the difference from the plain reference."""
     scene, laser = load_scene("apartment"), preset().laser
     bearings = beam_bearings(laser)
+    beams, directions = beams_of(bearings), np.stack([np.cos(bearings), np.sin(bearings)])
     places = free_poses(scene, poses, np.random.default_rng(0))
     worst = 0.0
     for pose in places[:checked]:
         reference = cast_rays_plain(pose, bearings, scene.walls, laser.max_range)
-        for caster in (cast_rays, cast_rays_numpy):
-            ranges = caster(pose, bearings, scene.walls, laser.max_range)
+        for ranges in (
+            cast_rays(pose, bearings, scene.walls, laser.max_range),
+            cast_rays_numpy(pose, directions, scene.walls, laser.max_range),
+        ):
             same = ranges == reference  # inf included
             worst = max(worst, float(np.max(np.abs(ranges[~same] - reference[~same]), initial=0.0)))
     ms = alternate(
         places,
-        lambda pose: cast_among(pose, bearings, scene.walls.reshape(-1, 4), laser.max_range),
-        lambda pose: cast_rays_numpy(pose, bearings, scene.walls, laser.max_range),
+        lambda pose: cast_among(pose, beams, scene.walls.reshape(-1, 4), laser.max_range),
+        lambda pose: cast_rays_numpy(pose, directions, scene.walls, laser.max_range),
     )
     ours, numpy = np.median(ms, axis=0)
     return {

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
+from sixthsense.core.pose_kernels import Triple
 
 _JOIN = 1e-9
 """share of its length by which a wall is extended, so that two walls that join leave no gap"""
@@ -37,15 +38,42 @@ def _quarter_turns(x: float, y: float) -> float:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _beams_by_sector(cos: Array, sin: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Sort beams into as many sectors as there are beams, of equal parts of a `_quarter_turns`.
+def _sector(direction: float, n: int) -> int:
+    """Which of n equal sectors a direction is in, quarter turns from -4 to 8. It is wrapped by a branch: `%` divides."""
+    if direction < 0.0:
+        direction += 4.0
+    elif direction >= 4.0:
+        direction -= 4.0
+    return min(int(direction * 0.25 * n), n - 1)
 
-    Returns (N,) the indices of the beams by sector, and (N + 1,) the places in it at which the sectors begin.
-    """
+
+class Beams(NamedTuple):
+    """Beams of a laser by sector, in its frame. There are as many sectors as beams, equal parts of `_quarter_turns`."""
+
+    cos: Array
+    """(N,) of the bearings, by sector"""
+    sin: Array
+    """(N,)"""
+    order: NDArray[np.int64]
+    """(N,) the beams' places in the scan"""
+    begins: NDArray[np.int64]
+    """(N + 1,) where the sectors begin"""
+
+
+def beams_of(bearings: Array) -> Beams:
+    """The beams at some bearings (N,), radians in the laser's frame."""
+    cos, sin = np.cos(bearings), np.sin(bearings)
+    order, begins = _by_sector(cos, sin)
+    return Beams(cos[order], sin[order], order, begins)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _by_sector(cos: Array, sin: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The order and the begins of `Beams`."""
     n = len(cos)
     sectors, begins, order = np.empty(n, np.int64), np.zeros(n + 1, np.int64), np.empty(n, np.int64)
     for i in range(n):
-        sectors[i] = min(int(_quarter_turns(cos[i], sin[i]) * 0.25 * n), n - 1)
+        sectors[i] = _sector(_quarter_turns(cos[i], sin[i]), n)
         begins[sectors[i] + 1] += 1
     for k in range(n):
         begins[k + 1] += begins[k]
@@ -85,13 +113,14 @@ def _cast_at_leg(ax: float, ay: float, radius: float, cos: Array, sin: Array, ra
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cast_at_legs(
-    x: float, y: float, cos: Array, sin: Array, begins: NDArray[np.int64], legs: Array, found: Array
-) -> None:
-    """Shorten `found` (N,) of beams, sorted by sector, to where they enter any of `legs` (L, 5)."""
-    n = len(cos)
+def _cast_at_legs(laser: Triple, beams: Beams, legs: Array, found: Array) -> None:
+    """Shorten `found` (N,) of beams to where they enter any of `legs` (L, 5)."""
+    cos, sin, _, begins = beams
+    n, x, y = len(cos), laser[0], laser[1]
+    c, s = math.cos(laser[2]), math.sin(laser[2])
     for j in range(legs.shape[0]):
-        ax, ay, radius = legs[j, 0] - x, legs[j, 1] - y, legs[j, 2]
+        dx, dy, radius = legs[j, 0] - x, legs[j, 1] - y, legs[j, 2]
+        ax, ay = c * dx + s * dy, c * dy - s * dx
         away_sq = ax * ax + ay * ay
         # Half of the angle under which it is seen, as a tangent; a laser that is nearer than 1.4 radii tests all beams.
         if away_sq <= 2.0 * radius * radius:
@@ -102,8 +131,7 @@ def _cast_at_legs(
             _quarter_turns(ax + tangent * ay, ay - tangent * ax),
             _quarter_turns(ax - tangent * ay, ay + tangent * ax),
         )
-        first = begins[int(((begin - _MARGIN) % 4.0) * 0.25 * n) % n]
-        last = begins[int(((end + _MARGIN) % 4.0) * 0.25 * n) % n + 1]
+        first, last = begins[_sector(begin - _MARGIN, n)], begins[_sector(end + _MARGIN, n) + 1]
         if begin <= end and begin >= _MARGIN and end < 4.0 - _MARGIN:
             _cast_at_leg(ax, ay, radius, cos[first:last], sin[first:last], found[first:last])
         else:
@@ -112,24 +140,25 @@ def _cast_at_legs(
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _cast_rays(
-    x: float, y: float, cos: Array, sin: Array, walls: Array, legs: Array, max_range: float, ranges: Array
-) -> None:
-    """Fill `ranges` (N,) with the distance along each direction to the nearest of `walls` (M, 4) and `legs` (L, 5).
+def _cast_rays(laser: Triple, beams: Beams, walls: Array, legs: Array, max_range: float) -> Array:
+    """(N,) the distance along each beam to the nearest of `walls` (M, 4) and `legs` (L, 5), world frame.
 
     It is inf where that is not nearer than `max_range`.
     """
-    n = len(cos)
-    order, begins = _beams_by_sector(cos, sin)
-    cos, sin, found = cos[order], sin[order], np.full(n, np.inf)
+    cos, sin, order, begins = beams
+    n, found, ranges = len(cos), np.full(len(cos), np.inf), np.empty(len(cos))
+    x, y, theta = laser
+    c, s = math.cos(theta), math.sin(theta)
     for j in range(walls.shape[0]):
-        ax, ay = walls[j, 0] - x, walls[j, 1] - y
-        bx, by = walls[j, 2] - x, walls[j, 3] - y
-        ex, ey = walls[j, 2] - walls[j, 0], walls[j, 3] - walls[j, 1]
+        dx, dy = walls[j, 0] - x, walls[j, 1] - y
+        ax, ay = c * dx + s * dy, c * dy - s * dx  # in the frame of the laser, where the beams never change
+        dx, dy = walls[j, 2] - x, walls[j, 3] - y
+        bx, by = c * dx + s * dy, c * dy - s * dx
+        ex, ey = bx - ax, by - ay
         length_sq = ex * ex + ey * ey
         # A wall out of range costs one distance instead of one test per beam.
-        s = min(max(-(ax * ex + ay * ey) / length_sq, 0.0), 1.0)
-        nx, ny = ax + s * ex, ay + s * ey
+        u = min(max(-(ax * ex + ay * ey) / length_sq, 0.0), 1.0)
+        nx, ny = ax + u * ex, ay + u * ey
         if nx * nx + ny * ny > max_range * max_range:
             continue
         if nx * nx + ny * ny < _AT_END_SQ * length_sq:
@@ -138,16 +167,16 @@ def _cast_rays(
         begin, end = _quarter_turns(ax, ay), _quarter_turns(bx, by)
         if ax * by - ay * bx < 0.0:
             begin, end = end, begin
-        first = begins[int(((begin - _MARGIN) % 4.0) * 0.25 * n) % n]
-        last = begins[int(((end + _MARGIN) % 4.0) * 0.25 * n) % n + 1]
+        first, last = begins[_sector(begin - _MARGIN, n)], begins[_sector(end + _MARGIN, n) + 1]
         if begin <= end and begin >= _MARGIN and end < 4.0 - _MARGIN:
             _cast_at_wall((ax, ay, ex, ey), cos[first:last], sin[first:last], found[first:last])
         else:
             _cast_at_wall((ax, ay, ex, ey), cos[first:], sin[first:], found[first:])
             _cast_at_wall((ax, ay, ex, ey), cos[:last], sin[:last], found[:last])
-    _cast_at_legs(x, y, cos, sin, begins, legs, found)
+    _cast_at_legs(laser, beams, legs, found)
     for k in range(n):
         ranges[order[k]] = found[k] if found[k] < max_range else np.inf
+    return ranges
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
@@ -210,18 +239,14 @@ def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_ra
     and for numbers that are not finite.
     """
     segments = as_array("walls", walls, ("M", 2, 2)).reshape(-1, 4)
-    return cast_among(
-        as_pose("T_world_laser", T_world_laser), as_array("bearings", bearings, ("N",)), segments, max_range
-    )
+    beams = beams_of(as_array("bearings", bearings, ("N",)))
+    return cast_among(as_pose("T_world_laser", T_world_laser), beams, segments, max_range)
 
 
-def cast_among(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
+def cast_among(T_world_laser: Pose, beams: Beams, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
     """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them and `legs` (L, 5), and without checks."""
-    angles = bearings + T_world_laser.theta
-    ranges = np.empty(len(angles))
-    flat = np.ascontiguousarray(walls)
-    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, legs, max_range, ranges)
-    return ranges
+    laser = T_world_laser.x, T_world_laser.y, T_world_laser.theta
+    return _cast_rays(laser, beams, np.ascontiguousarray(walls), legs, max_range)
 
 
 class NearWalls:

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
-from sixthsense.core.ray_casting import NearWalls, cast_among
+from sixthsense.core.ray_casting import NearWalls, beams_of, cast_among
 from sixthsense.sources.walking_space import mark_distances
 
 if TYPE_CHECKING:
@@ -183,7 +183,7 @@ def _sweep(
 ) -> None:
     """Mark the cells on a scan's beams in `first`."""
     near = walls.at(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_among(T_world_laser, bearings, near, max_range), max_range) / cell_m
+    lengths = np.minimum(cast_among(T_world_laser, beams_of(bearings), near, max_range), max_range) / cell_m
     angles = bearings + T_world_laser.theta
     x, y = (T_world_laser.position - origin) / cell_m
     _mark(x, y, np.cos(angles), np.sin(angles), lengths, scan, first)

@@ -16,7 +16,7 @@ from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increme
 from sixthsense.core.motion import draw
 from sixthsense.core.odometry_kernels import Slip, slipped
 from sixthsense.core.pose_kernels import Triple, composed, driven, wrapped
-from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, cast_among, cast_sweep
+from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, beams_of, cast_among, cast_sweep
 from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.sources.walkers import Walkers
 
@@ -184,6 +184,7 @@ class World:
         self._collided = False
         laser = config.laser
         self._bearings = beam_bearings(laser)
+        self._beams = beams_of(self._bearings)
         self._times_s = sweep_times(laser.beams, time_increment(laser))
         # True poses at the last control ticks, back to the beginning of a sweep.
         self._past: deque[Pose] = deque([start], maxlen=laser.period_ticks + 2)
@@ -270,7 +271,8 @@ class World:
         walls = self._visible.at(T_world_laser.x, T_world_laser.y)
         legs = NO_LEGS if self._walkers is None else self._walkers.legs()
         if laser.sweep_s == 0.0:
-            ranges = cast_among(T_world_laser, bearings, walls, laser.max_range, legs)
+            beams = self._beams if noise.bearing_rad == 0.0 else beams_of(bearings)
+            ranges = cast_among(T_world_laser, beams, walls, laser.max_range, legs)
         else:
             ranges = cast_sweep(self._sweep(), bearings, walls, laser.max_range, Moving(legs, self._times_s))
         ranges += draw(self._rng, noise.distribution, noise.range_m, laser.beams)

@@ -5,7 +5,7 @@ import numpy as np
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, beam_bearings
-from sixthsense.core.ray_casting import cast_among
+from sixthsense.core.ray_casting import beams_of, cast_among
 from sixthsense.core.source import Tick
 from sixthsense.slam.moving import MovingReturns, _count_seen_through
 from sixthsense.slam.slam import Slam
@@ -22,7 +22,7 @@ def leg(x: float, y: float) -> Array:
 
 def scan(pose: Pose, legs: Array | None, rng: np.random.Generator) -> Scan:
     legs = np.zeros((0, 5)) if legs is None else legs
-    ranges = cast_among(pose, beam_bearings(LASER), ROOM.reshape(-1, 4), LASER.max_range, legs)
+    ranges = cast_among(pose, beams_of(beam_bearings(LASER)), ROOM.reshape(-1, 4), LASER.max_range, legs)
     return Scan.from_config(ranges + rng.normal(0.0, 0.01, len(ranges)), LASER)
 
 
