@@ -39,7 +39,7 @@ def _quarter_turns(x: float, y: float) -> float:
 
 @numba.njit(cache=True, error_model="numpy")
 def _sector(direction: float, n: int) -> int:
-    """Which of n equal sectors a direction is in, quarter turns from -4 to 8. It is wrapped by a branch: `%` divides."""
+    """Which of n equal sectors a direction is in, quarter turns from -4 to 8. A branch wraps it: `%` divides."""
     if direction < 0.0:
         direction += 4.0
     elif direction >= 4.0:
