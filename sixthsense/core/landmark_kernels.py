@@ -22,21 +22,20 @@ def predictions(pose: Triple, landmarks: Array, walls: Mask) -> tuple[Array, Arr
     c, s = math.cos(theta), math.sin(theta)
     z, by_pose, by_landmark = np.empty((m, 2)), np.zeros((m, 2, 3)), np.empty((m, 2, 2))
     for k in range(m):
-        a, b = landmarks[k]
+        a, b = landmarks[k, 0], landmarks[k, 1]
         if walls[k]:
             nx, ny = math.cos(a), math.sin(a)
-            z[k] = wrapped(a - theta), b - nx * x - ny * y
-            by_pose[k, 0, 2] = -1.0
-            by_pose[k, 1, :2] = -nx, -ny
-            by_landmark[k, 0] = 1.0, 0.0
-            by_landmark[k, 1] = ny * x - nx * y, 1.0
+            z[k, 0], z[k, 1] = wrapped(a - theta), b - nx * x - ny * y
+            by_pose[k, 0, 2], by_pose[k, 1, 0], by_pose[k, 1, 1] = -1.0, -nx, -ny
+            by_landmark[k, 0, 0], by_landmark[k, 0, 1] = 1.0, 0.0
+            by_landmark[k, 1, 0], by_landmark[k, 1, 1] = ny * x - nx * y, 1.0
         else:
             ahead, left = c * (a - x) + s * (b - y), c * (b - y) - s * (a - x)
-            z[k] = ahead, left
-            by_pose[k, 0] = -c, -s, left
-            by_pose[k, 1] = s, -c, -ahead
-            by_landmark[k, 0] = c, s
-            by_landmark[k, 1] = -s, c
+            z[k, 0], z[k, 1] = ahead, left
+            by_pose[k, 0, 0], by_pose[k, 0, 1], by_pose[k, 0, 2] = -c, -s, left
+            by_pose[k, 1, 0], by_pose[k, 1, 1], by_pose[k, 1, 2] = s, -c, -ahead
+            by_landmark[k, 0, 0], by_landmark[k, 0, 1] = c, s
+            by_landmark[k, 1, 0], by_landmark[k, 1, 1] = -s, c
     return z, by_pose, by_landmark
 
 
@@ -46,16 +45,15 @@ def translations(landmarks: Array, walls: Mask, by: Array) -> tuple[Array, Array
     m = len(landmarks)
     moved, jacobian = np.empty((m, 2)), np.empty((m, 2, 2))
     for k in range(m):
-        a, b = landmarks[k]
-        x, y = by[k]
-        jacobian[k, 0] = 1.0, 0.0
-        jacobian[k, 1] = 0.0, 1.0
+        a, b = landmarks[k, 0], landmarks[k, 1]
+        x, y = by[k, 0], by[k, 1]
+        jacobian[k, 0, 0], jacobian[k, 0, 1], jacobian[k, 1, 0], jacobian[k, 1, 1] = 1.0, 0.0, 0.0, 1.0
         if walls[k]:
             nx, ny = math.cos(a), math.sin(a)
-            moved[k] = a, b + nx * x + ny * y
+            moved[k, 0], moved[k, 1] = a, b + nx * x + ny * y
             jacobian[k, 1, 0] = nx * y - ny * x
         else:
-            moved[k] = a + x, b + y
+            moved[k, 0], moved[k, 1] = a + x, b + y
     return moved, jacobian
 
 
@@ -64,8 +62,8 @@ def line_ends(line: Array, first: float, last: float) -> Array:
     """(2, 2) the points of a line (2,), alpha and d, at two places along it, m from the foot of its perpendicular."""
     c, s = math.cos(line[0]), math.sin(line[0])
     out = np.empty((2, 2))
-    out[0] = line[1] * c - first * s, line[1] * s + first * c
-    out[1] = line[1] * c - last * s, line[1] * s + last * c
+    out[0, 0], out[0, 1] = line[1] * c - first * s, line[1] * s + first * c
+    out[1, 0], out[1, 1] = line[1] * c - last * s, line[1] * s + last * c
     return out
 
 
@@ -73,7 +71,9 @@ def line_ends(line: Array, first: float, last: float) -> Array:
 def innovation(z: Array, cov: Array, predicted: Array, is_wall: bool, value: Array, about: Array) -> None:
     """Fill in the innovation (2,) of an observation and its covariance (2, 2) about the prediction."""
     value[0], value[1] = z[0] - predicted[0], z[1] - predicted[1]
-    about[:] = cov
+    for row in range(2):
+        for column in range(2):
+            about[row, column] = cov[row, column]
     if is_wall:
         turn = wrapped(value[0])
         c, s = math.cos(turn), math.sin(turn)
@@ -99,6 +99,9 @@ def stacked(by_pose: Array, by_landmark: Array, head: int) -> Array:
     m = len(by_pose)
     H = np.zeros((2 * m, head + 2 * m))
     for k in range(m):
-        H[2 * k : 2 * k + 2, :3] = by_pose[k]
-        H[2 * k : 2 * k + 2, head + 2 * k : head + 2 * k + 2] = by_landmark[k]
+        for row in range(2):
+            for column in range(3):
+                H[2 * k + row, column] = by_pose[k, row, column]
+            for column in range(2):
+                H[2 * k + row, head + 2 * k + column] = by_landmark[k, row, column]
     return H

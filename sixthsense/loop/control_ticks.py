@@ -84,7 +84,8 @@ def run_ticks(
         odometry, motion, cov = folded(odometry, by_wheels, fixed.noise)
         for i in range(3):
             rows.truths[k, i], rows.odometry[k, i], rows.motions[k, i] = truth[i], by_wheels[i], motion[i]
-        rows.covs[k] = cov
+            for j in range(3):
+                rows.covs[k, i, j] = cov[i, j]
         since_scan = composed(steering.since_scan, motion)
         steering = Steering(steering.drive, since_scan, steering.returns, steering.waits_for_moving)
         is_all = not has_touched

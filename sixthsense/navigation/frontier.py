@@ -98,7 +98,8 @@ def adjacent_cells(mask: Bools, cells: Cells) -> Cells:
                 count += 1
     once = np.unique(found[:count])
     out = np.empty((len(once), 2), dtype=np.int64)
-    out[:, 0], out[:, 1] = once // width, once % width
+    for i in range(len(once)):
+        out[i, 0], out[i, 1] = once[i] // width, once[i] % width
     return out
 
 

@@ -130,13 +130,18 @@ def _empty(count: int, columns: int) -> _Matches:
 def _keep(matches: _Matches, place: int, j: int, n: int, row: Array, own: Array) -> None:
     """Keep a match with landmark `j` that follows `n` others."""
     matches.landmark[place] = j
-    matches.rows[place, :, : 2 * n + 2] = row[:, : 2 * n + 2]
-    matches.whitened[place] = own
+    for a in range(2):
+        for b in range(2 * n + 2):
+            matches.rows[place, a, b] = row[a, b]
+        matches.whitened[place, a] = own[a]
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _is_taken(j: int, landmarks: Indices, chain: Indices) -> bool:
-    return bool((landmarks[chain] == j).any())
+    taken = False
+    for match in chain:
+        taken |= landmarks[match] == j
+    return taken
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -147,7 +152,7 @@ def _extend(pairs: Pairs, i: int, j: int, matches: _Matches, chain: Indices, row
     """
     n = len(chain)
     predicted, noise = pairs.predicted, pairs.noise[i, j]
-    y0, y1 = pairs.values[i, j]
+    y0, y1 = pairs.values[i, j, 0], pairs.values[i, j, 1]
     s00 = predicted[2 * j, 2 * j] + noise[0, 0]
     s10 = predicted[2 * j + 1, 2 * j] + noise[1, 0]
     s11 = predicted[2 * j + 1, 2 * j + 1] + noise[1, 1]

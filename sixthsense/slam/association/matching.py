@@ -41,16 +41,19 @@ class Innovations(NamedTuple):
     """(k,) which of the landmarks are walls"""
 
     def pose_given(self, pose: Pose, matched: Indices) -> Pose:
-        """The predicted `pose` updated with matches (m,), -1: none."""
-        x, y, theta = _shift(self.pairs, self.with_pose, matched)
+        """The predicted `pose` updated with matches (m,), -1: none; report eq. 10."""
+        rows = np.flatnonzero(matched >= 0)
+        values, places = self.pairs.values[rows, matched[rows]].ravel(), _places(matched[rows])
+        S = _joint(self.pairs.predicted, places, self.pairs.noise[rows, matched[rows]])
+        x, y, theta = (np.linalg.solve(S, values) @ self.with_pose[places]).tolist()
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
 
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
         rows = np.flatnonzero(matched >= 0)
         cols = matched[rows]
-        joint = _joint(self.pairs.predicted, cols, self.pairs.noise[rows, cols])
-        return gate * len(rows) - float(_nis(self.pairs.values[rows, cols], joint))
+        joint = _joint(self.pairs.predicted, _places(cols), self.pairs.noise[rows, cols])
+        return gate * len(rows) - _nis(self.pairs.values[rows, cols], joint)
 
     def nis(self, observations: Sequence[Observation], landmarks: Indices) -> float:
         """Normalised innovation squared of observations of the `landmarks` (n,), with the correlations between them.
@@ -61,7 +64,7 @@ class Innovations(NamedTuple):
             return 0.0
         z, cov = np.array([s.z for s in observations]), np.array([s.cov for s in observations])
         values, noise = innovations_of(z, cov, self.predicted[landmarks], self.walls[landmarks])
-        return float(_nis(values, _joint(self.pairs.predicted, landmarks, noise)))
+        return _nis(values, _joint(self.pairs.predicted, _places(landmarks), noise))
 
 
 def compare(observed: Observed, squares_m2: Array, estimate: Estimate, near: Indices, joint: Array) -> Innovations:
@@ -90,14 +93,16 @@ def _compared(
     predicted, by_pose, by_landmark = predictions(pose, landmarks, walls)
     with_state = _by_state(by_pose, by_landmark, joint)
     predicted_cov = _by_state(by_pose, by_landmark, np.ascontiguousarray(with_state.T))
-    values, noise = np.empty((m, k, 2)), np.empty((m, k, 2, 2))
+    values, noise, own = np.empty((m, k, 2)), np.empty((m, k, 2, 2)), np.empty((2, 2))
     squared, log_det = np.empty((m, k)), np.empty((m, k))
     for i in range(m):
         of_shape = unit_cov(observed.extents[i, 0], observed.extents[i, 1], observed.walls[i])
         for j in range(k):
-            own = observed.cov[i] + squares_m2[j] * of_shape
+            for row in range(2):
+                for column in range(2):
+                    own[row, column] = observed.cov[i, row, column] + squares_m2[j] * of_shape[row, column]
             innovation(observed.z[i], own, predicted[j], walls[j], values[i, j], noise[i, j])
-            a, b = values[i, j]
+            a, b = values[i, j, 0], values[i, j, 1]
             s00 = predicted_cov[2 * j, 2 * j] + noise[i, j, 0, 0]
             s10 = predicted_cov[2 * j + 1, 2 * j] + noise[i, j, 1, 0]
             s11 = predicted_cov[2 * j + 1, 2 * j + 1] + noise[i, j, 1, 1]
@@ -123,37 +128,21 @@ def _by_state(by_pose: Array, by_landmark: Array, of_state: Array) -> Array:
     return out
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _joint(predicted_cov: Array, landmarks: Indices, noise: Array) -> Array:
-    """(2n, 2n) joint covariance of the innovations of n observations with `noise` (n, 2, 2) of `landmarks` (n,)."""
-    n = len(landmarks)
-    S = np.empty((2 * n, 2 * n))
-    for a in range(2 * n):
-        for b in range(2 * n):
-            S[a, b] = predicted_cov[2 * landmarks[a // 2] + a % 2, 2 * landmarks[b // 2] + b % 2]
-    for k in range(n):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
+def _joint(predicted_cov: Array, places: Indices, noise: Array) -> Array:
+    """(2n, 2n) covariance of the innovations with `noise` (n, 2, 2) of predictions at `places` (2n,) together."""
+    S, each = predicted_cov[places[:, None], places], np.arange(len(noise))
+    S.reshape(len(noise), 2, len(noise), 2)[each, :, each] += noise
     return S
 
 
-@numba.njit(cache=True, error_model="numpy")
+def _places(landmarks: Indices) -> Indices:
+    """(2n,) of the predictions of `landmarks` (n,) among those of all."""
+    return np.asarray((2 * landmarks[:, None] + np.arange(2)).ravel())
+
+
 def _nis(values: Array, S: Array) -> float:
-    stacked = values.ravel()
-    return float(stacked @ np.linalg.solve(S, stacked))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _shift(pairs: Pairs, with_pose: Array, matched: Indices) -> Triple:
-    """Of the pose, by the update with matches (m,), -1: none; report eq. 10."""
-    rows = np.flatnonzero(matched >= 0)
-    cols = matched[rows]
-    n = len(rows)
-    values, noise, cross = np.empty(2 * n), np.empty((n, 2, 2)), np.empty((2 * n, 3))
-    for k in range(n):
-        values[2 * k : 2 * k + 2], noise[k] = pairs.values[rows[k], cols[k]], pairs.noise[rows[k], cols[k]]
-        cross[2 * k : 2 * k + 2] = with_pose[2 * cols[k] : 2 * cols[k] + 2]
-    x, y, theta = np.linalg.solve(_joint(pairs.predicted, cols, noise), values) @ cross
-    return x, y, theta
+    flat = values.ravel()
+    return float(flat @ np.linalg.solve(S, flat))
 
 
 class Matches(NamedTuple):

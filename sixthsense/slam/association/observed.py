@@ -105,10 +105,10 @@ class Distances(NamedTuple):
 def _ends(z: Array, walls: Mask, extents: Array) -> Array:
     out = np.empty((len(z), 2, 2))
     for i in range(len(z)):
-        if walls[i]:
-            out[i] = line_ends(z[i], extents[i, 0], extents[i, 1])
-        else:
-            out[i] = z[i]
+        ends = line_ends(z[i], extents[i, 0], extents[i, 1])
+        for end in range(2):
+            for axis in range(2):
+                out[i, end, axis] = ends[end, axis] if walls[i] else z[i, axis]
     return out
 
 

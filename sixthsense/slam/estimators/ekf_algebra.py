@@ -45,7 +45,8 @@ def expected(
     about_start, by_mean = translations(anchors, walls, centres)
     _, by_pose, by_landmark = predictions((point[0], point[1], pose[2]), about_start, walls)
     for k in range(len(means)):  # the first row of `by_mean` is (1, 0), and its last number 1
-        by_landmark[k, :, 0] += by_landmark[k, :, 1] * by_mean[k, 1, 0]
+        for row in range(2):
+            by_landmark[k, row, 0] += by_landmark[k, row, 1] * by_mean[k, 1, 0]
     return z, by_pose, by_landmark
 
 
@@ -72,14 +73,24 @@ def propagate(upper: Array, by_head: Array, noise: Array) -> None:
     `upper` is the transpose of Sigma (n, n). N is `noise` (3, 3) of the pose.
     """
     k = len(by_head)
-    own = upper[:k, :k].copy()
+    moved, column = np.empty((k, k)), np.empty(k)  # F Sigma of the head
+    for j in range(len(upper)):
+        for i in range(k):
+            column[i] = upper[min(i, j), max(i, j)]
+        for i in range(k):
+            total = 0.0
+            for other in range(k):
+                total += by_head[i, other] * column[other]
+            if j < k:
+                moved[i, j] = total
+            else:
+                upper[i, j] = total
     for i in range(k):
-        own[i, :i] = own[:i, i]
-    own = by_head @ own @ by_head.T
-    own[:3, :3] += noise
-    upper[:k, :k] = 0.5 * (own + own.T)
-    if len(upper) > k:
-        upper[:k, k:] = by_head @ upper[:k, k:].copy()
+        for j in range(i, k):
+            total = noise[i, j] if j < 3 else 0.0
+            for other in range(k):
+                total += moved[i, other] * by_head[j, other]
+            upper[i, j] = total
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -88,10 +99,18 @@ def seen_through(upper: Array, index: NDArray[np.int64], H: Array, noise: Array)
 
     `upper` is the transpose of Sigma (n, n), `noise` (m, 2, 2) of the observations.
     """
-    cross = H @ columns(upper, index)
-    S = cross[:, index] @ H.T
-    for k in range(len(noise)):
-        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += noise[k]
+    rows, n = len(H), len(upper)
+    found, cross, S = columns(upper, index), np.zeros((rows, n)), np.zeros((rows, rows))
+    for a in range(rows):
+        for b in range(len(index)):
+            if H[a, b] != 0.0:
+                for j in range(n):
+                    cross[a, j] += H[a, b] * found[b, j]
+    for a in range(rows):
+        for other in range(rows):
+            S[a, other] = noise[a // 2, a % 2, other % 2] if a // 2 == other // 2 else 0.0
+            for b in range(len(index)):
+                S[a, other] += cross[a, index[b]] * H[other, b]
     return cross, S
 
 
@@ -104,9 +123,8 @@ def selected(upper: Array, index: NDArray[np.int64]) -> Array:
     k = len(index)
     out = np.empty((k, k))
     for j in range(k):
-        row = upper[index[j]]
         for i in range(j, k):
-            out[j, i] = row[index[i]]
+            out[j, i] = upper[index[j], index[i]]
     return out
 
 
@@ -117,7 +135,8 @@ def columns(upper: Array, index: NDArray[np.int64]) -> Array:
     out = np.empty((k, n))
     for j in range(k):
         i = index[j]
-        out[j, i:] = upper[i, i:]
         for other in range(i):
             out[j, other] = upper[other, i]
+        for other in range(i, n):
+            out[j, other] = upper[i, other]
     return out

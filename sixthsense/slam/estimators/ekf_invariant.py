@@ -64,14 +64,14 @@ def _corrected(
     new = c * x - s * y + along * xi - aside * eta, s * x + c * y + aside * xi + along * eta
     U[0, 0], U[1, 0] = y - new[1], new[0] - x
     for k in range(len(means)):
-        a, b = means[k]
+        a, b = means[k, 0], means[k, 1]
         da, db = shift[3 + 2 * k], shift[4 + 2 * k]
         row = head + 2 * k
         if walls[k]:
             alpha = wrapped(a + da)
-            moved[k] = alpha, b + db
+            moved[k, 0], moved[k, 1] = alpha, b + db
             nx, ny = math.cos(alpha) - math.cos(a), math.sin(alpha) - math.sin(a)
-            U[row + 1] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
+            U[row + 1, 0], U[row + 1, 1], U[row + 1, 2] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
         else:
             xi, eta = da + theta * b, db - theta * a
             moved[k, 0] = c * a - s * b + along * xi - aside * eta
@@ -95,12 +95,13 @@ def _transported(upper: Array, position: Place, U: Array) -> Array:
     C takes theta and the xi_p of the robot at a position from the errors of its pose.
     """
     x, y = position
-    W = np.empty(U.shape)
+    W, own = np.empty(U.shape), np.empty((3, 3))
     for i in range(len(U)):
         ex, ey, theta = upper[0, i], upper[min(i, 1), max(i, 1)], upper[min(i, 2), max(i, 2)]
-        W[i] = theta, ex + y * theta, ey - x * theta
-    own = np.empty((3, 3))  # C Sigma C^T
-    own[0] = W[2]
-    own[1] = W[0] + y * W[2]
-    own[2] = W[1] - x * W[2]
-    return W + 0.5 * U @ own
+        W[i, 0], W[i, 1], W[i, 2] = theta, ex + y * theta, ey - x * theta
+    for k in range(3):  # C Sigma C^T
+        own[0, k], own[1, k], own[2, k] = W[2, k], W[0, k] + y * W[2, k], W[1, k] - x * W[2, k]
+    for i in range(len(U)):
+        for k in range(3):
+            W[i, k] += 0.5 * (U[i, 0] * own[0, k] + U[i, 1] * own[1, k] + U[i, 2] * own[2, k])
+    return W

@@ -75,12 +75,13 @@ def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations:
         a, b = u % n, w % (n - 1)
         if b >= a:
             b += 1
-        p, q = points[index[a]], points[index[b]]
-        length = math.hypot(q[0] - p[0], q[1] - p[1])
+        x, y = points[index[a], 0], points[index[a], 1]
+        dx, dy = points[index[b], 0] - x, points[index[b], 1] - y
+        length = math.hypot(dx, dy)
         if length < 1e-9:
             continue
-        nx, ny = (q[1] - p[1]) / length, -(q[0] - p[0]) / length
-        d = nx * p[0] + ny * p[1]
+        nx, ny = dy / length, -dx / length
+        d = nx * x + ny * y
         inliers = 0
         for i in index:
             if abs(nx * points[i, 0] + ny * points[i, 1] - d) <= threshold:
@@ -132,13 +133,15 @@ def fit_lines(
     found = 0
     for k in range(spans.shape[0]):
         free = np.zeros(n, np.bool_)
-        free[spans[k, 0] : spans[k, 1]] = True
+        for i in range(spans[k, 0], spans[k, 1]):
+            free[i] = True
         while np.sum(free) >= rules.min_points:
             seed = 1 + (seed * 69621) % 2147483645
             fit, index = _one_line(points, free, rules, sigmas, seed)
             if len(index) < rules.min_points:
                 break
-            free[index] = False
+            for i in index:
+                free[i] = False
             pieces = _WHOLE
             if rules.cut_false_alarm > 0.0 and rules.least_squares:
                 pieces = straight_pieces(points, index, fit, sigmas, rules.cut_false_alarm, rules.min_points)
@@ -146,16 +149,19 @@ def fit_lines(
                 own = index[first:past] if past > 0 else index
                 if len(own) < len(index):
                     fit = fit_line(points, own, sigmas.range_m, sigmas.bearing_rad)
-                a, b = points[own[0]], points[own[-1]]
-                along = (b[1] - a[1]) * math.cos(fit[0]) - (b[0] - a[0]) * math.sin(fit[0])
+                dx, dy = points[own[-1], 0] - points[own[0], 0], points[own[-1], 1] - points[own[0], 1]
+                along = dy * math.cos(fit[0]) - dx * math.sin(fit[0])
                 if abs(along) >= rules.min_length_m:
-                    owner[own] = found
-                    lines[found] = fit
-                    where[found] = (k, own[0], own[-1])
+                    for i in own:
+                        owner[i] = found
+                    for i in range(5):
+                        lines[found, i] = fit[i]
+                    where[found, 0], where[found, 1], where[found, 2] = k, own[0], own[-1]
                     found += 1
     order = np.argsort(where[:found, 1])
     rank = np.empty(found + 1, np.int64)
-    rank[order] = np.arange(found)
+    for i in range(found):
+        rank[order[i]] = i
     rank[found] = -1
     for i in range(n):
         owner[i] = rank[owner[i]]
