@@ -187,14 +187,16 @@ def recorded_drive(
                 watchers.append(deadline)
             watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
 
+            hook = on_tick if isinstance(on_tick, TicksHook) else None
+
             def see(ticks: ControlTicks, since_cov: Array) -> None:
                 recorder.passed(ticks, since_cov)
-                if isinstance(on_tick, TicksHook):
-                    on_tick.passed(ticks, trace)
+                if hook is not None:
+                    hook.passed(ticks, trace)
 
             between_scans = None
             # What is derived from these may do otherwise in a tick, and other hooks want each of them.
-            if type(source) is World and type(pilot) is Pilot and (on_tick is None or isinstance(on_tick, TicksHook)):
+            if type(source) is World and type(pilot) is Pilot and on_tick is hook:
                 between_scans = BetweenScans(source, slam, pilot, see, clock, deadline)
             outcome = drive(source, slam, pilot, watchers, clock, between_scans)
             # A robot that sends nothing brings no tick after which a watcher could end the run.

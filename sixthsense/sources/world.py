@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -187,7 +188,7 @@ class World:
         self._beams = beams_of(self._bearings)
         self._times_s = sweep_times(laser.beams, time_increment(laser))
         # True poses at the last control ticks, back to the beginning of a sweep.
-        self._past: deque[Pose] = deque([start], maxlen=laser.period_ticks + 2)
+        self._past: deque[Sequence[float]] = deque([start.array().tolist()], maxlen=laser.period_ticks + 2)
 
     def _place(self, walls: Array, glass: Array | None = None) -> None:
         """Have the robot among `walls` and `glass` from now on."""
@@ -235,7 +236,7 @@ class World:
         """Take in ticks that a kernel has driven."""
         self._truth, self._odometry = Pose(*passed.truths[-1].tolist()), Pose(*passed.odometry[-1].tolist())
         self._draws, self._collided = self._draws[len(passed) :], collided
-        self._past.extend(Pose(*row) for row in passed.truths.tolist())
+        self._past.extend(passed.truths.tolist())
         self._ticks += len(passed)
 
     def _move(self, command: Command) -> None:
@@ -250,7 +251,7 @@ class World:
         )
         self._draws = self._draws[1:]
         self._truth, self._odometry = Pose(*found), Pose(*by_wheels)
-        self._past.append(self._truth)
+        self._past.append(found)
 
     def _noise(self) -> Array:
         """(K, DRAWS) draws of the next ticks, K at least 1: those until the next scan, which draws after them."""
@@ -281,7 +282,7 @@ class World:
     def _sweep(self) -> Array:
         """(N, 3) true pose of the laser at each beam's time, interpolated linearly between control ticks."""
         stamps_s = 1e-9 * self.drive.period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
-        poses = interpolated(stamps_s, np.array([pose.array() for pose in self._past]), self._times_s)
+        poses = interpolated(stamps_s, np.array(self._past), self._times_s)
         x, y, theta = self._config.laser.mount
         c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + theta])

@@ -16,7 +16,7 @@ import dataclasses
 import itertools
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numba
 import numpy as np
@@ -38,20 +38,33 @@ class Deskewer:
     def __init__(self, enabled: bool = True) -> None:
         """With `enabled` off scans are returned unchanged."""
         self._enabled = enabled
-        self._ticks: deque[tuple[int, Odometry]] = deque()  # stamps, and the motion since the tick before
+        self._ticks: deque[tuple[int, Odometry | ControlTicks]] = deque()
+        """first stamps, and the motion since the tick before, or more ticks with theirs"""
 
     def moved(self, stamp_ns: int, increment: Odometry) -> None:
         """Add a tick with the motion since the one before; stamps ascend."""
-        self._ticks.append((stamp_ns, increment))
+        self._add(stamp_ns, increment)
+
+    def passed(self, ticks: ControlTicks) -> None:
+        """Add ticks that have no scan."""
+        if len(ticks):
+            self._add(int(ticks.stamps_ns[0]), ticks)
+
+    def _add(self, stamp_ns: int, moved: Odometry | ControlTicks) -> None:
+        self._ticks.append((stamp_ns, moved))
         # One tick at or before the begin of the longest sweep is enough.
         while len(self._ticks) > 2 and self._ticks[1][0] <= stamp_ns - LONGEST_SWEEP_NS:
             self._ticks.popleft()
 
-    def passed(self, ticks: ControlTicks) -> None:
-        """Add ticks that have no scan."""
-        for k, stamp_ns in enumerate(ticks.stamps_ns.tolist()):
-            is_still = ticks.are_still[k]
-            self.moved(stamp_ns, STANDSTILL if is_still else Odometry(Pose(*ticks.motions[k]), ticks.covs[k]))
+    def _backwards(self) -> Iterator[tuple[int, Odometry]]:
+        """Stamps and motions of the ticks, the latest first."""
+        for stamp_ns, moved in reversed(self._ticks):
+            if isinstance(moved, Odometry):
+                yield stamp_ns, moved
+                continue
+            for k in reversed(range(len(moved))):
+                motion = STANDSTILL if moved.are_still[k] else Odometry(Pose(*moved.motions[k]), moved.covs[k])
+                yield int(moved.stamps_ns[k]), motion
 
     def __call__(self, scan: Scan) -> Scan:
         """The scan as if taken at the latest tick; a scan without duration is returned unchanged."""
@@ -69,9 +82,9 @@ class Deskewer:
 
     def _track(self, begin_s: float) -> tuple[Array, Array, Odometry]:
         """Stamps (K,), 0 at the latest tick, back to `begin_s`; the robot's poses (K, 3) then; the whole motion."""
-        end_ns = self._ticks[-1][0]
+        end_ns, _ = next(self._backwards())
         stamps_s, poses, whole = [0.0], [Pose().array()], STANDSTILL
-        for (_, increment), (stamp_ns, _) in itertools.pairwise(reversed(self._ticks)):
+        for (_, increment), (stamp_ns, _) in itertools.pairwise(self._backwards()):
             whole = increment.then(whole)
             stamps_s.append(1e-9 * (stamp_ns - end_ns))
             poses.append(whole.motion.inverse().array())
