@@ -20,8 +20,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
-from sixthsense.slam.estimators.ekf_algebra import columns, expected, new_landmark, selected
-from sixthsense.slam.estimators.ekf_parameters import Parameters
+from sixthsense.slam.estimators.ekf_algebra import Parameters, columns, expected, new_landmark, selected
 
 
 class EKF:

@@ -1,16 +1,95 @@
-"""EKF-SLAM whose Jacobians keep the observability of SLAM (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010)."""
+"""Variants of EKF-SLAM that stay consistent: with the right-invariant error, and with Jacobians at other points."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsyr2k
 
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmarks import rotation_generator
+from sixthsense.core.pose_kernels import wrapped
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
+
+Place = tuple[float, float]
+
+
+class InvariantEKF(EKF):
+    """The standard filter in coordinates in which a motion of the whole world is the same error at every estimate.
+
+    With xi the right-invariant error, a position p has the error e_p = xi_p + xi_theta J p_hat in the world frame, the
+    heading e_theta = xi_theta, and the offset of a wall with the normal n from its centre c the error e_d = xi_d +
+    n_hat^T (xi_p + xi_theta J c), with the xi_p of the robot: e = A(x_hat) xi. In xi the odometry's Jacobian is the
+    identity, and an observation's depends neither on xi_theta nor, of a wall, on xi_p, so that no update gains
+    information about the pose of the whole map. The covariance is kept in world coordinates: A P_xi A^T at the present
+    estimate. The standard Jacobians at the present estimate are those of xi in these coordinates. Only the correction
+    differs: it follows the group's exponential, and the covariance is transported to A at the corrected estimate.
+    """
+
+    _has_centres = True
+
+    def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
+        theta, before = float(shift[2]), (self._pose.x, self._pose.y)
+        V = _left_jacobian(theta)
+        (x, y), means, U = _corrected(before, self._means, self._walls, self._centres, shift, V, self._head)
+        self._pose, self._means = Pose(x, y, self._pose.theta + theta), means
+        # Sigma = T Sigma T^T with T = A(x+) A(x-)^-1 = I + u e_theta^T + B (e_p - e_theta J p)^T, U = (u, B).
+        of_pose = np.vstack([self._symmetric(np.arange(3)), self._cov[3:, :3]])  # Sigma's columns of the pose
+        C = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, before[1]], [0.0, 1.0, -before[0]]])  # theta and xi_p of the pose's
+        W = of_pose @ C.T + 0.5 * U @ (C @ of_pose[:3] @ C.T)
+        self._cov = dsyr2k(1.0, U, W, beta=1.0, c=self._cov, lower=1, overwrite_c=1)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _corrected(
+    position: tuple[float, float],
+    means: Array,
+    walls: NDArray[np.bool_],
+    centres: Array,
+    shift: Array,
+    V: Array,
+    head: int,
+) -> tuple[tuple[float, float], Array, Array]:
+    """The robot's position and the means (n, 2) after a correction by `shift` (3 + 2n,), and U (head + 2n, 3).
+
+    xi = A^-1 shift, then x+ = exp(xi) x: turn by theta, translate by V(theta) xi_p (TAC 2017, eq. 15-17). A wall turns
+    about its centre, and is shifted there. The first column of U holds what a turn by theta adds to the error of a
+    moved position, and b^T J c in the row of a wall's offset, with the change b of its normal and its centre c; the
+    others hold b there.
+    """
+    theta = shift[2]
+    c, s = math.cos(theta), math.sin(theta)
+    U, moved = np.zeros((head + 2 * len(means), 3)), np.empty(means.shape)
+    x, y = position
+    xi, eta = shift[0] + theta * y, shift[1] - theta * x
+    new = c * x - s * y + V[0, 0] * xi + V[0, 1] * eta, s * x + c * y + V[1, 0] * xi + V[1, 1] * eta
+    U[0, 0], U[1, 0] = y - new[1], new[0] - x
+    for k in range(len(means)):
+        a, b = means[k]
+        da, db = shift[3 + 2 * k], shift[4 + 2 * k]
+        row = head + 2 * k
+        if walls[k]:
+            alpha = wrapped(a + da)
+            moved[k] = alpha, b + db
+            nx, ny = math.cos(alpha) - math.cos(a), math.sin(alpha) - math.sin(a)
+            U[row + 1] = ny * centres[k, 0] - nx * centres[k, 1], nx, ny
+        else:
+            xi, eta = da + theta * b, db - theta * a
+            moved[k, 0] = c * a - s * b + V[0, 0] * xi + V[0, 1] * eta
+            moved[k, 1] = s * a + c * b + V[1, 0] * xi + V[1, 1] * eta
+            U[row, 0], U[row + 1, 0] = b - moved[k, 1], moved[k, 0] - a
+    return new, moved, U
+
+
+def _left_jacobian(theta: float) -> Array:
+    """V (2, 2) of SE(2): exp(xi) translates by V xi_p."""
+    half = 0.5 * theta
+    return rotation(half) * np.sinc(half / np.pi)  # sin(half) / half
 
 
 class AnchoredEKF(EKF):
