@@ -10,7 +10,7 @@ import numpy as np
 from sixthsense.auditing.pairing import Errors
 from sixthsense.auditing.poses import Frame
 from sixthsense.auditing.statistics import AXES, Findings
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.figures.overtime import BAND, draw_tube
 from sixthsense.figures.picture import Picture

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import AuditError, Frame
 from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, factor
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.evaluation.effective import LEAST_SAMPLES
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 from sixthsense.auditing import rotations
 from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import Frame
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.effective import (
     LEAST_SAMPLES,

@@ -1,14 +1,25 @@
-"""Covariances of poses: their change under a motion, and checks that a matrix is one."""
+"""Covariances of poses: their change under a motion, checks that a matrix is one, and quantiles of their distances."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
+from scipy.special import gammaincinv
 
 from sixthsense.core.geometry import Array
+
+
+def chi_square_quantile(probability: float, dof: Any) -> Any:
+    """Quantile of the chi-square distribution with `dof` degrees of freedom, a number or an array.
+
+    The bits are those of `scipy.stats.chi2.ppf`, whose import takes most of a second.
+    """
+    return 2.0 * gammaincinv(0.5 * dof, probability)
+
 
 COVARIANCE_SLACK = 1e-9
 """Tolerance of symmetry and of positive eigenvalues, relative to the largest entry."""

@@ -1,10 +1,47 @@
-"""Poses in kernels, as triples x, y, theta in m and rad: bit for bit what `Pose` computes."""
+"""Poses in kernels, as triples x, y, theta in m and rad: bit for bit what `Pose` computes; and circular arcs."""
 
 from __future__ import annotations
 
 import math
 
 import numba
+import numpy as np
+
+from sixthsense.core.geometry import Array, Pose
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _sinc(angle: float) -> float:
+    return 1.0 - angle * angle / 6.0 if abs(angle) < 1e-4 else math.sin(angle) / angle
+
+
+def arc(motion: Pose) -> tuple[float, float]:
+    """Length (m, signed) and turn (rad) of the circular arc with the end pose `motion`, as of a differential drive."""
+    return arc_length(motion.x, motion.y, motion.theta), motion.theta
+
+
+@numba.njit(cache=True, error_model="numpy")
+def arc_length(x: float, y: float, turn: float) -> float:
+    """Length (m, signed) of the circular arc that ends at (x, y) after a turn (rad)."""
+    half = 0.5 * turn
+    chord = x * math.cos(half) + y * math.sin(half)
+    return chord / _sinc(half)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def arc_jacobian(distance: float, turn: float) -> Array:
+    """Jacobian (3, 2) of an arc's end (x, y, theta), frame of its start, by its length (m, signed) and turn (rad)."""
+    half = 0.5 * turn
+    c, s, sinc = math.cos(half), math.sin(half), _sinc(half)
+    slope = -half / 3.0 if abs(half) < 1e-4 else (math.cos(half) - sinc) / half  # d sinc / d half
+    return np.array(
+        [
+            [sinc * c, 0.5 * distance * (slope * c - sinc * s)],
+            [sinc * s, 0.5 * distance * (slope * s + sinc * c)],
+            [0.0, 1.0],
+        ]
+    )
+
 
 Triple = tuple[float, float, float]
 

@@ -11,9 +11,8 @@ import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig
-from sixthsense.core.arc import arc, arc_length
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.pose_kernels import Triple, wrapped
+from sixthsense.core.pose_kernels import Triple, arc, arc_length, wrapped
 
 PARAMETERS = 5
 """number of the wheels' parameters"""

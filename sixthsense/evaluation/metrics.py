@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import observation_innovations
 from sixthsense.sources.logs.relations import scan_rows

@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from sixthsense.config import AssumedConfig, Config, merge
 from sixthsense.config.errors import InputError
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, predict_points
 from sixthsense.core.laser import Scan

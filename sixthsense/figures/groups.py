@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Over
 from sixthsense.evaluation.groups import Group, Sample, differences, grouped, resampled

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of

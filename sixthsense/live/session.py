@@ -28,7 +28,7 @@ from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, Netwo
 from sixthsense.loop import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import Navigator, ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot, Steersman
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
@@ -254,9 +254,7 @@ def _by_user(outcome: str) -> str:
 
 
 def _listening() -> Navigator:
-    navigator = ReplayNavigator()
-    navigator.timeout_outcome = "time is up"
-    return navigator
+    return Navigator(timeout_outcome="time is up")
 
 
 def _navigator(config: Config, start: Pose, radius_m: float) -> Navigator:

@@ -16,7 +16,7 @@ from sixthsense.core.source import Command, ControlTicks, Source, Tick
 from sixthsense.loop.control_ticks import BetweenScans, Deadline, TicksHook
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import Navigator, ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot, Steersman
 from sixthsense.record.recorder import Recorder
 from sixthsense.record.stopwatch import Stopwatch
@@ -112,8 +112,8 @@ def replay(
     trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
     source: Source = log
     if prior is not None and prior.is_lost:
-        source, prior, _ = find_start(log, config, radius_m, prior, ReplayNavigator())
-    pilot = Pilot(ReplayNavigator(), Guard(config, radius_m))
+        source, prior, _ = find_start(log, config, radius_m, prior, Navigator())
+    pilot = Pilot(Navigator(), Guard(config, radius_m))
     return recorded_drive(source, log.start, pilot, trace, on_tick, prior)
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,15 +29,30 @@ def make_navigator(
 ) -> Navigator:
     """The navigator of `config.task`, with the configured planner, for a robot that is a disc of `radius_m`.
 
-    `goals` (N, 2) are for the tasks goal and tour, `region` (x0, y0, x1, y1) for explore; world frame, metres.
+    `goals` (N, 2) are for the tasks goal and tour, `region` (x0, y0, x1, y1) for explore; world frame, metres. The
+    region is enlarged to hold the start.
     """
-    from sixthsense.navigation.exploration_navigator import ExplorationNavigator
+    from sixthsense.navigation.exploration import Exploration
+    from sixthsense.navigation.exploration_task import ExplorationTask
     from sixthsense.navigation.follower import Follower
-    from sixthsense.navigation.goal_navigator import GoalNavigator
+    from sixthsense.navigation.goal_navigator import goal_navigator
+    from sixthsense.navigation.navigator import Navigator
+    from sixthsense.navigation.path_planner import PathPlanner
     from sixthsense.navigation.planners import make_planner
 
     follower = Follower(config.follow, config.robot)
     planner = make_planner(config.planner, config.rrtstar, planner_rng)
-    if config.task == "explore":
-        return ExplorationNavigator(start, region, radius_m, planner, follower, config, exploration_rng)
-    return GoalNavigator(goals, planner, follower, config)
+    if config.task != "explore":
+        return goal_navigator(goals, planner, follower, config)
+    x0, y0, x1, y1 = region
+    paths = PathPlanner(planner, config)
+    task = ExplorationTask(
+        home=start.position,
+        region=(min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)),
+        radius_m=radius_m,
+        paths=paths,
+        follower=follower,
+        config=config,
+        rng=exploration_rng,
+    )
+    return Navigator(functools.partial(Exploration, task), paths, "out of time")

@@ -16,19 +16,17 @@ from sixthsense.core.geometry import Pose
 from sixthsense.navigation.exploration_task import ExplorationTask
 from sixthsense.navigation.frontier import centre_cell
 from sixthsense.navigation.gridsearch import Prices, cheapest_way, costs_from
-from sixthsense.navigation.known_views import KnownViews
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
-from sixthsense.navigation.path_margin import margin_m
-from sixthsense.navigation.path_planner import DrivingMap
+from sixthsense.navigation.path_planner import DrivingMap, margin_m
 from sixthsense.navigation.pose_history import PoseHistory
 from sixthsense.navigation.regions import Cells
 from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.view_planner import NO_TARGET, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.views import KnownViews, SensorModel, ViewGain
 from sixthsense.navigation.visibility import visible_cells
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
@@ -55,7 +53,9 @@ class Exploration:
         self.state: State = "viewing"
         self._task, self._view = task, MapView(task.region, task.radius_m, task.config)
         self._target, self._turning = NO_TARGET, False  # whether it turns around, at a viewpoint or while it waits
-        self._gain, self._known_views = ViewGain(self._view, task.sensor), KnownViews()
+        config = task.config
+        self._sensor = SensorModel.of(config.laser, config.grid.cell_m, config.keyframes.turn_rad)
+        self._gain, self._known_views = ViewGain(self._view, self._sensor), KnownViews()
         self._history = PoseHistory(task.config.explore)
         self._ways_home = 0  # over dear cells, that were tried
         self._stuck = False  # since the last arrival
@@ -105,7 +105,7 @@ class Exploration:
         elif event == "arrived":
             if not self._turning:
                 self._turning = True
-                self.driver.turn_around(pose, self._task.sensor.turn_rad)
+                self.driver.turn_around(pose, self._sensor.turn_rad)
         elif not self._turning:
             self._give_up_target(pose)
         elif self._target is NO_TARGET:
@@ -125,7 +125,7 @@ class Exploration:
         if self._target is not NO_TARGET:
             if len(self._target.tour):
                 stops = (self._target.tour[:, ::-1] + 0.5) * self._view.cell_m
-                self._task.tours.append(np.vstack([pose.position, stops, self._task.home]))
+                self._task.paths.tours.append(np.vstack([pose.position, stops, self._task.home]))
             row, col = self._target.viewpoint
             self.driver.head_for(self._view.point(row - self._view.frame.top, col - self._view.frame.left), pose)
             return
@@ -163,11 +163,11 @@ class Exploration:
         """Count a failed view of the target and of all else visible from here, then choose another view."""
         view, self._has_seen_more = self._view, True
         row, col = view.cell(pose.position)
-        span = int(self._task.sensor.gapless_reach)
+        span = int(self._sensor.gapless_reach)
         top, left = max(row - span, 0), max(col - span, 0)
         part = slice(top, row + span + 1), slice(left, col + span + 1)
         obstacles, unknown = view.obstacles[part].copy(), ~(view.seen[part] | view.obstacles[part])
-        visible = visible_cells(obstacles, unknown, row - top, col - left, self._task.sensor.gapless_reach)
+        visible = visible_cells(obstacles, unknown, row - top, col - left, self._sensor.gapless_reach)
         cells = np.argwhere(visible) + np.add(view.first, (top, left))
         view.count_attempt(np.concatenate([self._target.cells, cells]), self._target.dear)
         self._choose_view(pose)
@@ -240,7 +240,7 @@ class Exploration:
         costs = costs_from(prices, *self._here(pose))
         reachable, ways = view.reached | (costs >= 0), TileWays(view.tile_ways.tile)
         ways.update(reachable)
-        viewpoints = Viewpoints(reachable & ~view.reached, view.obstacles, self._task.sensor.reach)
+        viewpoints = Viewpoints(reachable & ~view.reached, view.obstacles, self._sensor.reach)
         task = self._task
         planner = ViewPlanner(
             self._gain, pose, reachable, viewpoints, ways, task.config, task.home, KnownViews(), dear=True
@@ -258,7 +258,7 @@ class Exploration:
         """The view planner for views from the cells that a path leads to."""
         view, task = self._view, self._task
         view.draw_views(self._here(pose))
-        viewpoints = Viewpoints(view.reached, view.obstacles, task.sensor.reach, view.occupied)
+        viewpoints = Viewpoints(view.reached, view.obstacles, self._sensor.reach, view.occupied)
         return ViewPlanner(
             self._gain, pose, view.reached, viewpoints, view.tile_ways, task.config, task.home, self._known_views
         )

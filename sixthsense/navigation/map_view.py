@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.area_to_see import AreaToSee, Counts, Region
+from sixthsense.navigation.exploration_task import AreaToSee, Counts, Region
 from sixthsense.navigation.frontier import close_gaps, dilated
 from sixthsense.navigation.gridsearch import Prices, Reached, far_from
 from sixthsense.navigation.gridsearch.reached import SQUARE, TILE

@@ -1,20 +1,112 @@
-"""Planning one path for the robot: out of the inflation, with a margin, by the configured planner, with shortcuts."""
+"""Planning one path: out of the inflation, with a margin, by the configured planner, with shortcuts.
+
+How far paths keep from obstacles is a margin beyond the inflation, as long as the detour is short. It is the sum of a
+chance constraint on the robot's position and the stopping distance. The chance constraint takes an obstacle as a half
+plane (Blackmore, Ono, Williams, IEEE T-RO 27(6), 2011, section III): the position error across it exceeds z(p) standard
+deviations with probability 1 - p. The standard deviation is at most the root of the larger eigenvalue of the position's
+covariance. This margin is conservative, since obstacles were mapped from the same pose: the robot's position relative
+to them is more certain than its position in the world. It is therefore capped, and reduced where it would close a
+passage.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
+from scipy.special import ndtri
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.path_margin import FreeSpaceFunction, plan_with_margin
-from sixthsense.navigation.planners import Planner
+from sixthsense.navigation.guard import latency_s, stopping_distance
+from sixthsense.navigation.planners import Plan, Planner
 from sixthsense.navigation.planners.astar import AStar
-from sixthsense.navigation.planners.shortcut import shortcut
+from sixthsense.navigation.planners.shortcut import path_is_free, shortcut
 from sixthsense.navigation.ways import way_out
-from sixthsense.slam.mapping.freespace import FreeSpace
+from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
+
+FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
+"""The free space with a margin, metres, that is reduced to the inflation around (K, 2) places, within an ellipse."""
+
+
+def margin_m(pose_cov: Array, config: Config) -> float:
+    """The margin, metres, that a path should keep beyond the inflation for a pose covariance (3, 3)."""
+    a, b, c = pose_cov[0, 0], pose_cov[0, 1], pose_cov[1, 1]
+    larger = 0.5 * (a + c) + math.hypot(0.5 * (a - c), b)
+    position_error = float(ndtri(config.safety.probability)) * math.sqrt(max(larger, 0.0))
+    braking = stopping_distance(config.robot.speed, latency_s(config), config.robot.deceleration)
+    return min(position_error + braking, config.safety.max_margin_m)
+
+
+def plan_with_margin(
+    planners: tuple[AStar, AStar],
+    free_space: FreeSpaceFunction,
+    start: Array,
+    goal: Array,
+    wanted_m: float,
+    detour: float,
+) -> tuple[Plan, FreeSpace, float]:
+    """Plan between (2,) points with the wanted margin, or less: the plan, its space, the least margin in it, metres.
+
+    The margin is reduced if there is no path with it, or none that is at most `detour` times as long as the shortest.
+    It is halved first, then dropped at the gaps of the shortest path that it closes, then dropped everywhere. The
+    second planner plans with margins and the first without: each reuses its last search, in a similar space.
+    """
+    ends = np.array([start, goal])
+    widest = free_space(0.0, ends, None)
+    shortest = planners[0].plan(widest, start, goal)
+    if not shortest.found or wanted_m <= 0.0:
+        return shortest, widest, 0.0
+
+    longest = detour * shortest.cost
+    near = Ellipse(start, goal, longest)  # cells that cannot be part of so short a path are not searched
+
+    def within(space: FreeSpace) -> Plan | None:
+        plan = shortest if path_is_free(space, shortest.path_world) else planners[1].plan(space, start, goal)
+        return plan if plan.cost <= longest else None
+
+    whole = free_space(wanted_m, ends, near)
+    plan = within(whole)
+    if plan is not None:
+        return plan, whole, wanted_m
+    half = free_space(0.5 * wanted_m, ends, near)
+    plan = within(half)
+    if plan is not None:
+        return plan, half, 0.5 * wanted_m
+    gaps = _gaps(whole, shortest.path_world, 0.5 * wanted_m)
+    if len(gaps):
+        about = free_space(wanted_m, np.vstack([ends, gaps]), near)
+        plan = within(about)
+        if plan is not None:
+            return plan, about, 0.0
+    return shortest, widest, 0.0
+
+
+def _gaps(space: FreeSpace, path_world: Array, spacing_m: float) -> Array:
+    """(K, 2) places along a path (N, 2), by cells, where it passes from one connected part of a space to another.
+
+    They are at most `spacing_m` apart.
+    """
+    # Consecutive points of the path lie in neighbouring cells or in one cell.
+    cells = np.array([space.cell_of(point) for point in path_world])
+    free = ~space.blocked
+    rows, cols = (np.flatnonzero(free.any(axis=axis)) for axis in (1, 0))
+    first = np.array([rows[0], cols[0]]) if len(rows) else np.zeros(2, dtype=np.int64)
+    part = np.zeros(len(cells), dtype=np.int64)
+    if len(rows):
+        parts, _ = ndimage.label(free[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1])
+        row, col = (cells - first).T
+        inside = (row >= 0) & (row < parts.shape[0]) & (col >= 0) & (col < parts.shape[1])
+        part[inside] = parts[row[inside], col[inside]]
+    inside = np.flatnonzero(part)
+    leaves = np.flatnonzero((np.diff(inside) > 1) & (np.diff(part[inside]) != 0))
+    step = max(1, math.floor(spacing_m / (math.sqrt(2.0) * space.cell_m)))
+    places = [path_world[inside[k] + 1 : inside[k + 1]] for k in leaves]
+    return np.vstack([np.zeros((0, 2)), *(np.vstack([place[::step], place[-1:]]) for place in places)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +130,8 @@ class PathPlanner:
         """
         self.plans: list[Array] = []
         """every planned path, (N, 2) each, world frame"""
+        self.tours: list[Array] = []
+        """way points (N, 2) of each tour by which an exploration chose a view: robot, views, home; world frame"""
         self.plans_below_margin = 0
         """how many of them keep less than the wanted margin"""
         self.plans_by_astar: int | None = None if type(planner) is AStar else 0

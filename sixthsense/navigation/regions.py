@@ -10,8 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.bucket_queue import appended
-from sixthsense.navigation.gridsearch.union_find import join, root_of
+from sixthsense.navigation.gridsearch.prices import appended
+from sixthsense.navigation.gridsearch.reached import join, root_of
 from sixthsense.slam.mapping.freespace import Bools
 
 Cells = NDArray[np.int64]

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch.bucket_queue import pop, push
 from sixthsense.navigation.gridsearch.cost_tree import MOVES
-from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT
+from sixthsense.navigation.gridsearch.prices import DIAGONAL, STRAIGHT, pop, push
 from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools

@@ -14,12 +14,11 @@ from scipy import ndimage
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.frontier import adjacent_cells, centre_cell, frontier_clusters, smallest_regions
-from sixthsense.navigation.known_views import KnownViews, View
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import Cells, are_beside, in_large_regions
 from sixthsense.navigation.tour import TileWays, view_order
-from sixthsense.navigation.view_gain import ViewGain
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
+from sixthsense.navigation.views import KnownViews, View, ViewGain
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 

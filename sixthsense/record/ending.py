@@ -20,8 +20,7 @@ from sixthsense.record.reading import RecordError, checked
 from sixthsense.record.stream import write_end
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole
-from sixthsense.slam.association.crookedness import MeanShape
-from sixthsense.slam.association.records import Record
+from sixthsense.slam.association.records import MeanShape, Record
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid

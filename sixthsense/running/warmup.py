@@ -17,8 +17,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.source import Command
 from sixthsense.loop import recorded_drive
-from sixthsense.navigation.exploration_navigator import ExplorationNavigator
-from sixthsense.navigation.follower import Follower
+from sixthsense.navigation import make_navigator
 from sixthsense.navigation.gridsearch import cheapest_way, costs_from
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.pilot import Pilot
@@ -90,9 +89,8 @@ def _warm_up_drive() -> Trace:
     gc.freeze()  # the collections to come need not walk what the imports before have made
     config, rng = Config(max_time=3.0), np.random.default_rng(0)
     scene = Scene("room", WALLS, Pose(), 0.2, (1.0, 1.0), (), (-2.0, -2.0, 2.0, 2.0))
-    follower = Follower(config.follow, config.robot)
     planner = make_planner("astar")
-    driver = ExplorationNavigator(Pose(), (-3.0, -3.0, 3.0, 3.0), 0.2, planner, follower, config, rng)
+    driver = make_navigator(config, Pose(), np.zeros((0, 2)), (-3.0, -3.0, 3.0, 3.0), 0.2, rng, rng)
     trace = Trace(config, scene, 0.2)
     recorded_drive(World(WALLS, Pose(), 0.2, config, rng), Pose(), Pilot(driver, Guard(config, 0.2)), trace)
     assert trace.grid is not None

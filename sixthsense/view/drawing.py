@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
 from sixthsense.evaluation import metrics

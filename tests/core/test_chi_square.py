@@ -1,7 +1,7 @@
 import numpy as np
 from scipy.stats import chi2
 
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 
 
 def test_quantiles_are_those_of_scipy_to_the_last_bit():

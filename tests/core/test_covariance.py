@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sixthsense.config import AssumedConfig, MotionNoise
-from sixthsense.core.arc import arc, arc_jacobian
 from sixthsense.core.covariance import composed_covariance, root_information, transformed, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, variance
 from sixthsense.core.odometry_kernels import Slip, slipped
+from sixthsense.core.pose_kernels import arc, arc_jacobian
 
 RNG = np.random.default_rng(0)
 

@@ -13,7 +13,7 @@ from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
@@ -71,7 +71,7 @@ def run(
     robot = LiveRobot(driver.receive, reader, laser, notices, trace, steers, lambda: driver.now_ms * MS)
     start = robot.begin()
     assert start is not None
-    recorded_drive(robot, start, Pilot(ReplayNavigator(), guard), trace)
+    recorded_drive(robot, start, Pilot(Navigator(), guard), trace)
     return trace, robot, lines
 
 
@@ -108,7 +108,7 @@ def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
     driver, sent = Driver(ELSEWHERE, Pose(40.0, -7.0, 1.0)), []
 
     def steering(guard: Guard) -> Steering:
-        return Steering(AheadPilot(Pilot(ReplayNavigator(), guard)), sent.append, lambda: 1)
+        return Steering(AheadPilot(Pilot(Navigator(), guard)), sent.append, lambda: 1)
 
     trace, robot, lines = run(driver, 45.0, steering)
     assert robot.outcome == "lost" and sent[-1] == Command()

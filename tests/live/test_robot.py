@@ -15,7 +15,7 @@ from sixthsense.live.others import SILENT_NS
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
@@ -27,7 +27,7 @@ BEGAN = 1_700_000_000_000 * MS
 MAKE = Messages()
 
 
-class Forward(ReplayNavigator):
+class Forward(Navigator):
     """Drives forward always."""
 
     def step(self, pose: Pose, stamp_ns: int) -> Command:

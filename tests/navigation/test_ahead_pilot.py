@@ -9,9 +9,9 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.goal_navigator import GoalNavigator
+from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard
-from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.slam.slam import Slam
@@ -23,14 +23,14 @@ HALL = np.array(
 )
 
 
-def goal_navigator() -> GoalNavigator:
-    return GoalNavigator(np.array([[4.0, -1.0]]), make_planner("astar"), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
+def to_goal() -> Navigator:
+    return goal_navigator(np.array([[4.0, -1.0]]), make_planner("astar"), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
 
 
 def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():
     """Slam of the one takes odometry at once, that of the other only with the next scan."""
     world = World(HALL, Pose(), 0.2, CONFIG, np.random.default_rng(0))
-    punctual, asked = (Pilot(goal_navigator(), Guard(CONFIG, 0.2)) for _ in range(2))
+    punctual, asked = (Pilot(to_goal(), Guard(CONFIG, 0.2)) for _ in range(2))
     ahead = AheadPilot(asked)
     command, other, held = Command(), Command(), []
     moved = 0
@@ -53,10 +53,10 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
 
 
 def test_a_pilot_without_a_step_stands():
-    assert AheadPilot(Pilot(goal_navigator(), Guard(CONFIG, 0.2))).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
+    assert AheadPilot(Pilot(to_goal(), Guard(CONFIG, 0.2))).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
 
 
-class Forward(ReplayNavigator):
+class Forward(Navigator):
     def step(self, pose: Pose, stamp_ns: int) -> Command:
         return Command(0.5, 0.0)
 

@@ -15,7 +15,6 @@ from sixthsense.navigation.path_driver import DriveEvent
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.unseen_places import UnseenPlace
-from sixthsense.navigation.view_gain import SensorModel
 from sixthsense.navigation.view_planner import NO_TARGET
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.mapping.grid import Grid
@@ -47,7 +46,6 @@ class Stage:
             home=START.position,
             region=(0.0, 0.0, float(walls[..., 0].max()), 3.0),
             radius_m=RADIUS,
-            sensor=SensorModel.of(self.config.laser, self.config.grid.cell_m, self.config.keyframes.turn_rad),
             paths=PathPlanner(make_planner("astar"), self.config),
             follower=Follower(self.config.follow, self.config.robot),
             config=self.config,

@@ -13,8 +13,8 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.goal_navigator import GoalNavigator
-from sixthsense.navigation.navigator import Outcome, ReplayNavigator
+from sixthsense.navigation.goal_navigator import goal_navigator
+from sixthsense.navigation.navigator import Navigator, Outcome
 from sixthsense.navigation.planners import Plan, make_planner
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
@@ -27,8 +27,8 @@ NOWHERE = Scan.from_config(np.full(CONFIG.laser.beams, np.inf), CONFIG.laser)
 BOX = [[[1.0, -1.0], [3.0, -1.0]], [[3.0, -1.0], [3.0, 1.0]], [[3.0, 1.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, -1.0]]]
 
 
-def navigator_to(*goals: tuple[float, float], config: Config = CONFIG) -> GoalNavigator:
-    return GoalNavigator(np.array(goals), make_planner("astar"), Follower(config.follow, config.robot), config)
+def navigator_to(*goals: tuple[float, float], config: Config = CONFIG) -> Navigator:
+    return goal_navigator(np.array(goals), make_planner("astar"), Follower(config.follow, config.robot), config)
 
 
 def empty_grid() -> Grid:
@@ -43,7 +43,7 @@ def add_walls(grid: Grid, walls: object, times: int = 3) -> None:
         grid.add(Pose(), NOWHERE, np.array(walls, dtype=np.float64))
 
 
-def steer(navigator: GoalNavigator, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
+def steer(navigator: Navigator, grid: Grid, pose: Pose, seconds: float, look_every: int = 10) -> list[Pose]:
     """Drive without noise, looking at the same grid again and again, until it is over."""
     poses, period_ns = [pose], 20_000_000
     for tick in range(round(seconds / 0.02)):
@@ -68,7 +68,7 @@ def xy(poses: list[Pose]) -> Array:
 
 
 def test_a_replay_navigator_commands_nothing_and_is_never_done() -> None:
-    navigator = ReplayNavigator()
+    navigator = Navigator()
     navigator.look(empty_grid(), believed(Pose()))
     assert navigator.step(Pose(3.0, 4.0, 5.0), 10**18) == Command()
     assert navigator.outcome is None
@@ -201,7 +201,7 @@ def test_a_replan_reuses_the_last_search() -> None:
             return asked[-1][0]
 
     grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
-    navigator = GoalNavigator(np.array([[4.0, 1.0]]), Compared(), Follower(config.follow, config.robot), config)
+    navigator = goal_navigator(np.array([[4.0, 1.0]]), Compared(), Follower(config.follow, config.robot), config)
     add_walls(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
     navigator.look(grid, believed(Pose()))
     add_walls(grid, [[[1.0, -0.5], [1.0, 0.9]]])
@@ -223,7 +223,7 @@ def test_the_planner_is_called_once_per_plan_and_only_if_there_is_a_path() -> No
             return Plan.along(np.array([start, goal]), 1, 0.0)
 
     grid, config = empty_grid(), CONFIG
-    navigator = GoalNavigator(np.array([[4.0, 0.0]]), Straight(), Follower(config.follow, config.robot), config)
+    navigator = goal_navigator(np.array([[4.0, 0.0]]), Straight(), Follower(config.follow, config.robot), config)
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
     add_walls(grid, [[[2.0, -0.5], [2.0, 0.5]]])

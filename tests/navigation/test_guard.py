@@ -14,9 +14,9 @@ from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
 from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.goal_navigator import GoalNavigator
+from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
-from sixthsense.navigation.navigator import ReplayNavigator
+from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.record.trace import Trace
@@ -189,7 +189,7 @@ class SuddenWall(World):
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
     source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
     follower = Follower(config.follow, config.robot)
-    navigator = GoalNavigator(np.array([goal]), make_planner("astar"), follower, config)
+    navigator = goal_navigator(np.array([goal]), make_planner("astar"), follower, config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
     recorded_drive(source, Pose(), Pilot(navigator, Guard(config, RADIUS)), trace)
@@ -235,7 +235,7 @@ def test_the_guard_keeps_a_body_from_what_moves_and_less_from_a_wall() -> None:
 def test_a_robot_that_someone_stops_waits_for_three_seconds_before_it_seeks_another_way() -> None:
     told: list[float] = []
 
-    class Ahead(ReplayNavigator):
+    class Ahead(Navigator):
         def step(self, pose: Pose, stamp_ns: int) -> Command:
             self.now_s = 1e-9 * stamp_ns
             return Command(0.5, 0.0)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.navigation.known_views import KnownViews, View
 from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.views import KnownViews, View
 
 REACH = 6.5
 

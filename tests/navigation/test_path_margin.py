@@ -10,7 +10,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.navigation.guard import latency_s, stopping_distance
-from sixthsense.navigation.path_margin import margin_m, plan_with_margin
+from sixthsense.navigation.path_planner import margin_m, plan_with_margin
 from sixthsense.navigation.planners.astar import AStar
 from sixthsense.navigation.planners.shortcut import path_is_free
 from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace

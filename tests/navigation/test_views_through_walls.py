@@ -7,14 +7,13 @@ from scipy import ndimage
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.gridsearch import costs_from
-from sixthsense.navigation.known_views import KnownViews
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.regions import frontier_cells
 from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
-from sixthsense.navigation.view_gain import SensorModel, ViewGain
 from sixthsense.navigation.view_planner import Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
+from sixthsense.navigation.views import KnownViews, SensorModel, ViewGain
 from sixthsense.slam.mapping.changes import Box
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import too_near

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.gridsearch.bucket_queue import Sizes, Stacks, appended, push
+from sixthsense.navigation.gridsearch.prices import Sizes, Stacks, appended, push
 from sixthsense.slam.mapping.freespace import Bools
 
 Nodes = NDArray[np.int32]

@@ -2,6 +2,7 @@
 
 The map is divided into squares. Within a square, connected passable cells are a part; parts of neighbouring squares are
 joined where a step leads from one to the other. A change costs what its squares hold, and the joining of all parts.
+Joined parts are a forest of numbers, in which each leads to the first one of its part (union-find).
 """
 
 from __future__ import annotations
@@ -10,8 +11,26 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.navigation.gridsearch.union_find import Numbers, join, root_of
 from sixthsense.slam.mapping.freespace import Bools
+
+Numbers = NDArray[np.int64]
+
+
+@numba.njit(cache=True, error_model="numpy")
+def root_of(root: Numbers, i: int) -> int:
+    """The first of the part of i; makes the way to it shorter."""
+    while root[i] != i:
+        root[i] = root[root[i]]
+        i = root[i]
+    return i
+
+
+@numba.njit(cache=True, error_model="numpy")
+def join(root: Numbers, i: int, j: int) -> None:
+    """Make one part of those of i and j."""
+    a, b = root_of(root, i), root_of(root, j)
+    root[max(a, b)] = min(a, b)
+
 
 SQUARE = 64
 """cells; side of the squares"""

@@ -12,16 +12,23 @@ from dataclasses import replace
 import numpy as np
 
 from sixthsense.config import AssociationConfig
-from sixthsense.core.chi_square import chi_square_quantile
+from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.slam.association.crookedness import Crookedness, Footprint, less_certain
 from sixthsense.slam.association.matching import Matches, compare_known, match
-from sixthsense.slam.association.observed import Distances, Mask, Observed
+from sixthsense.slam.association.observed import (
+    Distances,
+    Mask,
+    Observed,
+    collinear_pairs,
+    disagreement,
+    ends,
+    fused,
+    joined,
+)
 from sixthsense.slam.association.proposed import ProposedLandmarks
-from sixthsense.slam.association.records import Association, Record
+from sixthsense.slam.association.records import Association, Crookedness, Footprint, Record, less_certain
 from sixthsense.slam.association.slip import matches_after_slip
-from sixthsense.slam.association.wall_extents import collinear_pairs, disagreement, ends, fused, joined
 from sixthsense.slam.estimators.base import Belief, Estimate, Estimator
 
 AreFree = Callable[[Array, float], Mask]

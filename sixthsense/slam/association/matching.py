@@ -14,10 +14,9 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.pose_kernels import Triple
-from sixthsense.slam.association.crookedness import unit_cov
 from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, squared_given
 from sixthsense.slam.association.observed import Distances, Mask, Observed
-from sixthsense.slam.association.records import Record
+from sixthsense.slam.association.records import Record, unit_cov
 from sixthsense.slam.estimators.base import Belief, Estimate
 
 _EXTENDED = 0.01

@@ -1,19 +1,163 @@
-"""What the association says of one keyframe, and what it keeps of each landmark."""
+"""What the association says of one keyframe, what it keeps of each landmark, and how crooked walls are.
+
+A bend that the returns of one scan do not show turns the fitted line by several of its sigmas. The shape of a wall does
+not depend on where the robot is, so that it is averaged over all observations of a landmark. A line that is fitted to
+another part of a crooked wall differs from the landmark by about as much as the wall deviates from the line.
+
+That error is not drawn anew with each scan. It stays while the same stretch is seen from the same side. What a filter
+estimates is therefore the wall as it was seen last, which changes as the stretch that is seen moves on.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
+import numba
 import numpy as np
 
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.landmarks import Kind, LandmarkId, Observation
+from sixthsense.core.landmarks import Kind, LandmarkId, Observation, WallShape
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.crookedness import Footprint, MeanShape, correlation
-from sixthsense.slam.association.wall_extents import ends, joined
+from sixthsense.slam.association.observed import ends, joined
+
+_SIGNIFICANT = 3.0
+"""sigmas below which a mean shape, or the mean over all walls, says that walls are straight"""
+_TILT = 3.0
+"""variance of the tilt, as an offset at the ends, over the mean square of the shape: of a bend or a step anywhere"""
+_LARGEST = 25.0
+"""of a squared amplitude over its variance: a wall that no cut made straight says nothing of others"""
+_SIDE_RAD = 0.5
+"""turn of the side that a wall is seen from, after which its shape looks another by 1 / e"""
+_MEMORY = 500.0
+"""observations of walls over which their mean crookedness is taken"""
+
+
+class Footprint(NamedTuple):
+    """What was seen of a wall at once."""
+
+    ends: Array
+    """(2, 2), world frame"""
+    side_rad: float
+    """direction from its middle to the robot, world frame"""
+
+    @classmethod
+    def of(cls, pose: Pose, ends: Array) -> Footprint:
+        """That of a wall with these ends (2, 2), seen from `pose`."""
+        (x, y), (other_x, other_y) = ends.tolist()
+        return cls(ends, math.atan2(pose.y - 0.5 * (y + other_y), pose.x - 0.5 * (x + other_x)))
+
+
+class Crookedness:
+    """How crooked walls are here, in the mean: the shapes of single observations against the laser's noise."""
+
+    def __init__(self) -> None:
+        self._counts = [0.0, 0.0]
+        self._squares = [0.0, 0.0]
+
+    def add(self, shape: WallShape) -> None:
+        """Take the shape of an observation; older ones are forgotten gradually."""
+        for k, (c, var) in enumerate(zip(shape.amplitudes_m, shape.variances_m2, strict=True)):
+            if math.isfinite(var):
+                keep = 1.0 - 1.0 / _MEMORY
+                self._counts[k] = keep * self._counts[k] + 1.0
+                self._squares[k] = keep * self._squares[k] + min(c * c / var, _LARGEST)
+
+    @property
+    def excess(self) -> tuple[float, float]:
+        """Variances of both amplitudes of an unknown wall over those of the laser's noise; 0: straight."""
+        first, second = (
+            max(0.0, square / count - _mean_square_limit(count)) if count >= 1.0 else 0.0
+            for square, count in zip(self._squares, self._counts, strict=True)
+        )
+        return first, second
+
+
+def _mean_square_limit(count: float) -> float:
+    """What the mean of `count` squares of standard normals exceeds as seldom as a normal exceeds `_SIGNIFICANT` sigmas.
+
+    Wilson and Hilferty, "The distribution of chi-square", PNAS 17, 1931.
+    """
+    var = 2.0 / (9.0 * count)
+    return float((1.0 - var + _SIGNIFICANT * math.sqrt(var)) ** 3)
+
+
+@dataclass(slots=True)
+class MeanShape:
+    """The mean shape of a wall over its observations."""
+
+    observations: int = 0
+    information: tuple[float, float] = (0.0, 0.0)
+    """of the two amplitudes, 1 / m^2"""
+    weighted: tuple[float, float] = (0.0, 0.0)
+    """sums of the amplitudes over their variances, 1 / m"""
+
+    def add(self, shape: WallShape) -> None:
+        """Take the shape of another observation."""
+        weights = [1.0 / var for var in shape.variances_m2]
+        first, second = (w * c for w, c in zip(weights, shape.amplitudes_m, strict=True))
+        self.observations += 1
+        self.weighted = (self.weighted[0] + first, self.weighted[1] + second)
+        self.information = (self.information[0] + weights[0], self.information[1] + weights[1])
+
+    def square_m2(self, excess: tuple[float, float]) -> float:
+        """Mean square of the deviation from a straight wall.
+
+        Before the wall is seen an amplitude is normal with a variance of `excess` times that of a single observation;
+        its mean over the observations tells the rest. A mean that is significant counts wherever walls are straight
+        otherwise.
+        """
+        total = 0.0
+        for information, weighted, prior_ratio in zip(self.information, self.weighted, excess, strict=True):
+            if information > 0.0:
+                mean_sq, var = (weighted / information) ** 2, 1.0 / information
+                prior = prior_ratio * self.observations * var
+                share = prior / (prior + var)
+                expected = share * share * mean_sq + share * var
+                total += max(expected, mean_sq - _SIGNIFICANT**2 * var)
+        return total
+
+
+def correlation(before: Footprint, now: Footprint) -> float:
+    """Of the errors that a wall's shape makes in two observations: the share that both see, times one of the side."""
+    turn = math.remainder(now.side_rad - before.side_rad, 2.0 * math.pi)
+    return _overlap(before.ends, now.ends) * math.exp(-((turn / _SIDE_RAD) ** 2))
+
+
+def less_certain(observation: Observation, square_m2: float) -> Observation:
+    """The observation of a wall that deviates from a straight one by a mean square of `square_m2`."""
+    if square_m2 == 0.0 or not observation.is_wall:
+        return observation
+    shape_cov = square_m2 * unit_cov(*observation.extent, True)
+    return replace(observation, cov=observation.cov + shape_cov, shape_cov=shape_cov)
+
+
+@numba.njit(cache=True, error_model="numpy")
+def unit_cov(first: float, last: float, is_wall: bool) -> Array:
+    """(2, 2) covariance that a mean square of 1 m^2 adds to an observation: an offset, and a tilt about its middle.
+
+    The wall reaches from `first` to `last` along it, m; zero for a point.
+    """
+    cov = np.zeros((2, 2))
+    if is_wall:
+        middle, of_tilt = 0.5 * (first + last), 4.0 * _TILT / (last - first) ** 2
+        cov[0, 0] = of_tilt
+        cov[0, 1] = cov[1, 0] = middle * of_tilt
+        cov[1, 1] = 1.0 + middle * middle * of_tilt
+    return cov
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _overlap(before: Array, now: Array) -> float:
+    """Intersection over union of two stretches with the ends (2, 2) each, along the second."""
+    x, y = now[1, 0] - now[0, 0], now[1, 1] - now[0, 1]
+    a, b = before[0, 0] * x + before[0, 1] * y, before[1, 0] * x + before[1, 1] * y
+    c, d = now[0, 0] * x + now[0, 1] * y, now[1, 0] * x + now[1, 1] * y
+    either = max(a, b, c, d) - min(a, b, c, d)
+    return max(0.0, min(max(a, b), max(c, d)) - max(min(a, b), min(c, d))) / either if either > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,11 +54,11 @@ def make_estimator(name: str, start: Pose, start_cov: Array, isam2: ISAM2Config 
 
         return EKF(start, start_cov)
     if name in ("ekf-fej", "ekf-oc"):
-        from sixthsense.slam.estimators.ekf_anchored import FirstEstimatesEKF, ObservabilityConstrainedEKF
+        from sixthsense.slam.estimators.ekf_variants import FirstEstimatesEKF, ObservabilityConstrainedEKF
 
         return (FirstEstimatesEKF if name == "ekf-fej" else ObservabilityConstrainedEKF)(start, start_cov)
     if name == "ekf-invariant":
-        from sixthsense.slam.estimators.ekf_invariant import InvariantEKF
+        from sixthsense.slam.estimators.ekf_variants import InvariantEKF
 
         return InvariantEKF(start, start_cov)
     if name == "isam2":

@@ -20,8 +20,14 @@ from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
-from sixthsense.slam.estimators.ekf_algebra import expected, new_landmark, propagate, seen_through, selected
-from sixthsense.slam.estimators.ekf_parameters import Parameters
+from sixthsense.slam.estimators.ekf_algebra import (
+    Parameters,
+    expected,
+    new_landmark,
+    propagate,
+    seen_through,
+    selected,
+)
 
 
 class EKF:

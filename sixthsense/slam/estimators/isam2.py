@@ -9,8 +9,7 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from sixthsense.config import ISAM2Config
-from sixthsense.core.chi_square import chi_square_quantile
-from sixthsense.core.covariance import check_covariance
+from sixthsense.core.covariance import check_covariance, chi_square_quantile
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -27,12 +26,10 @@ from sixthsense.slam.estimators.base import (
 from sixthsense.slam.estimators.isam2_calibration import motion_factor, start_factor
 from sixthsense.slam.estimators.isam2_chain import Chain
 from sixthsense.slam.estimators.isam2_factors import link_factor, loss_of, to_pose2
-from sixthsense.slam.estimators.isam2_head import Head
 from sixthsense.slam.estimators.isam2_observations import Observations
 from sixthsense.slam.estimators.isam2_prior import PriorFactor
-from sixthsense.slam.estimators.isam2_solution import Solution
-from sixthsense.slam.estimators.isam2_solver import Solver
-from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
+from sixthsense.slam.estimators.isam2_solution import Head, Solution
+from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver, Unsolved
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
 _MAX_REJECTED = 5  # per search
@@ -42,9 +39,9 @@ _MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loo
 class ISAM2:
     """A factor graph with one pose per update: a prior, odometry between poses, bearing and range to landmarks.
 
-    A wall is a variable with a frame of its own (`isam2_walls.py`). GTSAM's tangent of a pose is in the robot's frame:
-    covariances are rotated into it and out of it. Poses of updates without an observation are kept back until there is
-    an observation or a link, since until then there is nothing to solve.
+    A wall is a variable with a frame of its own (`isam2_factors.py`). GTSAM's tangent of a pose is in the robot's
+    frame: covariances are rotated into it and out of it. Poses of updates without an observation are kept back until
+    there is an observation or a link, since until then there is nothing to solve.
     """
 
     def __init__(self, start: Pose, start_cov: Array, config: ISAM2Config) -> None:

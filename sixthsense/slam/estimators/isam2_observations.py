@@ -18,11 +18,9 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations
 from sixthsense.slam.estimators.isam2_calibration import seen_point
-from sixthsense.slam.estimators.isam2_factors import Loss, to_pose, to_pose2
-from sixthsense.slam.estimators.isam2_head import Head
-from sixthsense.slam.estimators.isam2_solver import Solver
-from sixthsense.slam.estimators.isam2_state import Landmarks, Unsolved
-from sixthsense.slam.estimators.isam2_walls import exact_factor, stretch_factor, wall_factor
+from sixthsense.slam.estimators.isam2_factors import Loss, exact_factor, stretch_factor, to_pose, to_pose2, wall_factor
+from sixthsense.slam.estimators.isam2_solution import Head
+from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver, Unsolved
 
 _FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", np.bool_), ("first", np.bool_),
            ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip

@@ -12,9 +12,8 @@ from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.estimators.base import LandmarkPrior
-from sixthsense.slam.estimators.isam2_solver import Solver
-from sixthsense.slam.estimators.isam2_state import Landmarks
-from sixthsense.slam.estimators.isam2_walls import lines
+from sixthsense.slam.estimators.isam2_factors import lines
+from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver
 
 _FLOOR = 1e-6  # sigma added to each landmark, m and rad: one that is known would make the system singular
 _ALONG_M = 1e-3  # sigma of the place of a wall's origin along the wall, which is arbitrary

@@ -19,11 +19,10 @@ from sixthsense.core.motion import variance
 from sixthsense.core.pose_kernels import Triple, wrapped
 from sixthsense.slam.features.deskew import add_sweep_noise
 from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
+from sixthsense.slam.features.landmarks import find_points, find_walls
 from sixthsense.slam.features.line_fit import LaserSigmas
 from sixthsense.slam.features.lines import FittedLines, LineRules, fit_lines
 from sixthsense.slam.features.partition import Indices, partition, split_pieces
-from sixthsense.slam.features.points import find_points
-from sixthsense.slam.features.walls import find_walls
 
 Mask = NDArray[np.bool_]
 

@@ -1,6 +1,9 @@
-"""Fitting one line: orthogonal least squares with the line's covariance.
+"""Fitting one line, with its covariance, and whether it is one: returns that two lines explain better are cut.
 
-A line is (alpha, d), the points with x cos(alpha) + y sin(alpha) = d and d >= 0, in the laser's frame.
+A line is (alpha, d), the points with x cos(alpha) + y sin(alpha) = d and d >= 0, in the laser's frame. The test is the
+likelihood ratio of two lines against one, maximised over the place of the cut (Quandt, "The estimation of the
+parameters of a linear regression system obeying two separate regimes", JASA 53, 1958). It shows a bend, a step and a
+foreign return at an end long before any return is several sigmas off the line.
 """
 
 from __future__ import annotations
@@ -107,3 +110,125 @@ def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float
     arm = along / total
     aa = line[2]
     return np.array([line[0], offset / total, aa, arm * aa, arm * arm * aa + 1.0 / total])
+
+
+_LEAST_VAR_M2 = 1e-8  # no wall is straight to less than 0.1 mm, however well a laser is assumed to measure
+
+
+@numba.njit(cache=True, error_model="numpy")
+def cut_threshold(returns: int, false_alarm: float) -> float:
+    """The gain in chi-square of the best cut that a straight wall exceeds with the probability `false_alarm`.
+
+    At a given place the gain has two degrees of freedom, so that its tail is exp(-gain / 2). The best of n places is
+    as large as that of n / (2 + n / 100) independent ones, by simulation.
+    """
+    places = returns / (2.0 + returns / 100.0)
+    threshold: float = 2.0 * math.log(places / false_alarm)
+    return threshold
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _explained(sums: Array, a: int, b: int) -> float:
+    """Decrease of chi-square by the line fitted to the returns from a to before b, from rows of cumulative `sums`."""
+    w, arm, arm_sq = sums[b, 0] - sums[a, 0], sums[b, 1] - sums[a, 1], sums[b, 2] - sums[a, 2]
+    off, turn = sums[b, 3] - sums[a, 3], sums[b, 4] - sums[a, 4]
+    spread = arm_sq - arm * arm / w
+    explained: float = off * off / w
+    # One or two returns, or several in one place, determine an offset alone: two would fit any line.
+    if b - a > 2 and spread > 1e-9 * arm_sq:
+        explained += (turn - arm * off / w) ** 2 / spread
+    return explained
+
+
+@numba.njit(cache=True, error_model="numpy")
+def cut_gains(points: Array, index: Indices, line: Array, sigmas: LaserSigmas) -> Array:
+    """(n - 1,) decrease of chi-square if the returns at `index` (n,) are two lines, cut before the second to last one.
+
+    `points` (N, 2) metres in the laser's frame; `line` (5,) is fitted to them, and both lines are near it.
+    """
+    n = len(index)
+    sums = np.zeros((n + 1, 5))
+    for k in range(n):
+        off, arm, var = across_line(points[index[k], 0], points[index[k], 1], line, sigmas)
+        weight = 1.0 / max(var, _LEAST_VAR_M2)
+        sums[k + 1, 0] = sums[k, 0] + weight
+        sums[k + 1, 1] = sums[k, 1] + weight * arm
+        sums[k + 1, 2] = sums[k, 2] + weight * arm * arm
+        sums[k + 1, 3] = sums[k, 3] + weight * off
+        sums[k + 1, 4] = sums[k, 4] + weight * arm * off
+    gains = np.empty(n - 1)
+    one = _explained(sums, 0, n)
+    for k in range(1, n):
+        gains[k - 1] = _explained(sums, 0, k) + _explained(sums, k, n) - one
+    return gains
+
+
+@numba.njit(cache=True, error_model="numpy")
+def straight_pieces(
+    points: Array, index: Indices, line: Array, sigmas: LaserSigmas, false_alarm: float, least: int
+) -> Indices:
+    """(P, 2) first and past-last place in `index` (n,) of the straight pieces of its returns, in order.
+
+    `line` (5,) is fitted to all of them. A piece is cut where two lines explain it best, if they explain it better than
+    a straight wall allows with the probability `false_alarm`. Pieces with fewer than `least` returns are left out,
+    unless they are more than half of all: then a short wall has lost a few foreign ones.
+    """
+    found = np.empty((len(index), 2), np.int64)
+    count = 0
+    stack = [(0, len(index))]
+    while len(stack) > 0:
+        a, b = stack.pop()
+        few = b - a < least and 2 * (b - a) <= len(index)
+        if few or b - a < max(2, min(least, 3)):
+            continue
+        piece = index[a:b]
+        if b - a < len(index):
+            line = fit_line(points, piece, sigmas.range_m, sigmas.bearing_rad)
+        gains = cut_gains(points, piece, line, sigmas)
+        best = int(np.argmax(gains))
+        if gains[best] > cut_threshold(b - a, false_alarm):
+            stack.append((a + best + 1, b))
+            stack.append((a, a + best + 1))
+        else:
+            found[count] = a, b
+            count += 1
+    return found[:count].copy()
+
+
+@numba.njit(cache=True, error_model="numpy")
+def shape(points: Array, index: Indices, line: Array, sigmas: LaserSigmas) -> Array:
+    """How the returns at `index` deviate from the line (5,) fitted to them: (4,) c2, c3, m, and their variances.
+
+    c2 and c3 are the amplitudes of the second and third Legendre polynomial along the returns, by weighted least
+    squares beside offset and tilt. Of a bend the first is not zero, of a step the second. Neither depends on the pose
+    of the laser. The variances are infinite for fewer than 5 returns.
+    """
+    out = np.array([0.0, 0.0, np.inf, np.inf])
+    if len(index) < 5:
+        return out
+    _, first, _ = across_line(points[index[0], 0], points[index[0], 1], line, sigmas)
+    _, last, _ = across_line(points[index[-1], 0], points[index[-1], 1], line, sigmas)
+    middle, half = 0.5 * (first + last), 0.5 * abs(last - first)
+    if half < 1e-6:
+        return out
+    # Sums of products of 1, u, p, q, with p and q the two polynomials, and of each with the distance from the line.
+    w1 = wu = wuu = wp = wup = wq = wuq = wpp = wpq = wqq = r1 = ru = rp = rq = 0.0
+    for i in index:
+        off, arm, var = across_line(points[i, 0], points[i, 1], line, sigmas)
+        u, w = (arm - middle) / half, 1.0 / var
+        p, q = 1.5 * u * u - 0.5, (2.5 * u * u - 1.5) * u
+        w1, wu, wuu = w1 + w, wu + w * u, wuu + w * u * u
+        wp, wup, wq, wuq = wp + w * p, wup + w * u * p, wq + w * q, wuq + w * u * q
+        wpp, wpq, wqq = wpp + w * p * p, wpq + w * p * q, wqq + w * q * q
+        r1, ru, rp, rq = r1 + w * off, ru + w * u * off, rp + w * p * off, rq + w * q * off
+    # Offset and tilt are eliminated: what is left of p and q beside them.
+    det = w1 * wuu - wu * wu
+    p1, pu = (wuu * wp - wu * wup) / det, (w1 * wup - wu * wp) / det
+    q1, qu = (wuu * wq - wu * wuq) / det, (w1 * wuq - wu * wq) / det
+    pp, pq, qq = wpp - p1 * wp - pu * wup, wpq - q1 * wp - qu * wup, wqq - q1 * wq - qu * wuq
+    off_p, off_q = rp - p1 * r1 - pu * ru, rq - q1 * r1 - qu * ru
+    det = pp * qq - pq * pq
+    if det > 1e-9 * wpp * wqq:
+        out[0], out[1] = (qq * off_p - pq * off_q) / det, (pp * off_q - pq * off_p) / det
+        out[2], out[3] = qq / det, pp / det
+    return out

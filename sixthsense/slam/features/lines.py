@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.features.line_fit import LaserSigmas, fit_line
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, straight_pieces
 from sixthsense.slam.features.partition import Indices
-from sixthsense.slam.features.straightness import straight_pieces
 
 _WHOLE = np.zeros((1, 2), np.int64)  # one piece, of all returns
 

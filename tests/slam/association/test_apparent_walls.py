@@ -9,9 +9,8 @@ import pytest
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.association.crookedness import Footprint, correlation, less_certain
-from sixthsense.slam.association.records import Record
-from sixthsense.slam.association.wall_extents import ends
+from sixthsense.slam.association.observed import ends
+from sixthsense.slam.association.records import Footprint, Record, correlation, less_certain
 from sixthsense.slam.estimators import make_estimator
 
 FILTERS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"]

@@ -9,7 +9,7 @@ from scanned import look
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark, innovations, predict_walls
-from sixthsense.slam.association.crookedness import Crookedness, MeanShape, less_certain
+from sixthsense.slam.association.records import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
 
 VARIANCES = (4e-6, 9e-6)

@@ -7,9 +7,9 @@ from scipy.linalg import block_diag
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import Kind, Observation, observation_innovations, predict
-from sixthsense.slam.association.crookedness import less_certain
 from sixthsense.slam.association.matching import compare
 from sixthsense.slam.association.observed import Observed
+from sixthsense.slam.association.records import less_certain
 from sixthsense.slam.estimators.base import Estimate
 
 WALLS = np.array([True, False, True, False])

@@ -15,10 +15,9 @@ from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.association.observed import Distances
-from sixthsense.slam.association.wall_extents import ends, fused, joined
+from sixthsense.slam.association.observed import Distances, ends, fused, joined
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator
-from sixthsense.slam.estimators.isam2_walls import lines, measurement
+from sixthsense.slam.estimators.isam2_factors import lines, measurement
 from sixthsense.slam.features import extract
 from sixthsense.sources.scene import load_scene
 from sixthsense.testing.estimation import joint_state

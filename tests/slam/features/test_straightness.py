@@ -9,8 +9,7 @@ from scanned import look
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.slam.features import extract
-from sixthsense.slam.features.line_fit import LaserSigmas, across_line, fit_line
-from sixthsense.slam.features.straightness import cut_gains, shape, straight_pieces
+from sixthsense.slam.features.line_fit import LaserSigmas, across_line, cut_gains, fit_line, shape, straight_pieces
 
 SIGMAS = LaserSigmas(0.01, 0.001)
 BEARINGS = np.radians(np.arange(-60.0, 60.0, 1.5))
