@@ -218,9 +218,13 @@ def cast_rays(T_world_laser: Pose, bearings: ArrayLike, walls: ArrayLike, max_ra
 def cast_among(T_world_laser: Pose, bearings: Array, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
     """As `cast_rays`, with `walls` (M, 4) as `NearWalls` finds them and `legs` (L, 5), and without checks."""
     angles = bearings + T_world_laser.theta
-    ranges = np.empty(len(angles))
-    flat = np.ascontiguousarray(walls)
-    _cast_rays(T_world_laser.x, T_world_laser.y, np.cos(angles), np.sin(angles), flat, legs, max_range, ranges)
+    return cast_along(T_world_laser.position, np.cos(angles), np.sin(angles), walls, max_range, legs)
+
+
+def cast_along(position: Array, cos: Array, sin: Array, walls: Array, max_range: float, legs: Array = NO_LEGS) -> Array:
+    """As `cast_among`, from a `position` (2,) along directions (N,) of the world frame."""
+    ranges = np.empty(len(cos))
+    _cast_rays(position[0], position[1], cos, sin, np.ascontiguousarray(walls), legs, max_range, ranges)
     return ranges
 
 

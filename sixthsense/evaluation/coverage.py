@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
-from sixthsense.core.ray_casting import NearWalls, cast_among
+from sixthsense.core.ray_casting import NearWalls, cast_along
 from sixthsense.sources.walking_space import mark_distances
 
 if TYPE_CHECKING:
@@ -117,10 +117,11 @@ def visible_area(
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
     first = np.full((height, width), -1, dtype=np.int32)
-    bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
+    angles = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
+    directions = np.stack([np.cos(angles), np.sin(angles)])
     near_walls = NearWalls(walls, laser_range)
     for row, col in _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))):
-        _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, 0, first)
+        _sweep(np.array((x[col], y[row])), directions, near_walls, laser_range, origin, cell_m, 0, first)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     mask = (first >= 0) & inside & (clearances >= cell_m)
     mask.flags.writeable = False
@@ -151,8 +152,10 @@ def coverage(
             moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
                 continue
-        last = pose
-        _sweep(pose @ Pose(*mount), bearings, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
+        last, T_world_laser = pose, pose @ Pose(*mount)
+        angles = bearings + T_world_laser.theta
+        directions = np.stack([np.cos(angles), np.sin(angles)])
+        _sweep(T_world_laser.position, directions, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
     known = first[area.mask]
     return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
 
@@ -172,8 +175,8 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
 
 
 def _sweep(
-    T_world_laser: Pose,
-    bearings: Array,
+    position: Array,
+    directions: Array,
     walls: NearWalls,
     max_range: float,
     origin: Array,
@@ -181,12 +184,11 @@ def _sweep(
     scan: int,
     first: Scans,
 ) -> None:
-    """Mark the cells on a scan's beams in `first`."""
-    near = walls.at(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_among(T_world_laser, bearings, near, max_range), max_range) / cell_m
-    angles = bearings + T_world_laser.theta
-    x, y = (T_world_laser.position - origin) / cell_m
-    _mark(x, y, np.cos(angles), np.sin(angles), lengths, scan, first)
+    """Mark the cells on beams from a position (2,) along `directions` (2, N), their cosines and sines, in `first`."""
+    cos, sin = directions
+    lengths = np.minimum(cast_along(position, cos, sin, walls.at(*position), max_range), max_range) / cell_m
+    x, y = (position - origin) / cell_m
+    _mark(x, y, cos, sin, lengths, scan, first)
 
 
 def _connected(passable: Mask, start: Array) -> Mask:
