@@ -32,7 +32,7 @@ from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
 REGISTRY = ROOT / "docs" / "pictures.toml"
-CODE_FOLDERS = ("sixthsense", "scenes", "benchmarks")
+CODE_FOLDERS = ("sixthsense", "scenes", "docs/drawn")
 WIDGET = "application/vnd.jupyter.widget-view+json"
 
 COLORS = 256
@@ -92,7 +92,7 @@ def pictures() -> list[Picture]:
 def run(command: str, folder: Path) -> None:
     """One command in a folder, with this Python, and with paths of the repository in full."""
     program, *words = shlex.split(os.path.expandvars(command))
-    words = [str(ROOT / word) if word.startswith(("docs/", "benchmarks/")) else word for word in words]
+    words = [str(ROOT / word) if word.startswith("docs/") else word for word in words]
     own = sys.executable if program == "python" else str(Path(sys.executable).with_name(program))
     subprocess.run([own, *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
 

@@ -13,7 +13,8 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
-from sixthsense.core.ray_casting import NearWalls, beams_of, cast_among
+from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.ray_casting import Beams, NearWalls, beams_of, cast_among
 from sixthsense.sources.walking_space import mark_distances
 
 if TYPE_CHECKING:
@@ -47,21 +48,23 @@ class VisibleArea:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _mark(x: float, y: float, cos: Array, sin: Array, lengths: Array, scan: int, first: Scans) -> None:
-    """Set the cells of `first` below 0 on the beams (N,) from (x, y) to `scan`; lengths in cells.
+def _mark(laser: Triple, beams: Beams, lengths: Array, scan: int, first: Scans) -> None:
+    """Set the cells of `first` below 0 on the beams from a pose of the laser to `scan`; its place and lengths in cells.
 
     Amanatides and Woo 1987.
     """
     height, width = first.shape
+    x, y, theta = laser
+    c, s = math.cos(theta), math.sin(theta)
     first_col, first_row = math.floor(x), math.floor(y)
     for i in range(lengths.shape[0]):
-        col, row = first_col, first_row
-        end_x, end_y = x + lengths[i] * cos[i], y + lengths[i] * sin[i]
-        steps = abs(math.floor(end_x) - col) + abs(math.floor(end_y) - row)
-        step_x, step_y = (1 if cos[i] > 0.0 else -1), (1 if sin[i] > 0.0 else -1)
-        per_x, per_y = abs(1.0 / cos[i]), abs(1.0 / sin[i])  # inf along an axis
-        next_x = (col + 1 - x if cos[i] > 0.0 else x - col) * per_x if cos[i] != 0.0 else np.inf
-        next_y = (row + 1 - y if sin[i] > 0.0 else y - row) * per_y if sin[i] != 0.0 else np.inf
+        col, row, length = first_col, first_row, lengths[beams.order[i]]
+        cos, sin = c * beams.cos[i] - s * beams.sin[i], s * beams.cos[i] + c * beams.sin[i]
+        steps = abs(math.floor(x + length * cos) - col) + abs(math.floor(y + length * sin) - row)
+        step_x, step_y = (1 if cos > 0.0 else -1), (1 if sin > 0.0 else -1)
+        per_x, per_y = abs(1.0 / cos), abs(1.0 / sin)  # inf along an axis
+        next_x = (col + 1 - x if cos > 0.0 else x - col) * per_x if cos != 0.0 else np.inf
+        next_y = (row + 1 - y if sin > 0.0 else y - row) * per_y if sin != 0.0 else np.inf
         for _ in range(steps + 1):
             if 0 <= row < height and 0 <= col < width and first[row, col] < 0:
                 first[row, col] = scan
@@ -117,10 +120,10 @@ def visible_area(
     reachable &= (np.maximum(np.maximum(low[0] - x, x - high[0]), 0.0) <= laser_range)[None, :]
 
     first = np.full((height, width), -1, dtype=np.int32)
-    bearings = 2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS
+    beams = beams_of(2.0 * math.pi * np.arange(_BEAMS, dtype=np.float64) / _BEAMS)
     near_walls = NearWalls(walls, laser_range)
     for row, col in _viewpoints(reachable, max(1, round(_SQUARE_M / cell_m))):
-        _sweep(Pose(x[col], y[row], 0.0), bearings, near_walls, laser_range, origin, cell_m, 0, first)
+        _sweep(Pose(x[col], y[row]), beams, near_walls, laser_range, origin, cell_m, 0, first)
     inside = ((y > low[1]) & (y < high[1]))[:, None] & ((x > low[0]) & (x < high[0]))[None, :]
     mask = (first >= 0) & inside & (clearances >= cell_m)
     mask.flags.writeable = False
@@ -145,14 +148,14 @@ def coverage(
         return np.full(len(poses), math.nan)
     first = np.full(area.mask.shape, -1, dtype=np.int32)
     spacing = abs(float(bearings[1] - bearings[0])) if len(bearings) > 1 else math.inf
-    near_walls, last = NearWalls(walls, max_range), None
+    beams, near_walls, last = beams_of(bearings), NearWalls(walls, max_range), None
     for k, pose in enumerate(map(Pose.from_array, poses)):
         if last is not None:
             moved, turned = math.hypot(pose.x - last.x, pose.y - last.y), abs((last.inverse() @ pose).theta)
             if moved < 0.5 * area.cell_m and turned < 0.5 * spacing:
                 continue
-        last = pose
-        _sweep(pose @ Pose(*mount), bearings, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
+        last, T_world_laser = pose, pose @ Pose(*mount)
+        _sweep(T_world_laser, beams, near_walls, max_range, np.array(area.origin), area.cell_m, k, first)
     known = first[area.mask]
     return np.asarray(np.cumsum(np.bincount(known[known >= 0], minlength=len(poses))) / len(known))
 
@@ -173,7 +176,7 @@ def coverage_of(trace: Trace) -> tuple[VisibleArea, Array]:
 
 def _sweep(
     T_world_laser: Pose,
-    bearings: Array,
+    beams: Beams,
     walls: NearWalls,
     max_range: float,
     origin: Array,
@@ -181,12 +184,11 @@ def _sweep(
     scan: int,
     first: Scans,
 ) -> None:
-    """Mark the cells on a scan's beams in `first`."""
+    """Mark the cells on the beams of a laser in `first`."""
     near = walls.at(T_world_laser.x, T_world_laser.y)
-    lengths = np.minimum(cast_among(T_world_laser, beams_of(bearings), near, max_range), max_range) / cell_m
-    angles = bearings + T_world_laser.theta
-    x, y = (T_world_laser.position - origin) / cell_m
-    _mark(x, y, np.cos(angles), np.sin(angles), lengths, scan, first)
+    lengths = np.minimum(cast_among(T_world_laser, beams, near, max_range), max_range) / cell_m
+    x, y = ((T_world_laser.position - origin) / cell_m).tolist()
+    _mark((x, y, T_world_laser.theta), beams, lengths, scan, first)
 
 
 def _connected(passable: Mask, start: Array) -> Mask:

@@ -36,6 +36,7 @@ CYCLE = (ESTIMATE, LANDMARK, PLAN, WALL_FOUND, ODOMETRY, OBSERVATION, TRUTH)
 CHI2_95 = 5.991  # 2 degrees of freedom
 
 _WIDTH_IN, _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 11.0, 1.5, 11.0
+_DPI = 130  # of a bitmap
 _FRAME_IN = 1.0  # height of title, axis label and legend
 _MOST_MARKS, _MOST_CORNERS = 500, 20_000  # of a vector layer, and of a vector line
 
@@ -232,11 +233,16 @@ def save(figure: Any, file: Path | str) -> None:
     """
     from matplotlib import rc_context
 
+    from sixthsense.figures.picture import MARGIN_IN, Picture
+
     file = Path(file)
     file.parent.mkdir(parents=True, exist_ok=True)
-    # Axes of equal aspect leave margins that the layout cannot remove.
-    options: dict[str, Any] = {"dpi": 130, "bbox_inches": "tight", "pad_inches": 0.12}
-    if file.suffix in (".svg", ".pdf"):
+    is_vector = file.suffix in (".svg", ".pdf")
+    if isinstance(figure, Picture) and not is_vector:
+        figure.save_bitmap(file, _DPI)
+        return
+    options: dict[str, Any] = {"dpi": _DPI, "bbox_inches": "tight", "pad_inches": MARGIN_IN}
+    if is_vector:
         for artist in figure.findobj(_is_large):
             artist.set_rasterized(True)
         options |= {"dpi": 200, "metadata": {"Date" if file.suffix == ".svg" else "CreationDate": None}}
