@@ -26,7 +26,7 @@ from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
-from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.logs.log import Relations
 
 _COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
 """fields of a landmark's record by the names of their arrays"""
