@@ -14,7 +14,7 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD
+from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD, pose_between
 
 JUMP_NS = 1_000_000_000
 """A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""
@@ -217,10 +217,9 @@ class ScanJoiner:
         for at_ns, pose in self._odometry:
             if at_ns == time_ns:
                 return pose
-        for (before_ns, before), (after_ns, after) in pairwise(self._odometry):
-            if before_ns < time_ns < after_ns and 1e-9 * (after_ns - before_ns) <= GAP_S:
-                motion, share = before.inverse() @ after, (time_ns - before_ns) / (after_ns - before_ns)
-                return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+        for before, after in pairwise(self._odometry):
+            if before[0] < time_ns < after[0] and 1e-9 * (after[0] - before[0]) <= GAP_S:
+                return pose_between(before, after, time_ns)
         return None
 
     def _is_elsewhere(self, before: Pose, after: Pose, duration_s: float) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config
+from sixthsense.config.errors import reason_of
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.factors import factor_graph, links_of, write_graph
@@ -247,8 +248,7 @@ def _loaded(file: Path) -> Iterator[dict[str, Any]]:
     except KeyError as error:
         raise RecordError(f"{file}: found no array {error.args[0]!r}, allowed: that of a run") from None
     except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordError(f"{file}: found {reason[:160]}, allowed: the arrays of a run") from None
+        raise RecordError(f"{file}: found {reason_of(error)}, allowed: the arrays of a run") from None
 
 
 def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> Any:

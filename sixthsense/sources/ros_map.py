@@ -13,6 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import reason_of
 from sixthsense.config.section import ConfigError, Range, Section
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.sources.scene_files import Coordinate, SceneError, check_count, read_floats, read_section, read_text
@@ -113,9 +114,7 @@ def _read_yaml(file: Path) -> Any:
         # The base loader keeps every value as text, so that 5e-2 is read as a number, as in map_server.
         return yaml.load(text, Loader=yaml.BaseLoader)
     except (yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        shortened = reason if len(reason) <= _LONGEST_REASON else f"{reason[:_LONGEST_REASON]}..."
-        raise SceneError(f"is not YAML ({shortened})") from None
+        raise SceneError(f"is not YAML ({reason_of(error, _LONGEST_REASON)})") from None
 
 
 def _read_value(key: Any, text: Any) -> Any:
@@ -155,8 +154,8 @@ def _read_image(path: Path, with_alpha: bool) -> NDArray[np.uint8]:
     except FileNotFoundError:
         raise SceneError(f"{path}: no such image file") from None
     except Exception as error:  # a damaged image makes its decoder fail with undocumented exceptions
-        message = (isinstance(error, OSError) and error.strerror) or str(error)  # strerror omits the file's name
-        reason = " ".join(message.split()) or type(error).__name__
+        # strerror omits the file's name
+        reason = (isinstance(error, OSError) and error.strerror) or reason_of(error, _LONGEST_REASON)
         raise SceneError(f"{path}: not a readable image ({reason}), allowed: {', '.join(_FORMATS)}") from None
 
 

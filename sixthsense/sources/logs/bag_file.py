@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
 WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
 
-_LONGEST_REASON = 160  # letters
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
 _BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together
 _BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely compress to a tenth
@@ -53,12 +52,8 @@ def opened(path: Path) -> Iterator[AnyReader]:
     except InputError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if len(reason) > _LONGEST_REASON:
-            reason = reason[:_LONGEST_REASON] + "..."
-        raise LogError(
-            f"{path}: cannot be read as a bag ({reason}), allowed: ROS 1 .bag, ROS 2 folder or file"
-        ) from None
+        allowed = "allowed: ROS 1 .bag, ROS 2 folder or file"
+        raise LogError(f"{path}: cannot be read as a bag ({reason_of(error)}), {allowed}") from None
 
 
 def _check_first_line(path: Path) -> None:

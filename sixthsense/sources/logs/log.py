@@ -137,6 +137,13 @@ class RewindableSource:
         self._is_rewound = True
 
 
+def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) -> Pose:
+    """Odometry at a stamp between two records of it, each a stamp, ns, and a pose: a share of the motion."""
+    (before_ns, pose), (after_ns, other) = before, after
+    motion, share = pose.inverse() @ other, (at_ns - before_ns) / (after_ns - before_ns)
+    return pose @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+
+
 def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
     """A line each on gaps and jumps of poses with stamps, ns, in the order of the records."""
     if len(odometry) < 2:

@@ -18,7 +18,7 @@ from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
 from sixthsense.sources.logs.laser_geometry import described, max_range_of
-from sixthsense.sources.logs.log import Log, found_turns, remarks_on
+from sixthsense.sources.logs.log import Log, found_turns, pose_between, remarks_on
 from sixthsense.sources.logs.ros_messages import (
     FARTHEST_M,
     LASER_SCAN,
@@ -283,9 +283,5 @@ def _ascends(stamped: Sequence[tuple[int, Any]]) -> bool:
 
 def _interpolate(odometry: Sequence[tuple[int, Pose]], last: int, at_ns: int) -> Pose:
     """Odometry interpolated at a stamp between message `last` and the next; that of `last` for any other stamp."""
-    before_ns, before = odometry[last]
-    after_ns, after = odometry[min(last + 1, len(odometry) - 1)]
-    if not before_ns < at_ns < after_ns:
-        return before
-    motion, share = before.inverse() @ after, (at_ns - before_ns) / (after_ns - before_ns)
-    return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+    before, after = odometry[last], odometry[min(last + 1, len(odometry) - 1)]
+    return pose_between(before, after, at_ns) if before[0] < at_ns < after[0] else before[1]
