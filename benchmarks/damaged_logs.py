@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.relations import Relations, has_scan
+from sixthsense.sources.logs.log import Log, Relations, has_scan
 
 Ticks = Sequence[Tick]
 

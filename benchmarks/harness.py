@@ -34,8 +34,7 @@ from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.run import Run, load
 from sixthsense.loop import OnTick
 from sixthsense.running.runs import Watch, replay_log, simulate
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.logs.log import Log, Relations
 from sixthsense.sources.replay_input import Recorded
 
 T = TypeVar("T")

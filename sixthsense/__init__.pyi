@@ -5,8 +5,8 @@ from .api import run as run
 from .auditing.call import audit as audit
 from .auditing.result import Audit as Audit
 from .campaigns.call import campaign as campaign
-from .campaigns.result import Campaign as Campaign
-from .campaigns.result import load_campaign as load_campaign
+from .campaigns.call import Campaign as Campaign
+from .campaigns.call import load_campaign as load_campaign
 from .figures.comparison import Comparison as Comparison
 from .figures.comparison import compare as compare
 from .config import Config as Config
@@ -24,7 +24,7 @@ from .slam.features import Features as Features
 from .slam.features import extract as extract
 from .slam.slam import Slam as Slam
 from .slam.slam import Step as Step
-from .record.prior_map import read_prior_map as read_prior_map
+from .record.load import read_prior_map as read_prior_map
 from .slam.prior_map import PriorMap as PriorMap
 from .core.geometry import Pose as Pose
 from .slam.mapping.grid import Grid as Grid
@@ -33,7 +33,7 @@ from .core.landmarks import Observation as Observation
 from .core.laser import Scan as Scan
 from .core.ray_casting import cast_rays as cast_rays
 from .sources.logs import open_log as open_log
-from .sources.logs.relations import read_relations as read_relations
+from .sources.logs.log import read_relations as read_relations
 from .navigation.planners import Plan as Plan
 from .navigation.planners import Planner as Planner
 from .navigation.planners import make_planner as make_planner

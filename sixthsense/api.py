@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.loop import OnTick
     from sixthsense.slam.prior_map import PriorStart
-    from sixthsense.sources.logs.log import Log
-    from sixthsense.sources.logs.relations import Relations
+    from sixthsense.sources.logs.log import Log, Relations
     from sixthsense.sources.replay_input import Chosen, Recorded
 
 
@@ -205,7 +204,7 @@ def _of_scene(scene: str | Path | Config, given: dict[str, Any]) -> Config:
 
 def _prior_start(prior_map: str | Path | None, given: dict[str, Any]) -> PriorStart | None:
     """The prior map and the start in it, whose fields are taken out of `given`."""
-    from sixthsense.record.prior_map import prior_start
+    from sixthsense.record.load import prior_start
 
     pose, sigma, lost = given.pop("pose", None), given.pop("pose_sigma", None), given.pop("lost", False)
     return prior_start(prior_map, pose, sigma, lost)
@@ -215,7 +214,7 @@ def _opened(
     log: Log, config: Config | None, relations: str | Path | Relations | None, given: Mapping[str, Any]
 ) -> Recorded:
     """The input of a replay from a log that the caller has opened."""
-    from sixthsense.sources.logs.relations import read_relations
+    from sixthsense.sources.logs.log import read_relations
     from sixthsense.sources.replay_input import Recorded, of_log, relations_of
 
     if config is None:

@@ -98,7 +98,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
     if kind_of(path) == "bag":
         if options.truth_topic.strip("/") == "tf" or (options.truth_frames and not options.truth_topic):
             return _of_transforms(path, options.truth_frames or estimate.frames)
-        from sixthsense.sources.logs.ros_poses import read_poses
+        from sixthsense.sources.logs.bag_file import read_poses
 
         own = estimate.name.removeprefix(f"{path} ")
         found = read_poses(path, options.truth_topic, False, [own])
@@ -110,7 +110,7 @@ def open_truth(source: Source | None, estimate: Poses, of: Source, options: Opti
 
 def _estimate_of_file(path: Path, covariance: Path | None, topic: str) -> Poses:
     if kind_of(path) == "bag":
-        from sixthsense.sources.logs.ros_poses import read_poses
+        from sixthsense.sources.logs.bag_file import read_poses
 
         found = read_poses(path, topic)
         poses = made(f"{path} {found.topic}", found.stamps_ns, found.poses, found.covs)
@@ -171,7 +171,7 @@ def _of_transforms(path: Path, frames: tuple[str, str]) -> Poses:
     """The poses of a frame in another one, at the stamps of the link that is sent most often."""
     if not all(frames):
         raise AuditError("--truth-frames: found none, allowed: parent and child in /tf, such as map base_link")
-    from sixthsense.sources.logs.ros_poses import read_transforms
+    from sixthsense.sources.logs.bag_file import read_transforms
 
     links = [made(f"{path} /tf", *link) for link in read_transforms(path, *frames)]
     moving = [link for link in links if len(link) > 1]

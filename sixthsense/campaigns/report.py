@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from sixthsense.campaigns.call import Campaign
 from sixthsense.campaigns.folder import read_folder
 from sixthsense.campaigns.plan import AXES, CampaignError
-from sixthsense.campaigns.result import Campaign
 from sixthsense.evaluation.groups import MOST_GROUPS, Group, Sample, differing, grouped, labelled
 from sixthsense.evaluation.results import QUANTITIES
 from sixthsense.evaluation.tables import digits

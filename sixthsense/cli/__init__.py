@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from importlib import import_module
 from typing import Any
 
-from sixthsense.cli.exits import BAD_INPUT, DONE, FAILED, INTERRUPTED
 from sixthsense.cli.help import help_text, help_topic
 from sixthsense.cli.options import UsageError
 from sixthsense.config.errors import InputError
@@ -19,6 +18,19 @@ from sixthsense.config.removed import RenamedWarning
 from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
+
+DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+EXIT_CODES = {
+    "goal reached": DONE,
+    "tour ended": DONE,
+    "explored": DONE,
+    "explored in part": DONE,
+    "log ended": DONE,
+    "time is up": DONE,
+    "ended by the user": DONE,
+    "interrupted": INTERRUPTED,
+}
+"""exit codes of a run's outcomes; every other outcome is a failure of the robot"""
 
 COMMANDS = {
     "run": ("[SCENE]", "simulate a robot that explores or drives to goals"),

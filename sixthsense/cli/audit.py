@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from sixthsense.cli.exits import DONE, FAILED
+from sixthsense.cli import DONE, FAILED
 from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
 from sixthsense.config import Range
 

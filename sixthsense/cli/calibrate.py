@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from sixthsense.cli import DONE
 from sixthsense.cli.common import OfScene, announce, parse_command
-from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import UsageError, arg
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from sixthsense.cli import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.common import announce
-from sixthsense.cli.exits import DONE, FAILED, INTERRUPTED
 from sixthsense.cli.options import Options, Table, UsageError, arg, parse, positional
 from sixthsense.config import Range, is_of_replay, load_config, preset, prior_map_of
 from sixthsense.config.names import ESTIMATORS, PLANNERS

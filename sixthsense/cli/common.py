@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
-from sixthsense.cli.exits import EXIT_CODES, FAILED
+from sixthsense.cli import EXIT_CODES, FAILED
 from sixthsense.cli.options import OptionalValue, Options, Table, UsageError, arg, parse, positional, positional_of
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
 from sixthsense.core.interrupt import is_command_ended
@@ -88,7 +88,7 @@ class WithPriorMap(Common):
 
     def prior_start(self) -> PriorStart | None:
         """The prior map and the start in it, if there is one; InputError for what is not allowed."""
-        from sixthsense.record.prior_map import prior_start
+        from sixthsense.record.load import prior_start
 
         if self.prior_map is None and self.config is not None and (note := prior_map_of(self.config)) is not None:
             found = f"--config: {self.config} is of a run with the prior map {note.get('name')}"

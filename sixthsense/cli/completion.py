@@ -7,8 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from sixthsense.cli import COMMANDS
-from sixthsense.cli.exits import DONE
+from sixthsense.cli import COMMANDS, DONE
 from sixthsense.cli.help import Option, command_class, config_options, own_options
 from sixthsense.cli.options import Options, UsageError, parse, positional
 from sixthsense.config import PRESETS, Config

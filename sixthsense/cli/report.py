@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from sixthsense.cli import DONE
 from sixthsense.cli.common import announce, numbered
-from sixthsense.cli.exits import DONE
 from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sixthsense.cli.exits import DONE
+from sixthsense.cli import DONE
 from sixthsense.cli.options import Options, parse
 
 

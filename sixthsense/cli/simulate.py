@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from sixthsense.cli import EXIT_CODES, FAILED
 from sixthsense.cli.common import OfScene, announce, parse_command
-from sixthsense.cli.exits import EXIT_CODES, FAILED
 from sixthsense.cli.live import OnNetwork
 from sixthsense.cli.options import arg
 from sixthsense.config import Range

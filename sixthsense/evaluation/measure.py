@@ -13,7 +13,7 @@ from sixthsense.evaluation.effective import EFFECTIVE, effective_number, whitene
 from sixthsense.evaluation.matches import discarded_share, landmark_identities
 from sixthsense.evaluation.results import QUANTITIES, Metrics
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
-from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.trace import STAGES
 from sixthsense.sources.scene import Scene
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import observation_innovations
-from sixthsense.sources.logs.relations import scan_rows
+from sixthsense.sources.logs.log import scan_rows
 
 
 def ate(estimate: Array, truth: Array) -> tuple[float, float]:

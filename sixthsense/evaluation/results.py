@@ -12,7 +12,7 @@ from sixthsense.config.suggestion import did_you_mean
 from sixthsense.evaluation.effective import EFFECTIVE
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.tables import digits, html_table, text_table
-from sixthsense.record.stopwatch import STAGES
+from sixthsense.record.trace import STAGES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,7 @@ from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import Over, defined_poses, key_places, key_poses, key_times
 from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH
-from sixthsense.record.stopwatch import STAGES
-from sixthsense.record.trace import Trace
+from sixthsense.record.trace import STAGES, Trace
 
 BAND = {"color": "#BBBBBB", "alpha": 0.5, "linewidth": 0.0, "zorder": 0}
 """style of bands in which a consistent curve lies"""

@@ -1,4 +1,4 @@
-"""Joining scans with odometry: ticks in the order of time, from messages in any order of arrival.
+"""Joining scans with odometry: ticks in the order of time, from messages in any order of arrival; and who sends them.
 
 No network and no clock of its own: stamps and times of arrival are arguments, in nanoseconds.
 """
@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD
+from sixthsense.sources.logs.log import GAP_S, JOLT_M, JOLT_RAD, pose_between
 
 JUMP_NS = 1_000_000_000
 """A stamp that differs by more from what has passed since the last one is of a clock that has jumped."""
@@ -24,6 +24,10 @@ WAIT_NS = 200_000_000
 """A scan waits at most this long for the odometry after it."""
 HOLD_NS = 1_000_000_000
 """Odometry is held this long for scans that are late."""
+SILENT_NS = 400_000_000
+"""A sensor that has sent nothing for this long is silent where the robot is driven: it must not drive on."""
+LONG_SILENT_NS = 2_000_000_000
+"""The same where it is only listened to."""
 
 _FASTER = 1.2  # than its top speed: three sigmas of the wheels' scale (5 %), and a controller that overshoots
 
@@ -213,10 +217,9 @@ class ScanJoiner:
         for at_ns, pose in self._odometry:
             if at_ns == time_ns:
                 return pose
-        for (before_ns, before), (after_ns, after) in pairwise(self._odometry):
-            if before_ns < time_ns < after_ns and 1e-9 * (after_ns - before_ns) <= GAP_S:
-                motion, share = before.inverse() @ after, (time_ns - before_ns) / (after_ns - before_ns)
-                return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+        for before, after in pairwise(self._odometry):
+            if before[0] < time_ns < after[0] and 1e-9 * (after[0] - before[0]) <= GAP_S:
+                return pose_between(before, after, time_ns)
         return None
 
     def _is_elsewhere(self, before: Pose, after: Pose, duration_s: float) -> bool:
@@ -225,3 +228,54 @@ class ScanJoiner:
         turn = abs(wrap_angle(after.theta - before.theta))
         is_far = distance > _FASTER * self._robot.speed * duration_s + JOLT_M
         return is_far or turn > _FASTER * self._robot.turn_rate * duration_s + JOLT_RAD
+
+
+Publisher = Literal["known", "new", "unknown", "second"]
+"""of a message: the one that sends; one that has taken its place; one that may do so; or one beside it"""
+
+
+class Presence:
+    """Tells when a sensor falls silent, and when it is back."""
+
+    def __init__(self, name: str, now_ns: int, silent_ns: int) -> None:
+        """The sensor of this name has last been heard now; after `silent_ns` without a message it is silent."""
+        self.is_silent = False
+        self._silent_ns = silent_ns
+        self.name, self._heard_ns = name, now_ns
+
+    def heard(self, now_ns: int) -> float | None:
+        """Take in a message; how long the sensor had been silent, seconds, if it had been."""
+        silent_s, self._heard_ns = 1e-9 * (now_ns - self._heard_ns), now_ns
+        was_silent, self.is_silent = self.is_silent, False
+        return silent_s if was_silent else None
+
+    def falls_silent(self, now_ns: int) -> bool:
+        """Whether the sensor has fallen silent since the last call."""
+        was_silent, self.is_silent = self.is_silent, now_ns - self._heard_ns > self._silent_ns
+        return self.is_silent and not was_silent
+
+
+class Publishers:
+    """Tells a publisher that takes the place of another one, as after a restart of a driver, from one beside it.
+
+    What the network announces does not tell them apart: a program that was killed is announced for some seconds more.
+    """
+
+    def __init__(self) -> None:
+        self._present, self._heard_ns = "", 0
+        self._former: set[str] = set()
+        self._waiting = ""  # to take the place of the present one
+
+    def heard(self, publisher: str, now_ns: int) -> Publisher:
+        """Take in the publisher of a message that has arrived now."""
+        if publisher == self._present or not self._present:
+            self._present, self._heard_ns = publisher, now_ns
+            return "second" if self._waiting else "known"
+        if publisher in self._former or self._waiting not in ("", publisher):
+            return "second"
+        self._waiting = publisher
+        if now_ns - self._heard_ns < SILENT_NS:
+            return "unknown"
+        self._former.add(self._present)
+        self._present, self._heard_ns, self._waiting = publisher, now_ns, ""
+        return "new"

@@ -13,14 +13,13 @@ import numpy as np
 
 from sixthsense.config import Config, ConfigError
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.config.section import shown_name
+from sixthsense.config.section import shown, shown_name
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
-from sixthsense.live.network import Network, Node
-from sixthsense.live.others import check_one_publisher, command_type
+from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
@@ -238,6 +237,33 @@ class Session:
                 return Pose(), False
             for _ in self._received(_WAIT_S):
                 pass
+
+
+def check_one_publisher(reader: Reader) -> None:
+    """Raise NetworkError if a topic has several publishers: a map of two robots is of neither."""
+    if (count := reader.publishers) > 1:
+        found = f"{reader.topic.name}: found {count} publishers"
+        raise NetworkError(f"{found}, allowed: one robot; --scan and --odom name its topics, --domain its network")
+
+
+def command_type(node: Node, topic: str, is_stamped: bool) -> str | None:
+    """The type of the commands that a robot takes, by its subscription; None before there is one.
+
+    `is_stamped` demands TwistStamped. Raises NetworkError for several subscribers, since each may be a robot, and for
+    one of another type.
+    """
+    found = node.subscribers(topic)
+    if not found:
+        return None
+    if len(found) > 1:
+        raise NetworkError(f"{topic}: found {len(found)} subscribers, allowed: one, as each may be a robot that drives")
+    (kind, _) = found[0]
+    allowed = (TWIST_STAMPED,) if is_stamped else (TWIST, TWIST_STAMPED)
+    if kind in allowed:
+        return kind
+    if kind == TWIST:
+        raise NetworkError(f"--cmd-vel-stamped: found a subscriber of {TWIST} on {topic}, allowed: without this option")
+    raise NetworkError(f"{topic}: found a subscriber of {shown(kind)}, allowed: {' or '.join(allowed)}")
 
 
 def check_drive(config: Config) -> None:

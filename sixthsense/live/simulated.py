@@ -15,10 +15,9 @@ from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Tick
-from sixthsense.live.network import Network, Node
-from sixthsense.live.others import ANNOUNCED_S, check_alone
+from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
-from sixthsense.live.topics import LATCHED, RELIABLE, Topic
+from sixthsense.live.topics import LATCHED, RELIABLE, NetworkError, Topic
 from sixthsense.record.ending import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
@@ -31,7 +30,8 @@ from sixthsense.sources.world import World
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
 ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
 TF_STATIC = Topic("/tf_static", TRANSFORMS, LATCHED)
-
+_ANNOUNCED_S = 0.5
+"""A network has told who is in it this long after one has joined: it takes a few messages of it."""
 _LATEST_S = 0.5  # by which a scan is late
 
 
@@ -79,11 +79,11 @@ class SimulatedRobot:
         `truth` is a file for the true trajectory, OSError if it cannot be written.
         """
         published, subscribed = (SCAN, ODOM), () if self._kind is None else (cmd_vel(self._kind),)
-        time.sleep(max(0.0, self._joined_s + ANNOUNCED_S - time.monotonic()))
+        time.sleep(max(0.0, self._joined_s + _ANNOUNCED_S - time.monotonic()))
         check_alone(self._node, published, subscribed)
         self._scans, self._odometry = (self._node.writer(topic) for topic in published)
         self._commands = [self._node.reader(topic) for topic in subscribed]
-        time.sleep(ANNOUNCED_S)
+        time.sleep(_ANNOUNCED_S)
         check_alone(self._node, published, subscribed, before=self._node.participant)
         self._file = None if truth is None else truth.open("w", encoding="utf-8")
         self._began_ns = time.time_ns()
@@ -160,3 +160,19 @@ def drive_by_commands(robot: SimulatedRobot, config: Config, scene: Scene, timeo
                 return "time is up"
             time.sleep(max(0.0, began_s + ticks * period_s - time.monotonic()))
     return "interrupted"
+
+
+def check_alone(node: Node, published: tuple[Topic, ...], subscribed: tuple[Topic, ...], before: str = "") -> None:
+    """Raise NetworkError if another program publishes or subscribes to a topic that a simulated robot is to have alone.
+
+    With `before` only programs count whose identifier is smaller: of two that begin at once, one stays.
+    """
+    for topics, ends, what in ((published, node.publishers, "publisher"), (subscribed, node.subscribers, "subscriber")):
+        for topic in topics:
+            if any(_counts(end, before) for end in ends(topic.name)):
+                found = f"{topic.name}: found another {what}"
+                raise NetworkError(f"{found}, allowed: one robot or simulator in a network; --domain N is another one")
+
+
+def _counts(end: Endpoint, before: str) -> bool:
+    return not before or end.participant < before

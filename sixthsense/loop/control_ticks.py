@@ -19,8 +19,7 @@ from sixthsense.core.odometry_kernels import Folded, OdometryNoise, folded
 from sixthsense.core.pose_kernels import composed
 from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.navigation.pilot import Pilot, PilotLimits, Steering, commanded
-from sixthsense.record.stopwatch import Stopwatch
-from sixthsense.record.trace import Trace
+from sixthsense.record.trace import Stopwatch, Trace
 from sixthsense.slam.slam import Slam, Step
 from sixthsense.sources.world import Drive, Driving, World, driven_tick
 

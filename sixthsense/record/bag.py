@@ -19,6 +19,7 @@ from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, quaternion
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import naming
 from sixthsense.sources.logs.ros_messages import CLOUD
 
 TOPICS = {
@@ -64,8 +65,8 @@ class BagWriter:
     Raises OSError that names the file if it cannot be written.
     """
 
-    def __init__(self, folder: Path, before_flush: Callable[[], object] = lambda: None) -> None:
-        """Create a bag in the run's `folder`; `before_flush` is called before each flush, for other files."""
+    def __init__(self, folder: Path, before_flush: Callable[[Trace], object] = lambda _: None) -> None:
+        """Create a bag in the run's `folder`; `before_flush` is called with the trace before each flush."""
         from mcap.writer import Writer
 
         self._messages = Messages()
@@ -128,14 +129,14 @@ class BagWriter:
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
         try:
-            yield
-        except OSError as error:
+            with naming(self._file):
+                yield
+        except OSError:
             self._failed = True
-            error.filename = error.filename or str(self._file)  # the error of a full disk names no file
             raise
 
-    def _flush(self) -> None:
-        self._before_flush()
+    def _flush(self, trace: Trace) -> None:
+        self._before_flush(trace)
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._pending = 0
         self._flushed = time.monotonic()
@@ -169,7 +170,7 @@ class BagWriter:
             for path in paths[self._counts[topic] :]:
                 self._write(topic, stamp, make.path(stamp, path))
         if self._pending >= _CHUNK_BYTES or time.monotonic() - self._flushed >= _CHUNK_S:
-            self._flush()
+            self._flush(trace)
 
     def _register(self, topic: str) -> None:
         definition = self._messages.store.generate_msgdef(_TYPES[topic], ros_version=2)[0]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config
+from sixthsense.config.errors import reason_of
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId
 from sixthsense.record.factors import factor_graph, links_of, write_graph
@@ -25,7 +26,7 @@ from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.restore import restore_grid
-from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.logs.log import Relations
 
 _COUNTS = {"kinds": "kind", "observations": "observations", "first_scans": "first_scan", "last_scans": "last_scan"}
 """fields of a landmark's record by the names of their arrays"""
@@ -246,8 +247,7 @@ def _loaded(file: Path) -> Iterator[dict[str, Any]]:
     except KeyError as error:
         raise RecordError(f"{file}: found no array {error.args[0]!r}, allowed: that of a run") from None
     except Exception as error:  # a damaged file makes its readers fail with undocumented exceptions
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise RecordError(f"{file}: found {reason[:160]}, allowed: the arrays of a run") from None
+        raise RecordError(f"{file}: found {reason_of(error)}, allowed: the arrays of a run") from None
 
 
 def _integers(arrays: dict[str, Any], name: str, count: int | None = None) -> Any:

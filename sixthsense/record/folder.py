@@ -20,7 +20,7 @@ from sixthsense.config.errors import InputError
 from sixthsense.record.ending import write_ending
 from sixthsense.record.stream import FILE
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import FolderError, FolderLock, whole
+from sixthsense.record.writing import FolderError, FolderLock, naming, whole
 
 _FILES = frozenset(
     {
@@ -141,11 +141,8 @@ class RunFolder:
         A record that was not streamed during the run is written completely. Raises OSError that names the file or the
         folder if it cannot be written.
         """
-        try:
+        with naming(self.partial):
             write_ending(self.partial, trace, metrics)
-        except OSError as error:
-            error.filename = error.filename or str(self.partial)  # the error of a full disk names no file
-            raise
 
     def finish(self) -> None:
         """Rename the folder to `OUT`, replacing an existing run, and release it.

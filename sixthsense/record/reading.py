@@ -20,9 +20,8 @@ from sixthsense.core.motion import Odometry
 from sixthsense.core.sensor import SENSOR_PARAMETERS
 from sixthsense.core.wheels import PARAMETERS
 from sixthsense.navigation.unseen_places import UnseenPlace, as_reason
-from sixthsense.record.stopwatch import STAGES
 from sixthsense.record.stream import COUNTS, COUNTS_OF_DRIVES, FORMAT, Line
-from sixthsense.record.trace import Trace
+from sixthsense.record.trace import STAGES, Trace
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts

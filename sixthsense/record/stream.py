@@ -12,7 +12,6 @@ import base64
 import contextlib
 import json
 import math
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.record.trace import Trace
+from sixthsense.record.writing import naming
 from sixthsense.sources.scene import Scene
 
 FILE = "record.jsonl"
@@ -32,16 +31,14 @@ COUNTS = ("culled", "walls_merged", "rebuilds")
 COUNTS_OF_DRIVES = ("plans_below_margin", "plans_by_astar", "guard_stops")
 """the same, None for a log"""
 
-_PERIOD_S = 0.5  # of wall time between two writes
-
 Line = dict[str, Any]
 
 
 class RecordWriter:
-    """Writes `FOLDER/record.jsonl`; call it after every tick, as the loop's `on_tick`, and leave its `with` block.
+    """Writes `FOLDER/record.jsonl`: call `flush` while the run goes on, and leave its `with` block at the end.
 
-    What the trace has gained is written twice a second of wall time, at the first tick at once; a killed run loses no
-    more than that. Raises OSError, naming the file, when it cannot be written.
+    A killed run loses what its trace has gained since the last call. Raises OSError, naming the file, when it cannot be
+    written.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -50,7 +47,6 @@ class RecordWriter:
         self._stream = self._file.open("w", encoding="utf-8")
         self._has_begun = False
         self._trace: Trace | None = None
-        self._flushed = -math.inf  # the first tick is written at once
         self._keyframes = self._scans = self._plans = 0
 
     def __enter__(self) -> RecordWriter:
@@ -59,30 +55,15 @@ class RecordWriter:
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         """Write the rest and close the file; after an OSError what was written stays as it is."""
         try:
-            if kind is None or not issubclass(kind, OSError):
-                self.flush()
+            if self._trace is not None and (kind is None or not issubclass(kind, OSError)):
+                self.flush(self._trace)
         finally:
             with contextlib.suppress(OSError):
                 self._stream.close()
 
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        """Write what the trace has gained, if it is time."""
-        self._see(trace)
-
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        """Write what the trace has gained with ticks without a scan, if it is time."""
-        self._see(trace)
-
-    def _see(self, trace: Trace) -> None:
-        self._trace = trace
-        if time.monotonic() - self._flushed >= _PERIOD_S:
-            self.flush()
-
-    def flush(self) -> None:
+    def flush(self, trace: Trace) -> None:
         """Write every keyframe, plan and scan of the trace that has not been written yet."""
-        if (trace := self._trace) is None:
-            return
-        self._flushed = time.monotonic()
+        self._trace = trace
         lines: list[Line] = [] if self._has_begun else [_run_line(trace)]
         self._has_begun = True
         lines += [_keyframe_line(trace, k) for k in range(self._keyframes, len(trace.key_stamps_ns))]
@@ -93,19 +74,13 @@ class RecordWriter:
 
     def end(self, trace: Trace) -> None:
         """Write the last line of a run that is over."""
-        self._trace = trace
-        self.flush()
+        self.flush(trace)
         self._write([_end_line(trace)])
 
     def _write(self, lines: list[Line]) -> None:
-        if not lines:
-            return
-        try:
+        with naming(self._file):
             self._stream.write("".join(f"{_to_json(line)}\n" for line in lines))
             self._stream.flush()
-        except OSError as error:
-            error.filename = str(self._file)  # a full disk names none
-            raise
 
 
 def write_end(folder: Path, trace: Trace) -> None:

@@ -1,9 +1,11 @@
-"""`Trace`, the record of a run: sensor data, estimates and plans."""
+"""`Trace`, the record of a run: sensor data, estimates, plans, and the times of the loop's stages."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +19,6 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry, are_carried
 from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
-from sixthsense.record.stopwatch import Stopwatch
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate, Estimator
@@ -25,8 +26,70 @@ from sixthsense.slam.features import Features
 from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.slam import Keyframe, Step
-from sixthsense.sources.logs.relations import Relations
+from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
+
+STAGES = (
+    "sense",
+    "ticks",
+    "extract",
+    "associate",
+    "predict",
+    "update",
+    "grid",
+    "plan",
+    "track",
+    "link",
+    "loop_closure",
+)
+
+
+class Stopwatch:
+    """Times the stages of the loop. The processing of a keyframe is the sum of its stages without sensing."""
+
+    def __init__(self) -> None:
+        self.rows: list[dict[str, float]] = []
+        """per keyframe, milliseconds per stage"""
+        self.totals = dict.fromkeys(STAGES, 0.0)
+        """per stage, milliseconds in the whole run"""
+        self._row: dict[str, float] = {}
+        self._waited = 0.0  # milliseconds that no stage counts
+
+    def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, each of whose calls adds its time to `stage`."""
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Any:
+            began, waited = time.perf_counter(), self._waited
+            out = function(*args)
+            elapsed = 1e3 * (time.perf_counter() - began) - (self._waited - waited)
+            self._row[stage] = self._row.get(stage, 0.0) + elapsed
+            self.totals[stage] += elapsed
+            return out
+
+        return call
+
+    def waiting(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The function, whose time no stage counts that calls it: it waits for something."""
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Any:
+            began = time.perf_counter()
+            out = function(*args)
+            self._waited += 1e3 * (time.perf_counter() - began)
+            return out
+
+        return call
+
+    def end_tick(self, is_keyframe: bool) -> None:
+        """End a tick; the times of a tick with a keyframe are kept as a row."""
+        if is_keyframe:
+            self.rows.append(self._row)
+        self._row = {}
+
+    def keyframe_ms(self) -> Array:
+        """(K,) processing time of each keyframe without sensing, milliseconds."""
+        return np.array([sum(ms for stage, ms in row.items() if stage != "sense") for row in self.rows])
 
 
 @dataclass(slots=True)

@@ -31,7 +31,17 @@ def whole(file: Path) -> Iterator[Path]:
         with contextlib.suppress(OSError):
             unfinished.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            error.filename = str(file)  # the error of a full disk names no file
+            error.filename = str(file)
+        raise
+
+
+@contextlib.contextmanager
+def naming(file: Path) -> Iterator[None]:
+    """A block whose OSError names this file if it names none, as that of a full disk."""
+    try:
+        yield
+    except OSError as error:
+        error.filename = error.filename or str(file)
         raise
 
 

@@ -20,8 +20,7 @@ from sixthsense.record.trace import Trace
 from sixthsense.running.runs import QUIET, Watch, replay_log
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.relations import read_relations
+from sixthsense.sources.logs.log import Log, read_relations
 from sixthsense.sources.replay_input import Recorded, open_recorded, relations_of
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found

@@ -130,7 +130,7 @@ def _watched(
 
             record = open_hooks.enter_context(RecordWriter(folder.partial))
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
-            hooks = [record, bag, *hooks]
+            hooks = [bag, *hooks]
         trace = go(each(*hooks))
     from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end
 

@@ -12,12 +12,11 @@ from sixthsense.config import Config, ConfigError, load_config, merge
 from sixthsense.config.files import absolute
 from sixthsense.config.names import OF_THE_ROBOT
 from sixthsense.sources.logs import kind_of
-from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.scene import Scene, SceneError, load_scene
 
 if TYPE_CHECKING:
-    from sixthsense.sources.logs.log import Log
-    from sixthsense.sources.logs.relations import Relations
+    from sixthsense.sources.logs.log import Log, Relations
 
 
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
@@ -131,7 +130,7 @@ def open_recorded(
     LogError for an invalid file, and for relations none of which has stamps of scans.
     """
     from sixthsense.sources.logs import open_log
-    from sixthsense.sources.logs.relations import read_relations
+    from sixthsense.sources.logs.log import read_relations
 
     files = {"log": str(absolute(log))}
     topics, robot, frames = chosen or Chosen()
@@ -169,7 +168,7 @@ def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) ->
     """The relations between scans of a log; the others are counted in `notes`, LogError if there are no more."""
     import numpy as np
 
-    from sixthsense.sources.logs.relations import Relations, has_scan
+    from sixthsense.sources.logs.log import Relations, has_scan
 
     stamps = np.array([t.log_stamp_s for t in log.ticks if t.log_stamp_s is not None], dtype=np.float64)
     known = np.asarray(has_scan(stamps, relations.stamps).all(axis=1))

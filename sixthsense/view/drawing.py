@@ -35,8 +35,7 @@ from sixthsense.figures.plot import (
     walker_outlines,
 )
 from sixthsense.navigation.frontier import frontier_points
-from sixthsense.record.stopwatch import STAGES
-from sixthsense.record.trace import Trace
+from sixthsense.record.trace import STAGES, Trace
 
 _FREE, _OBSTACLE = 1, 2  # classes of the grid's cells; 0 is unseen
 _THIN, _THICK = 1.0, 2.0  # of lines, pixels

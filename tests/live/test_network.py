@@ -17,11 +17,10 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.live.network import Network, Node
-from sixthsense.live.others import check_alone, check_one_publisher, command_type
 from sixthsense.live.publishing import MAP, POSE, TIMEOUT_S, Commands
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, MessageReader
-from sixthsense.live.session import Session, Topics
-from sixthsense.live.simulated import ODOM, SCAN, cmd_vel
+from sixthsense.live.session import Session, Topics, check_one_publisher, command_type
+from sixthsense.live.simulated import ODOM, SCAN, check_alone, cmd_vel
 from sixthsense.live.topics import SENSOR, NetworkError, dds_type
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY

@@ -10,8 +10,8 @@ from sixthsense.config import Config, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
+from sixthsense.live.joining import SILENT_NS
 from sixthsense.live.network import Message
-from sixthsense.live.others import SILENT_NS
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
 from sixthsense.navigation.guard import Guard

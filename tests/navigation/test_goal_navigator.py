@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from sixthsense.cli.exits import DONE, EXIT_CODES, INTERRUPTED
+from sixthsense.cli import DONE, EXIT_CODES, INTERRUPTED
 from sixthsense.config import Config, GridConfig, RobotConfig, merge
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan

@@ -43,8 +43,8 @@ call, flush = bag.BagWriter.__call__, bag.BagWriter._flush
 def noting_call(self, tick, trace):
     notes[0:8] = struct.pack("<q", tick.stamp_ns)
     call(self, tick, trace)
-def noting_flush(self):
-    flush(self)
+def noting_flush(self, trace):
+    flush(self, trace)
     notes[8:16] = notes[0:8]
 bag.BagWriter.__call__, bag.BagWriter._flush = noting_call, noting_flush
 sys.exit(cli.main(sys.argv[2:]))

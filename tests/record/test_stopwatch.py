@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from sixthsense.record.stopwatch import Stopwatch
+from sixthsense.record.trace import Stopwatch
 
 
 @pytest.fixture

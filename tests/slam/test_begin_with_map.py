@@ -12,7 +12,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.prior_map import read_prior_map
+from sixthsense.record.load import read_prior_map
 from sixthsense.slam.prior_map import PriorMapError, PriorStart
 from sixthsense.sources.scene import load_scene
 

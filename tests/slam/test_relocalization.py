@@ -13,7 +13,7 @@ from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
 from sixthsense.record.folder import RunFolder
-from sixthsense.record.prior_map import read_prior_map
+from sixthsense.record.load import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.prior_map import PriorMap, PriorMapError, PriorStart

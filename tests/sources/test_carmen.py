@@ -17,10 +17,9 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Command
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.carmen import read_carmen
-from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import max_range_of
-from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.relations import read_relations
+from sixthsense.sources.logs.log import Log, read_relations
+from sixthsense.sources.logs.text_lines import LogError
 
 LASER = LaserConfig(beams=4, fov=math.pi, max_range=50.0)
 HEADER = "# message_name [message contents] ipc_timestamp\nPARAM robot_frontlaser_offset 0.0 nohost 0\n"

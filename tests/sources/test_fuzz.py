@@ -18,7 +18,7 @@ from sixthsense import cli
 from sixthsense.config import LaserConfig, load_config
 from sixthsense.config.errors import InputError
 from sixthsense.sources.logs import open_log
-from sixthsense.sources.logs.relations import read_relations
+from sixthsense.sources.logs.log import read_relations
 from sixthsense.sources.logs.runfolder import read_run
 from sixthsense.sources.scene import load_scene
 

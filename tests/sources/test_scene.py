@@ -12,7 +12,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.sources.campus import Campus, campus_walls
 from sixthsense.sources.mission import connected, mission
-from sixthsense.sources.outlines import outline_corners
+from sixthsense.sources.ros_map import outline_corners
 from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
 
 SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.text_lines import LogError
 
 if TYPE_CHECKING:
     from sixthsense.config import AssumedConfig, LaserConfig

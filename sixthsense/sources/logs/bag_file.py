@@ -1,22 +1,32 @@
-"""Bags are untrusted files: only regular ones are opened, and the size of decompressed data is bounded."""
+"""ROS 1 and ROS 2 bags: opened within bounds, one topic of several, and poses of a topic or of a pair of frames."""
 
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any
 
-from sixthsense.config.errors import InputError
-from sixthsense.sources.logs.errors import LogError, check_regular
+import numpy as np
+from numpy.typing import NDArray
+
+from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.section import shown_name
+from sixthsense.config.suggestion import allowed_names, nearest
+from sixthsense.core.geometry import Array
+from sixthsense.sources.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
+from sixthsense.sources.logs.text_lines import LARGEST, LogError, check_regular
+from sixthsense.sources.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-_LARGEST_STAMP_NS = 9_000_000_000 * 1_000_000_000  # nanoseconds must fit into 64 bits
-_LONGEST_REASON = 160  # letters
+WITH_COVARIANCE = ("geometry_msgs/msg/PoseWithCovarianceStamped", ODOMETRY)
+WITHOUT = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+
 _LARGEST_CHUNK = 1 << 28  # bytes; writers close chunks after some millions
 _BASE_BUDGET = 1 << 30  # bytes that all chunks of any bag may have together
 _BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely compress to a tenth
@@ -42,12 +52,8 @@ def opened(path: Path) -> Iterator[AnyReader]:
     except InputError:
         raise
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        if len(reason) > _LONGEST_REASON:
-            reason = reason[:_LONGEST_REASON] + "..."
-        raise LogError(
-            f"{path}: cannot be read as a bag ({reason}), allowed: ROS 1 .bag, ROS 2 folder or file"
-        ) from None
+        allowed = "allowed: ROS 1 .bag, ROS 2 folder or file"
+        raise LogError(f"{path}: cannot be read as a bag ({reason_of(error)}), {allowed}") from None
 
 
 def _check_first_line(path: Path) -> None:
@@ -56,13 +62,6 @@ def _check_first_line(path: Path) -> None:
         with path.open("rb") as stream:
             if not stream.readline(32).endswith(b"\n"):
                 raise ValueError("File magic is invalid.")
-
-
-def checked_stamp(where: str, stamp_ns: int) -> int:
-    """A stamp that fits into 64 bits; LogError for any other."""
-    if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
-        raise LogError(f"{where}: found stamp {stamp_ns} ns, allowed: 0 to {_LARGEST_STAMP_NS} ns")
-    return stamp_ns
 
 
 @contextmanager
@@ -145,3 +144,117 @@ def decompressed(data: bytes, compression: str) -> bytes:
             raise ValueError("found compressed data that is cut short")
         rest = stream.unused_data
     return b"".join(parts)
+
+
+@dataclass(slots=True)
+class PoseTopic:
+    """The poses of a topic, in the order of its messages."""
+
+    topic: str
+    """its name"""
+    stamps_ns: NDArray[np.int64]
+    """(N,) of the headers; of the records where a driver leaves these at zero"""
+    poses: Array
+    """(N, 7), x y z qx qy qz qw"""
+    covs: Array | None
+    """(N, 6, 6), x y z and rotations about these axes of the parent frame; None of a type without covariance"""
+    parent: str
+    """name of the frame in which the poses are"""
+    child: str
+    """name of the frame whose poses they are; empty where the type does not say"""
+
+
+def read_poses(path: Path, topic: str = "", with_covariance: bool = True, besides: Collection[str] = ()) -> PoseTopic:
+    """Read the poses of a topic, by default of the only one with poses, `besides` excepted.
+
+    Raises LogError with the candidates unless there is one, and for a bag or a pose that cannot be read.
+    """
+    kinds = WITH_COVARIANCE if with_covariance else (*WITH_COVARIANCE, *WITHOUT)
+    rows: list[list[float]] = []
+    covs: list[Any] = []
+    stamps: list[int] = []
+    parent = child = ""
+    with opened(path) as reader:
+        name = _chosen(path, reader, topic, kinds, besides)
+        for connection, record_ns, raw in reader.messages([c for c in reader.connections if c.topic == name]):
+            message: Any = reader.deserialize(raw, connection.msgtype)
+            stamps.append(checked_stamp(f"{path} {name}", stamp_ns(message) or record_ns))
+            parent = parent or frame_name(message.header.frame_id)
+            if connection.msgtype in WITH_COVARIANCE:
+                rows.append(_numbers(message.pose.pose))
+                covs.append(message.pose.covariance)
+            else:
+                rows.append(_numbers(message.pose if hasattr(message, "pose") else message.transform))
+            child = child or frame_name(getattr(message, "child_frame_id", ""))
+    where = f"{path} {name}"
+    found = np.array(covs, dtype=np.float64).reshape(-1, 6, 6) if covs else None
+    return PoseTopic(name, np.array(stamps, dtype=np.int64), _checked(where, rows), found, parent, child)
+
+
+def read_transforms(path: Path, parent: str, child: str) -> list[tuple[NDArray[np.int64], Array]]:
+    """Read the chain of transforms from `child` to `parent` in /tf and /tf_static, the link nearest `parent` first.
+
+    Each link has stamps (N,), ns, and poses (N, 4, 4) of its frame in its parent; a static one has a single pose.
+    Raises LogError, with the frames that there are, where no chain leads from one to the other.
+    """
+    tree, pair = TransformTree(), FramePair(frame_name(parent), frame_name(child))
+    with opened(path) as reader:
+        known = [c for c in reader.connections if c.msgtype in TRANSFORM_TYPES]
+        for connection, record_ns, raw in reader.messages(known) if known else ():
+            tree.take(str(path), connection.topic, reader.deserialize(raw, connection.msgtype), record_ns)
+    try:
+        links = [tree.transforms(link) for link in tree.chain(pair)]
+    except ValueError as error:
+        raise LogError(f"{path} /tf: {error}") from None
+    if all(len(link) == 1 for link in links):
+        raise LogError(f"{path}: found {shown_name(child)} at rest in {shown_name(parent)}, allowed: a moving frame")
+    return [(np.array([ns for ns, _ in link], dtype=np.int64), np.array([T for _, T in link])) for link in links]
+
+
+def _chosen(path: Path, reader: AnyReader, topic: str, kinds: Sequence[str], besides: Collection[str]) -> str:
+    """The topic that is wanted, or the only one of these types; LogError with the candidates otherwise."""
+    types = {c.topic: c.msgtype for c in reader.connections if reader.topics[c.topic].msgcount}
+    fitting = sorted(name for name, kind in types.items() if kind in kinds and name not in besides)
+    allowed = f"allowed: {', '.join(kind.rpartition('/')[2] for kind in kinds)}"
+    if topic:
+        if types.get(topic) not in kinds:
+            raise LogError(f"{path}: {found_topic(topic, types, f'no topic {topic!r}', fitting, allowed)}")
+        return topic
+    if not fitting:
+        raise LogError(f"{path}: found no topic of poses, {allowed}")
+    return only_topic(path, fitting, "poses", "--topic" if kinds is WITH_COVARIANCE else "--truth-topic")
+
+
+def found_topic(topic: str, types: Mapping[str, str], missing: str, fitting: Sequence[str], otherwise: str) -> str:
+    """What is wrong with a topic that is not one of `fitting`; `missing` and `otherwise` where there is none."""
+    found = f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else missing
+    allowed = allowed_names(map(shown_name, fitting), nearest(topic, fitting)) if fitting else otherwise
+    return f"found {found}, {allowed}"
+
+
+def only_topic(path: Path, names: Sequence[str], what: str, option: str) -> str:
+    """The only topic of some; LogError that names the option where there are several."""
+    if len(names) > 1:
+        either = " or ".join(map(shown_name, names))
+        raise LogError(f"{path}: found {len(names)} topics of {what}, allowed: one, by {option} {either}")
+    return names[0]
+
+
+def _numbers(pose: Any) -> list[float]:
+    """The numbers x y z qx qy qz qw of a Pose or a Transform."""
+    place = pose.position if hasattr(pose, "position") else pose.translation
+    turn = pose.orientation if hasattr(pose, "orientation") else pose.rotation
+    return [place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w]
+
+
+def _checked(where: str, rows: list[list[float]]) -> Array:
+    poses = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    good = (np.abs(poses) <= LARGEST).all(axis=1) & np.any(poses[:, 3:], axis=1)
+    if not good.all():
+        row = int(np.argmin(good))
+        found = tuple(poses[row].tolist())
+        raise LogError(
+            f"{where} message {row + 1}: found a pose of {found}, allowed: finite numbers and a quaternion that is not "
+            "zero"
+        )
+    return poses

@@ -18,7 +18,6 @@ from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, time_increment
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.laser_geometry import (
     LARGEST_RANGE_M,
     Beams,
@@ -31,7 +30,7 @@ from sixthsense.sources.logs.laser_geometry import (
     no_return_code,
 )
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import LARGEST, Record, records, shown
+from sixthsense.sources.logs.text_lines import LARGEST, LogError, Record, records, shown
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
 _ODOM_FIELDS = 10

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, polar_observation
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import Record, records, shown
+from sixthsense.sources.logs.text_lines import LogError, Record, records, shown
 
 _STEP_NS = 1_000_000_000
 _FARTHEST = 1e6

@@ -1,18 +1,22 @@
-"""Sources of recorded ticks, and what a user should know of them: gaps, jumps, and two lasers that take turns."""
+"""Sources of recorded ticks, what a user should know of them, and hand-checked relations between their scans."""
 
 from __future__ import annotations
 
 import itertools
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Source, Tick
+from sixthsense.sources.logs.text_lines import read_table
 
 GAP_S = 0.5
 """No pose is interpolated in a longer gap of odometry."""
@@ -28,6 +32,7 @@ _RATIO = 0.25
 _SHARE = 0.8  # of the triples
 _COMPARED = 20  # scans, evenly over the log
 _MOVED_M, _FAR_M, _MOST = 0.3, 100.0, 0.5  # by which a range has changed, m; at most; and the share of beams
+_STAMP_SLACK_S = 1e-6  # by which the stamp of a relation and that of its scan differ
 
 
 class Log:
@@ -132,6 +137,13 @@ class RewindableSource:
         self._is_rewound = True
 
 
+def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) -> Pose:
+    """Odometry at a stamp between two records of it, each a stamp, ns, and a pose: a share of the motion."""
+    (before_ns, pose), (after_ns, other) = before, after
+    motion, share = pose.inverse() @ other, (at_ns - before_ns) / (after_ns - before_ns)
+    return pose @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+
+
 def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
     """A line each on gaps and jumps of poses with stamps, ns, in the order of the records."""
     if len(odometry) < 2:
@@ -197,3 +209,46 @@ def _difference(one: Array, other: Array) -> float:
     """Median difference of two views, m; that of views which share no sector is infinite."""
     off = np.abs(one - other)
     return float(np.nanmedian(off)) if np.isfinite(off).any() else float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Relations:
+    """Relative poses of a robot at pairs of stamps, checked by hand (Kümmerle et al., Autonomous Robots 2009)."""
+
+    stamps: Array
+    """(R, 2) seconds: stamps t1 and t2 of scans in the log"""
+    poses: Array
+    """(R, 3) metres, radians: pose of the robot at t2 in its frame at t1"""
+
+
+def read_relations(file: str | Path) -> Relations:
+    """Read relations, lines of `t1 t2 dx dy dz roll pitch yaw`; blank lines and lines that begin with # are skipped.
+
+    Seconds, metres, radians; dz, roll and pitch are ignored. Raises LogError for a file that
+    cannot be read, a line that is not eight finite numbers, or a file without a relation.
+    """
+    table = read_table(Path(file), "t1 t2 dx dy dz roll pitch yaw").numbers
+    poses = np.stack([table[:, 2], table[:, 3], wrap_angle(table[:, 7])], axis=1)
+    return Relations(table[:, :2].copy(), poses)
+
+
+def has_scan(stamps_s: Array, relations_stamps: Array) -> NDArray[np.bool_]:
+    """(R, 2) whether a scan has the stamp of a relation to a microsecond; `stamps_s` (N,) seconds in any order."""
+    ordered = np.append(np.sort(stamps_s), np.inf)
+    nearest = ordered[np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)]
+    return np.asarray(nearest <= relations_stamps + _STAMP_SLACK_S)
+
+
+def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
+    """(R, 2) indices of the scans of relations; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
+
+    Raises ValueError for a relation whose stamp differs from that of every scan by more than a microsecond.
+    """
+    order = np.argsort(stamps_s, kind="stable")
+    ordered = stamps_s[order]
+    place = np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)  # (R, 2): the first stamp not before
+    found = has_scan(stamps_s, relations_stamps)
+    if not found.all():
+        row, column = np.argwhere(~found)[0]
+        raise ValueError(f"relation {row + 1} names {relations_stamps[row, column]:.6f}: no scan has that stamp")
+    return order[place]

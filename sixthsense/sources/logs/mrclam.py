@@ -15,9 +15,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation, polar_observation
 from sixthsense.core.motion import rk4, variance
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.errors import LogError
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.text_lines import Record, Table, read_table, shown
+from sixthsense.sources.logs.text_lines import LogError, Record, Table, read_table, shown
 
 _ROBOTS = range(1, 6)
 """ids of robots among the subjects"""

@@ -12,6 +12,7 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
+from sixthsense.sources.logs.text_lines import LAST_STAMP_S, LogError
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
@@ -23,6 +24,7 @@ NOT_MEASURED = 1e6
 
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
+_LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
 _LARGEST_M = 1e10  # distance from a frame's origin; squares and products of larger numbers may overflow
 _MOST_BEAMS = 100_000
 _LONGEST_SWEEP_S = 1.0
@@ -41,6 +43,13 @@ POINT_BYTES = _POINT.itemsize
 def stamp_ns(message: Any) -> int:
     """The stamp of the header, nanoseconds."""
     return int(message.header.stamp.sec) * 1_000_000_000 + int(message.header.stamp.nanosec)
+
+
+def checked_stamp(where: str, stamp_ns: int) -> int:
+    """A stamp that fits into 64 bits; LogError for any other."""
+    if not 0 <= stamp_ns <= _LARGEST_STAMP_NS:
+        raise LogError(f"{where}: found stamp {stamp_ns} ns, allowed: 0 to {_LARGEST_STAMP_NS} ns")
+    return stamp_ns
 
 
 def frame_name(name: str) -> str:

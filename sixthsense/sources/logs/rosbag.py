@@ -13,15 +13,23 @@ import numpy as np
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_file import checked_stamp, opened
-from sixthsense.sources.logs.errors import LogError
+from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
 from sixthsense.sources.logs.laser_geometry import described, max_range_of
-from sixthsense.sources.logs.log import Log, found_turns, remarks_on
-from sixthsense.sources.logs.ros_messages import FARTHEST_M, LASER_SCAN, ODOMETRY, frame_name, planar, scan, stamp_ns
+from sixthsense.sources.logs.log import Log, found_turns, pose_between, remarks_on
+from sixthsense.sources.logs.ros_messages import (
+    FARTHEST_M,
+    LASER_SCAN,
+    ODOMETRY,
+    checked_stamp,
+    frame_name,
+    planar,
+    scan,
+    stamp_ns,
+)
+from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
 
 if TYPE_CHECKING:
@@ -143,14 +151,9 @@ def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str
     fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
     for topic in topics:
         if types.get(topic) not in fitting:
-            found = (
-                f"{topic!r}, of type {shown_name(types[topic])}" if topic in types else f"{topic!r}, no topic of {path}"
-            )
             offered = sorted(itertools.chain(*fitting.values()))
-            allowed = (
-                allowed_names(map(shown_name, offered), nearest(topic, offered)) if offered else "allowed: none here"
-            )
-            raise LogError(f"--topic: found {found}, {allowed}")
+            found = found_topic(topic, types, f"{topic!r}, no topic of {path}", offered, "allowed: none here")
+            raise LogError(f"--topic: {found}")
     chosen = {}
     for kind, names in fitting.items():
         short = kind.rpartition("/")[2]
@@ -162,11 +165,7 @@ def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str
                 or "no topic at all"
             )
             raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
-        left = [name for name in names if name in topics] or names
-        if len(left) > 1:
-            either = " or ".join(map(shown_name, left))
-            raise LogError(f"{path}: found {len(left)} topics of type {short}, allowed: one, by --topic {either}")
-        chosen[kind] = left[0]
+        chosen[kind] = only_topic(path, [name for name in names if name in topics] or names, f"type {short}", "--topic")
     return chosen
 
 
@@ -284,9 +283,5 @@ def _ascends(stamped: Sequence[tuple[int, Any]]) -> bool:
 
 def _interpolate(odometry: Sequence[tuple[int, Pose]], last: int, at_ns: int) -> Pose:
     """Odometry interpolated at a stamp between message `last` and the next; that of `last` for any other stamp."""
-    before_ns, before = odometry[last]
-    after_ns, after = odometry[min(last + 1, len(odometry) - 1)]
-    if not before_ns < at_ns < after_ns:
-        return before
-    motion, share = before.inverse() @ after, (at_ns - before_ns) / (after_ns - before_ns)
-    return before @ Pose(share * motion.x, share * motion.y, share * motion.theta)
+    before, after = odometry[last], odometry[min(last + 1, len(odometry) - 1)]
+    return pose_between(before, after, at_ns) if before[0] < at_ns < after[0] else before[1]

@@ -14,19 +14,20 @@ from sixthsense.config import LaserConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.bag_file import checked_stamp, decompressed
-from sixthsense.sources.logs.errors import LogError, check_regular
+from sixthsense.sources.logs.bag_file import decompressed
 from sixthsense.sources.logs.log import Log
 from sixthsense.sources.logs.ros_messages import (
     CLOUD,
     LASER_SCAN,
     ODOMETRY,
+    checked_stamp,
     from_cloud,
     planar,
     read_increment_covariance,
     scan,
     stamp_ns,
 )
+from sixthsense.sources.logs.text_lines import LogError, check_regular
 
 TRUTH, PLAN = "geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Path"
 _TYPES = {

@@ -1,4 +1,4 @@
-"""Text logs: records, tables and trajectories of a plain or compressed file, with errors that name file and line."""
+"""Text logs: records, tables and trajectories of a plain or compressed file; errors of a log name file and line."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import IO, NamedTuple, NoReturn, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array
-from sixthsense.sources.logs.errors import LogError, check_regular
 
 LONGEST_LINE = 1 << 22  # bytes; fits the widest scan that the configuration allows, and bounds the memory
 LARGEST = 1e10  # metres, radians, seconds; squares and products of larger numbers may overflow
@@ -24,6 +24,17 @@ LAST_STAMP_S = 9_000_000_000  # nanoseconds must fit into 64 bits
 _LARGEST_WHOLE = (1 << 31) - 1
 _TRIANGLES = {6: 3, 21: 6}
 """numbers of the upper triangle of a covariance, and its size"""
+
+
+class LogError(InputError):
+    """One line that names the file and line, what was found and what is allowed."""
+
+
+def check_regular(path: Path) -> None:
+    """Raise LogError if a path, or a file in that folder, is a pipe or a device, which may never end."""
+    for file in (path, *path.iterdir()) if path.is_dir() else (path,):
+        if file.exists() and not (file.is_file() or file.is_dir()):
+            raise LogError(f"{file}: is a pipe or a device, allowed: a file")
 
 
 @dataclass(frozen=True, slots=True)

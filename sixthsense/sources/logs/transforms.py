@@ -10,9 +10,8 @@ import numpy as np
 
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.sources.logs.bag_file import checked_stamp
-from sixthsense.sources.logs.errors import LogError
-from sixthsense.sources.logs.ros_messages import frame_name, mount, planar_of, stamp_ns, transform
+from sixthsense.sources.logs.ros_messages import checked_stamp, frame_name, mount, planar_of, stamp_ns, transform
+from sixthsense.sources.logs.text_lines import LogError
 
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 OPTION = "--odometry-frames PARENT,CHILD"
