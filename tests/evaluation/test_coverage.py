@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sixthsense.core.geometry import Array, point_segment_distance
+from sixthsense.core.ray_casting import beams_of
 from sixthsense.evaluation.coverage import VisibleArea, _mark, coverage, visible_area
 from sixthsense.sources.walking_space import mark_distances
 
@@ -106,7 +107,8 @@ def test_a_beam_marks_exactly_the_cells_it_crosses() -> None:
         cos, sin = np.round([math.cos(angle), math.sin(angle)], 15)
         first = np.full((10, 8), -1, dtype=np.int32)
         first[4] = 3  # the row was seen before
-        _mark(x, y, np.array([cos]), np.array([sin]), np.array([length]), 5, first)
+        beam = beams_of(np.array([angle]))._replace(cos=np.array([cos]), sin=np.array([sin]))
+        _mark((x, y, 0.0), beam, np.array([length]), 5, first)
         expected = crossed_cells(x, y, x + length * cos, y + length * sin)
         inside = {(r, c) for r, c in expected if 0 <= r < 10 and 0 <= c < 8}
         assert {(int(r), int(c)) for r, c in np.argwhere(first == 5)} == {cell for cell in inside if cell[0] != 4}
