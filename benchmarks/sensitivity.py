@@ -32,21 +32,21 @@ PACKAGE = HERE.parent.parent / "sixthsense"
 LOG = "fr079"
 GROUPS = {
     "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
-    "normals": ("normals._REACH_M", "normals._GRAZING_RAD", "normals._MAX_THICKNESS_M"),
-    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE", "links._MEAN_WEIGHT"),
+    "normals": ("normals._REACH_M", "normals._GRAZING_RAD"),
+    "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE"),
     "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),
     "links": ("graph.RECENT", "graph._OLD", "graph.REACH_M", "graph.AGREEMENT"),
     "visibility": ("visibility._LEAST_JUDGED",),
-    "odometry": ("odometry_prior._M_PER_M", "odometry_prior._RAD_PER_RAD", "odometry_prior._UNSTEADY"),
+    "odometry": ("odometry_prior.WHEELS_M_PER_M", "odometry_prior._RAD_PER_RAD", "odometry_prior._UNSTEADY"),
     "slips": (
         "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._LOST", "tracking._CLEARLY", "front_end._NEWEST_SHARE",
     ),
     "uncertainty": (
-        "loop_closures._DRIFT_M", "loop_closures._DRIFT_RAD", "loop_closures._WHEELS_M_PER_M",
+        "loop_closures._DRIFT_M", "loop_closures._DRIFT_RAD",
         "loop_closures._CERTAIN_M",
     ),
     "place search": (
-        "place_search.RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
+        "place_search._RECENT_M", "place_search.SIGMAS", "place_search._MARGIN_M", "place_search._AS_GOOD",
         "place_search._CANDIDATES",
     ),
     "evidence": ("evidence._CLEARLY", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),

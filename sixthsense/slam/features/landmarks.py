@@ -31,7 +31,7 @@ from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_li
 from sixthsense.slam.features.lines import FittedLines
 from sixthsense.slam.features.partition import Indices
 
-CORNER, END = 0, 1
+CORNER, END = range(2)
 """Values of `Kind`, which compiled code cannot read."""
 
 

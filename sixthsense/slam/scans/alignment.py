@@ -8,6 +8,7 @@ Blais and Levine, "Registering multiview range data to create 3D computer object
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -31,9 +32,8 @@ _MOST_STEPS = 14
 _NEAR_M, _NEAR_RAD = 0.02, 0.005  # a smaller step says that the wide gates have done their work
 _STEP_M, _STEP_RAD = 3e-4, 1e-4  # a smaller step ends the iteration
 
-HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = 0, 6, 9, 10, 11, 12, 18
-"""Places in the sums: upper triangle of the Hessian (6), gradient (3), sum of weights, number of partners, weighted sum
-of squared residuals, part of the Hessian by the noise of the normals (6)."""
+HESSIAN, GRADIENT, WEIGHT, HITS, SQUARES, SPREAD, SUMS = itertools.accumulate((6, 3, 1, 1, 1, 6), initial=0)
+"""Places in the sums: Hessian (upper triangle), gradient, weights, partners, squares, Hessian of the normals' noise."""
 
 
 class Prior(NamedTuple):

@@ -23,7 +23,7 @@ from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.visibility import explained
 
 _PARTNERS = 2  # known scans that each is compared with
-_BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
+BACK_M, _EVERY_M = 12.0, 1.0  # travel over which scans are followed back, and between two of them
 _SHIFT_M, _SHIFT_M_PER_M = 0.05, 0.08  # an alignment may shift a scan beyond the one before
 _SHIFT_RAD = 0.1
 _LEAST_SCANS = 3  # that tell about two places which are compared, where there are as many
@@ -89,9 +89,9 @@ class Evidence(NamedTuple):
 
 def followed_back(travelled_m: Array, key: int) -> NDArray[np.int64]:
     """Keyframes that are followed back from `key`, the newest first; `travelled_m` (K,) is at each keyframe."""
-    keys = np.flatnonzero(travelled_m[: key + 1] >= travelled_m[key] - _BACK_M - _EVERY_M)
+    keys = np.flatnonzero(travelled_m[: key + 1] >= travelled_m[key] - BACK_M - _EVERY_M)
     steps = np.floor((travelled_m[key] - travelled_m[keys]) / _EVERY_M)
-    back = keys[(np.diff(steps, append=-1.0) < 0.0) & (steps <= _BACK_M / _EVERY_M)][::-1]
+    back = keys[(np.diff(steps, append=-1.0) < 0.0) & (steps <= BACK_M / _EVERY_M)][::-1]
     return np.asarray(back, dtype=np.int64)
 
 

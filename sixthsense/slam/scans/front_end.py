@@ -36,7 +36,6 @@ from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, search, track
 
 _NEWEST_SHARE = 0.02  # of the newest scan in what is usual
-_RECENT_KEYS, _RECENT_M = 40, 8.0  # keyframes, and their distance, that a contradicted scan is searched in
 _RECENT, _OLD = 2, 1  # keyframes that a scan is tracked against, before it and of other passes
 
 
@@ -187,7 +186,7 @@ class ScanFrontEnd:
         tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
         is_guess = self._increments.is_guess
         if tracked.is_lost(self._contradicted) or (is_guess and tracked.is_doubted(self._contradicted)):
-            found = search(self._views(row, self._recent(prior.pose)), prior, self._contradicted)
+            found = search(self._views(row, self.loop_closures.of_last_metres(self.newest)), prior, self._contradicted)
             tracked = found if tracked.is_lost(self._contradicted) or not found.has_slipped else tracked
             if tracked.is_lost(self._contradicted):
                 self._break_track()
@@ -210,13 +209,6 @@ class ScanFrontEnd:
 
     def _views(self, row: int, targets: NDArray[np.int64]) -> Views:
         return Views(self._store.returns, row, targets, self._graph.poses[targets])
-
-    def _recent(self, pose: Array) -> NDArray[np.int64]:
-        """The keyframes of the last metres around a pose, since the track last broke."""
-        newest = self._store.count
-        recent = np.arange(max(self._graph.first, newest - _RECENT_KEYS), newest)
-        off = self._graph.poses[recent, :2] - pose[:2]
-        return recent[np.hypot(off[:, 0], off[:, 1]) < _RECENT_M]
 
     def _break_track(self) -> None:
         """Go on by odometry, with the covariance of a motion that it has missed: no pose agrees with the last scans."""

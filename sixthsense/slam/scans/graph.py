@@ -32,11 +32,9 @@ _ALONG = 8  # keyframes to either side of an old partner
 REACH_M, REACH_RAD = 4.0, 2.0  # between scans whose views overlap
 M_PER_RAD = 0.5  # what a turn counts as a distance
 AGREEMENT = 0.75  # least share of hits among hits and views through, of the usual one
-_ARCS = 2  # of a keyframe to old ones: further links hardly make it more certain
 _NEWEST, _REFRESH_PERIOD = 8, 10  # keyframes whose poses are read each time, and between two times that all are
 _FACTOR_LINKS = 2000  # links at the end that the variance factor is estimated from
 _FACTOR_PRIOR = 10.0  # degrees of freedom of a prior factor of 1
-_JUMP_M = 0.01  # a pose that moves farther says that others have moved, too
 _RECENT_LOSS, OLD_LOSS = 5.0, 3.0  # scales of the Cauchy loss, in whitened error
 
 
@@ -112,19 +110,17 @@ class ScanGraph:
         self._refreshed, self._factor = self.count, None
 
     def _refresh_near(self, targets: list[int]) -> None:
-        """Take the newest poses and those that links lead to; all of them from time to time, and after a jump."""
+        """Take the newest poses and those that links lead to; all of them from time to time."""
         newest = range(max(0, self.count - _NEWEST), self.count)
         keys = sorted({*newest, *targets})
-        poses = self.mount.laser_poses(self.estimator.poses_at(keys))
-        shift = np.hypot(*(poses[:, :2] - self._rows[keys, :2]).T)
-        self._rows[keys] = poses
-        if self.count - self._refreshed >= _REFRESH_PERIOD or shift.max() > _JUMP_M:
+        self._rows[keys] = self.mount.laser_poses(self.estimator.poses_at(keys))
+        if self.count - self._refreshed >= _REFRESH_PERIOD:
             self.refresh()
 
     def link(self, key: int, old: NDArray[np.int64], group: int) -> list[int]:
         """Link a new keyframe to those just before it, and to old ones near it; ids of the links to old ones."""
         recent = self._align(np.arange(max(self.first, key - RECENT), key), key, TRACKED_GATE_M)
-        good = np.flatnonzero(recent.agree(self.store.returns, AGREEMENT, self.usual_agreement))
+        good = np.flatnonzero(recent.agree(AGREEMENT, self.usual_agreement))
         self._waiting = [(recent, int(k)) for k in good]
         return self.link_old(key, old, group)
 
@@ -133,7 +129,7 @@ class ScanGraph:
         found = self._align(targets, key, NEAR_GATE_M)
         shift = found.poses[:, :2] - between(self.poses[targets], self.poses[key])[:, :2]
         near = np.hypot(shift[:, 0], shift[:, 1]) < WIDE_GATE_M
-        good = np.flatnonzero(found.agree(self.store.returns, AGREEMENT, self.usual_agreement) & near)
+        good = np.flatnonzero(found.agree(AGREEMENT, self.usual_agreement) & near)
         return self.give([(found, int(k)) for k in good], OLD_LOSS, group)
 
     def _align(self, targets: NDArray[np.int64], key: int, gate_m: float) -> Alignments:
@@ -193,11 +189,9 @@ class ScanGraph:
         for i, link in zip(ids, links, strict=True):
             self.links[i] = link
             if link.group != RECENT_GROUP:
-                old = self.old_links.setdefault(link.source, [])
-                old.append(link.target)
-                if len(old) <= _ARCS:
-                    position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
-                    self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
+                self.old_links.setdefault(link.source, []).append(link.target)
+                position = float(np.linalg.eigvalsh(link.cov[:2, :2])[-1])
+                self.uncertainty.add(link.target, link.source, position, float(link.cov[2, 2]), i)
         return ids
 
     def _drop(self, ids: list[int]) -> None:

@@ -29,14 +29,12 @@ from sixthsense.slam.scans.visibility import compare_views
 TRACKED_GATE_M, NEAR_GATE_M, WIDE_GATE_M = 0.15, 0.25, 0.5
 """first gates of pairs whose relative pose is known to centimetres, to two decimetres, and to half a metre"""
 _ANCHOR = 1.0  # returns' worth that holds the start value where the scans say nothing; no information of the link
-LEAST_HITS, _LEAST_HIT_SHARE = 20, 0.1  # partners found, both ways, and their share of the cells
-_MEAN_WEIGHT = 0.5  # of the partners' loss: most must lie on their lines
+LEAST_HITS = 20  # partners found, both ways
 SEEN_SHARE = 0.3  # of the returns of either scan that lie on returns of the other
 _SHAPE_SHARE, _LEVER_M = 0.1, 3.0  # of the shape's sigma that stays in the pose, and what turns it into an angle
 _FLOOR_M = 3e-4
 FEW_RETURNS = 3.0
 """returns' worth of information that wrong partners may feign"""
-_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # places of a matrix's entries in its upper triangle
 _UNOBSERVED = 1000.0  # sigma, m or rad, where scans say nothing: many links together must not say more than the motion
 
 
@@ -53,18 +51,15 @@ class Alignments:
     views: NDArray[np.int64]
     """(m, 2, 3) hits, violations and returns, of the source seen by the target and the other way round"""
 
-    def agree(self, returns: Returns, least_agreement: float, usual: float) -> NDArray[np.bool_]:
+    def agree(self, least_agreement: float, usual: float) -> NDArray[np.bool_]:
         """(m,) whether both scans show one place: enough partners, and few returns where the other saw through.
 
         `least_agreement` is the least share of hits among hits and violations, where `usual` is 1: the share of a
         scan's returns, of those that are judged, that usually agree. People hide and add some in any scan.
         """
-        cells = 2 * returns.bearings.beams // returns.bearings.stride
-        hits, weights = self.sums[:, HITS], self.sums[:, WEIGHT]
-        least_hits = max(LEAST_HITS, usual * _LEAST_HIT_SHARE * cells)
         seen, through, count = self.views[:, :, 0], self.views[:, :, 1], self.views[:, :, 2]
         is_shared = (seen >= usual * SEEN_SHARE * count) & (seen >= usual * least_agreement * (seen + through))
-        return np.asarray((hits >= least_hits) & (weights >= _MEAN_WEIGHT * hits) & is_shared.all(axis=1))
+        return np.asarray((self.sums[:, HITS] >= LEAST_HITS) & is_shared.all(axis=1))
 
 
 def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
@@ -82,8 +77,9 @@ def covariances(sums: Array, shared_by: Array, sigma_m: float) -> Array:
     variance = np.maximum(sums[:, SQUARES] / np.maximum(sums[:, WEIGHT], 1.0), noise)
     floor = _SHAPE_SHARE**2 * (variance - noise) + _FLOOR_M**2
     # Both ways the returns of a pair are counted twice.
-    upper = sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6]
-    returns, axes = np.linalg.eigh(0.5 * upper[:, _SYMMETRIC])
+    hessians, (rows, cols) = np.zeros((len(sums), 3, 3)), np.triu_indices(3)
+    hessians[:, rows, cols] = 0.5 * (sums[:, HESSIAN : HESSIAN + 6] - sums[:, SPREAD : SPREAD + 6])
+    returns, axes = np.linalg.eigh(hessians, UPLO="U")
     share = 2.0 / (np.maximum(shared_by, 2.0) * variance)
     values = share[:, None] * np.maximum(returns - FEW_RETURNS, 0.0)
     spread = 1.0 / np.maximum(values, _UNOBSERVED**-2)

@@ -19,7 +19,8 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.scans.closing import Closings
 from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, ScanGraph
-from sixthsense.slam.scans.place_search import PlaceSearch
+from sixthsense.slam.scans.odometry_prior import WHEELS_M_PER_M
+from sixthsense.slam.scans.place_search import PlaceSearch, of_last_metres
 from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
@@ -29,7 +30,6 @@ from sixthsense.slam.scans.votes import NEW_M, Vote, Votes
 _PERIOD_M = 0.6  # of travel between two looks for loop closures
 _CERTAIN_M, _CERTAIN_RAD = 0.3, 0.1  # sigmas below which a keyframe is linked without a search
 _DRIFT_M, _DRIFT_RAD = 0.018, 0.0073  # sigmas that a chain of tracked keyframes adds, per square root of travel in m
-_WHEELS_M_PER_M = 0.05  # sigma of position that wheels add per travel where scans do not see it, always to one side
 _DOUBT = 0.5  # share of the distance between scans and wheels that is doubted where they contradict each other
 _APART_M = 100.0  # of travel where the robot was carried: neither submap nor vote spans that
 
@@ -59,6 +59,10 @@ class LoopClosures:
         """(K,) sigmas of position, m, and heading, rad, of all keyframes relative to `key`; infinite if unconnected."""
         return self._graph.uncertainty.sigmas(key, self._graph.poses)
 
+    def of_last_metres(self, key: int) -> NDArray[np.int64]:
+        """The keyframes up to `key` of the last metres, since the track last broke."""
+        return of_last_metres(self._travelled, key)
+
     def moved(self, key: int, tracked: Tracked | None, odometry_information: Array) -> None:
         """Add a keyframe after the first; `odometry_information` (3, 3) is the prior's, world axes."""
         if key == len(self._travelled):
@@ -79,7 +83,7 @@ class LoopClosures:
         if tracked.has_slipped:
             position += _DOUBT**2 * float(tracked.off[:2] @ tracked.off[:2])
             heading += _DOUBT**2 * float(tracked.off[2]) ** 2
-        bias_m = _WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
+        bias_m = WHEELS_M_PER_M * min(by_wheels, 1.0) * travel
         self._graph.uncertainty.add(key - 1, key, position, heading, bias_m=bias_m)
 
     def _carried(self, key: int, cov: Array) -> None:

@@ -17,7 +17,7 @@ from sixthsense.slam.scans.bearings import full_turn
 from sixthsense.slam.scans.scan_store import ScanStore
 
 _APART_M = 0.5  # side of the tiles in which one view stands for all
-_UNSEEN, _FREE, _OBSTACLE = 0, 1, 2
+_UNSEEN, _FREE, _OBSTACLE = range(3)
 
 
 class MapViews:

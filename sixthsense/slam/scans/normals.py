@@ -15,7 +15,6 @@ _JUMP_M = 0.06  # distance between neighbours of one surface that is always allo
 _REACH_M = 0.12  # the line is fitted to the returns up to this distance to either side
 _MIN_STEPS, _MAX_STEPS = 2, 16  # beams to either side, however near or far they are
 _MIN_POINTS = 4
-_MAX_THICKNESS_M = 0.03  # root mean square distance from the line
 _MAX_ASPECT = 0.06  # largest ratio of the variances across and along the line
 
 
@@ -53,7 +52,7 @@ def fit_normals(returns: NDArray[np.float32], bearings: Bearings, out: NDArray[n
         c, s = math.sqrt(0.5 * (1.0 + double)), math.copysign(math.sqrt(0.5 * max(1.0 - double, 0.0)), sxy)
         along = sxx * c * c + 2.0 * sxy * c * s + syy * s * s
         across = max(sxx + syy - along, 0.0)
-        if across > n * _MAX_THICKNESS_M**2 or across > _MAX_ASPECT * along:
+        if across > _MAX_ASPECT * along:
             continue
         nx, ny = -s, c
         if nx * returns[i, 0] + ny * returns[i, 1] > 0.0:

@@ -15,7 +15,7 @@ from sixthsense.slam.scans.alignment import Prior
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS
 
 # Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
-_SIGMA_M, _M_PER_M = 0.01, 0.05
+_SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
 _SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
 _UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
 
@@ -36,7 +36,7 @@ def with_unsteady_errors(odometry: Odometry) -> Odometry:
 def _errors(motion: Pose, share: float) -> Array:
     """(3, 3) covariance of a motion by a share of what wheels in general are wrong by."""
     distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-    position = (_SIGMA_M + share * _M_PER_M * distance) ** 2
+    position = (_SIGMA_M + share * WHEELS_M_PER_M * distance) ** 2
     heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
     return np.diag([position, position, heading])
 

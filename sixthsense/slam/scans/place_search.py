@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
-from sixthsense.slam.scans.evidence import OldPass, PlacedScans, Surroundings, evidence_of, followed_back
+from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
 from sixthsense.slam.scans.graph import REACH_M, ScanGraph
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import VOXEL_M, Pyramid, pyramid, submap_points
 
-RECENT_M = 6.0
-"""travel of the submap that is searched for"""
+_RECENT_M = 6.0  # travel of the submap that is searched for
 _RECENT_VOXEL_M = 0.2  # of these points; those of old submaps are denser
 LEAST_POINTS = 60
 """without as many points of the last metres there is no search"""
@@ -32,7 +31,6 @@ _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
 _MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
-_BACK_M = 16.0  # travel beyond the submap whose old keyframes are compared
 
 
 class Hypothesis(NamedTuple):
@@ -115,9 +113,14 @@ def is_same_place(one: Array, other: Array) -> bool:
     return bool(PLACE.same(between(one, other)))
 
 
+def of_last_metres(travelled_m: Array, key: int) -> NDArray[np.int64]:
+    """The keyframes of the last metres before `key`, and itself; `travelled_m` (K,) is at each."""
+    return np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - _RECENT_M)
+
+
 def recent_points(scans: PlacedScans, key: int, travelled_m: Array) -> Array:
     """(N, 2) points of the scans of the last metres, in the frame of the newest, `key`; `travelled_m` (K,) at each."""
-    keys = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
+    keys = of_last_metres(travelled_m, key)
     points = submap_points(scans.store.returns, keys, between(scans.poses[key], scans.poses[keys]), _RECENT_VOXEL_M)
     if len(points) > MOST_POINTS:
         points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
@@ -163,7 +166,7 @@ class PlaceSearch:
         half_rad = min(SIGMAS * float(sigmas[1][anchor]) + _MARGIN_RAD, _MOST_RAD)
         frame = self._graph.poses[anchor]
         window = Window(between(frame, self._graph.poses[key]), half_m, half_rad)
-        around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + _BACK_M]
+        around = old[np.abs(travelled_m[old] - travelled_m[anchor]) < _HALF_M + BACK_M + REACH_M]
         cells = self._submap(anchor, travelled_m, int(old[-1]) + 1)
         return Look(cells, window, frame, OldPass(self._graph, around))
 

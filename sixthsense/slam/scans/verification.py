@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.core.geometry import Array
+from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.graph import AGREEMENT
 from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
-from sixthsense.slam.scans.place_search import RECENT_M, Hypothesis
+from sixthsense.slam.scans.place_search import Hypothesis, of_last_metres
 from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.tracking import NEAREST
 from sixthsense.slam.scans.votes import NEAR, Vote
@@ -37,11 +37,12 @@ def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hyp
     targets, sources, starts = _pairs(scans, found, recent, moved)
     poses = scans.poses
     aligned = align_pairs(scans.store.returns, targets, sources, starts, WIDE_GATE_M)
-    good = aligned.agree(scans.store.returns, AGREEMENT, scans.usual_agreement)
+    good = aligned.agree(AGREEMENT, scans.usual_agreement)
     least = max(_LEAST_GOOD, _GOOD_SHARE * len(targets))
     if np.count_nonzero(good) < least:
         return None
     said = compose(compose(poses[targets], aligned.poses), between(poses[sources], poses[key]))
+    said[:, 2] = found.pose[2] + wrap_angle(said[:, 2] - found.pose[2])  # headings on both sides of half a turn
     middle = np.median(said[good], axis=0)
     good &= NEAR.same(said - middle)
     rows = np.flatnonzero(good)
@@ -52,8 +53,7 @@ def verified(scans: PlacedScans, key: int, recent: NDArray[np.int64], found: Hyp
 
 def vote_for(scans: PlacedScans, key: int, travelled_m: Array, found: Hypothesis) -> Vote | None:
     """A vote for a place of scan `key`, if those of the last metres agree about it; `travelled_m` (K,) is at each."""
-    recent = np.flatnonzero(travelled_m[: key + 1] > travelled_m[key] - RECENT_M)
-    good = verified(scans, key, recent, found)
+    good = verified(scans, key, of_last_metres(travelled_m, key), found)
     return None if good is None else Vote(key, good.pose, float(travelled_m[key]), good.links)
 
 

@@ -19,7 +19,7 @@ from sixthsense.slam.scans.scan_store import Returns
 
 _LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
 
-UNSEEN, THROUGH, SURFACE = 0, 1, 2
+UNSEEN, THROUGH, SURFACE = range(3)
 
 
 class Agreement(NamedTuple):

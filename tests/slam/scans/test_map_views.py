@@ -58,7 +58,7 @@ def test_a_scan_of_a_half_circle_aligns_with_a_view():
     found = align_pairs(views.store.returns, np.array([target]), np.array([scan]), start[None], WIDE_GATE_M)
     off = compose(views.poses[target], found.poses[0]) - true.array()
     assert np.hypot(*off[:2]) < 0.01 and abs(off[2]) < 0.005
-    assert found.agree(views.store.returns, 0.9, 1.0).all()
+    assert found.agree(0.9, 1.0).all()
 
 
 def test_places_near_each_other_have_one_view():

@@ -9,8 +9,10 @@ from test_front_end import drive, ticks
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
+from sixthsense.slam.scans import verification
 from sixthsense.slam.scans.evidence import Evidence, OldPass, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
+from sixthsense.slam.scans.links import align_pairs
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
 from sixthsense.slam.scans.poses import between
@@ -93,7 +95,23 @@ def test_scans_of_the_way_back_tell_about_a_place(laser):
     assert np.isfinite(found.shares).sum() >= 5 and found.weight > 1.0
     hypothesis = Hypothesis(graph.poses[-1], OldPass(graph, np.arange(len(old))), False)
     place = verified(graph, graph.count - 1, np.arange(graph.count - 5, graph.count), hypothesis)
-    assert place is not None and np.abs(place.pose - graph.poses[-1])[1:].max() < 0.02
+    assert place is not None and np.abs(between(graph.poses[-1], place.pose))[1:].max() < 0.02
+
+
+def test_headings_on_both_sides_of_half_a_turn_agree(monkeypatch):
+    old = [Pose(x, 1.1, 0.0) for x in np.arange(4.0, 16.0, 0.4)]
+    new = [Pose(x, 1.2, math.pi) for x in np.arange(15.0, 10.0, -0.4)]
+    graph = graph_of([*old, *new], corridor(), ROUND)
+
+    def split(*args):
+        aligned = align_pairs(*args)
+        aligned.poses[:, 2] = np.where(np.arange(len(aligned.poses)) % 2, math.pi - 1e-4, 1e-4 - math.pi)
+        return aligned
+
+    monkeypatch.setattr(verification, "align_pairs", split)
+    hypothesis = Hypothesis(graph.poses[-1], OldPass(graph, np.arange(len(old))), False)
+    place = verified(graph, graph.count - 1, np.arange(graph.count - 4, graph.count), hypothesis)
+    assert place is not None and len(place.links) == 6
 
 
 def test_views_overlap_where_scans_look_at_one_place():
