@@ -17,13 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.bearings import Bearings, cell_of, direction
+from sixthsense.slam.scans.partners import partners_of
 from sixthsense.slam.scans.scan_store import Returns
-
-_MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
-_SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
-NORMALS_AGREE = 0.7  # least cosine between the normals of partners
-_SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many beam spacings away
 
 SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
 SCALE_M = 0.05  # of the Cauchy loss on that distance
@@ -73,78 +68,34 @@ class Loss(NamedTuple):
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) -> int:
-    """The cell of the target's return that is nearest to a point in the target's frame; -1 for none within the gate."""
-    return _nearest(returns.points[target], returns.bearings, x, y, gate_m)
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
-def _nearest(points: NDArray[np.float32], bearings: Bearings, x: float, y: float, gate_m: float) -> int:
-    """As `partner`, among the returns `points` (beams, 3) of one scan."""
-    beams = bearings.beams
-    centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
-    # A return n cells away lies at least n - 1 cells from the point's direction, and so far from the point, at least.
-    apart = (_SINE_OF_REACH * bearings.spacing) ** 2 * (x * x + y * y)
-    nearest, found = gate_m * gate_m, -1
-    for n in range(int(_MAX_REACH_RAD / bearings.spacing) + 2):
-        if n > 1 and apart * (n - 1) * (n - 1) >= nearest:
-            break
-        for q in (centre - n, centre + n):
-            if q < 0 or q >= beams:
-                if not bearings.closed:
-                    continue
-                q %= beams
-            dx, dy = x - points[q, 0], y - points[q, 1]
-            squared = dx * dx + dy * dy
-            if squared < nearest and points[q, 2] > 0.0:
-                nearest, found = squared, q
-    if found >= 0:
-        return found
-    # On a distant wall the beams are farther apart than the gate.
-    q = centre % beams if bearings.closed else centre
-    if q < 0 or q >= beams or points[q, 2] == 0.0:
-        return -1
-    dx, dy = x - points[q, 0], y - points[q, 1]
-    sparse = _SPARSE_CELLS * bearings.spacing * points[q, 2]
-    return q if dx * dx + dy * dy <= sparse * sparse else -1
-
-
-@numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: Loss, sums: Array) -> None:
     """Add the points of `source`, at `pose` (3,) in the target's frame, on the lines of `target` to `sums` (SUMS,).
 
-    Hessian and gradient are by (x, y, theta) of the pose, of half the weighted squares, m.
+    Hessian and gradient are by (x, y, theta) of the pose, of half the weighted squares, m. Returns with one partner
+    share its error: n of them are worth 2 n / (n + 1) pairs, two at most. A near scan puts many on a far one's return.
     """
-    bearings, gate_m, per_scale = returns.bearings, loss.gate_m, 1.0 / loss.scale_m
-    points, normals = returns.points[target], returns.normals[target]
-    moved, turned_normals = returns.points[source], returns.normals[source]
+    per_scale = 1.0 / loss.scale_m
+    points, normals, moved = returns.points[target], returns.normals[target], returns.points[source]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    partners, shared = partners_of(returns, target, source, pose, loss.gate_m)
     # Numbers instead of rows of `sums`: a compiler keeps them in registers.
     xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
-    for k in range(0, bearings.beams, bearings.stride):
-        if moved[k, 2] == 0.0:
+    for i in range(len(partners)):
+        q, k = partners[i], i * returns.bearings.stride
+        if q < 0:
             continue
         px, py = moved[k, 0], moved[k, 1]
         dx, dy = c * px - s * py, s * px + c * py
-        q = _nearest(points, bearings, x + dx, y + dy, gate_m)
-        if q < 0:
-            continue
         nx, ny = float(normals[q, 0]), float(normals[q, 1])
-        if nx == 0.0 and ny == 0.0:
-            continue
-        mx, my = turned_normals[k, 0], turned_normals[k, 1]
-        if (mx != 0.0 or my != 0.0) and (c * mx - s * my) * nx + (s * mx + c * my) * ny < NORMALS_AGREE:
-            continue
         r = nx * (x + dx - points[q, 0]) + ny * (y + dy - points[q, 1])
-        if abs(r) > gate_m:
-            continue
-        weight = 1.0 / (1.0 + (r * per_scale) ** 2)
+        pairs = 2.0 / (1.0 + shared[q])
+        weight = pairs / (1.0 + (r * per_scale) ** 2)
         turn = ny * dx - nx * dy  # of r by theta
         wx, wy, wt = weight * nx, weight * ny, weight * turn
         xx, xy, xt = xx + wx * nx, xy + wx * ny, xt + wx * turn
         yy, yt, tt = yy + wy * ny, yt + wy * turn, tt + wt * turn
         gx, gy, gt = gx + wx * r, gy + wy * r, gt + wt * r
-        weights, hits, squares = weights + weight, hits + 1.0, squares + weight * r * r
+        weights, hits, squares = weights + weight, hits + pairs, squares + weight * r * r
         # The same line turned by a quarter: what an error of the normal's angle adds to the Hessian.
         along, feigned = nx * dx + ny * dy, weight * normals[q, 2]
         fx, fy = -feigned * ny, feigned * nx

@@ -1,6 +1,7 @@
 """Normals, point-to-line alignment of two scans, its covariance, and the see-through test."""
 
 import math
+from collections import Counter
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from sixthsense.slam.scans.alignment import (
 from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.bearings import direction
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances
+from sixthsense.slam.scans.partners import partners_of
 from sixthsense.slam.scans.visibility import compare_views
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
@@ -42,7 +44,7 @@ def pair(laser, rng=None, a=A, b=B, walls=ROOM):
 def reference(returns, target, source, pose, loss):
     """The sums of `add_one_way`, with the partner sought among all returns of the target."""
     points, normals = returns.points.astype(float), returns.normals.astype(float)
-    sums, seen = np.zeros(SUMS), points[target, :, 2] > 0
+    rows, seen = [], points[target, :, 2] > 0
     c, s = np.cos(pose[2]), np.sin(pose[2])
     for k in range(0, points.shape[1], returns.bearings.stride):
         if points[source, k, 2] == 0:
@@ -55,11 +57,14 @@ def reference(returns, target, source, pose, loss):
         if gap[q] >= loss.gate_m or not n.any() or (turned.any() and turned @ n < 0.7):
             continue
         r = n @ (pose[:2] + arm - points[target, q, :2])
-        row = np.array([*n, n @ [-arm[1], arm[0]]])
-        w = 1 / (1 + (r / loss.scale_m) ** 2)
+        rows.append((q, r, np.array([*n, n @ [-arm[1], arm[0]]])))
+    sums, shared = np.zeros(SUMS), Counter(q for q, _, _ in rows)
+    for q, r, row in rows:
+        pairs = 2 / (1 + shared[q])
+        w = pairs / (1 + (r / loss.scale_m) ** 2)
         sums[HESSIAN:GRADIENT] += w * np.outer(row, row)[np.triu_indices(3)]
         sums[GRADIENT:WEIGHT] += w * row * r
-        sums[[WEIGHT, HITS, SQUARES]] += w, 1, w * r * r
+        sums[[WEIGHT, HITS, SQUARES]] += w, pairs, w * r * r
     return sums
 
 
@@ -91,6 +96,18 @@ def test_the_gradient_is_that_of_the_squares(laser, add):
         if ahead[HITS] == behind[HITS]:
             slope = 0.5 * (ahead[SQUARES] - behind[SQUARES]) / 2e-7
             assert slope == pytest.approx(here[GRADIENT + k], rel=0.02, abs=0.02)
+
+
+def test_returns_that_share_a_partner_are_worth_two_pairs_at_most():
+    near, far = Pose(6.0, 0.0, np.pi), Pose(0.0, 0.0)
+    returns, relative = pair(HALF, a=far, b=near, walls=CORRIDOR)
+    partners, shared = partners_of(returns, 0, 1, relative, NEAR_GATE_M)
+    sums = np.zeros(SUMS)
+    add_one_way(returns, 0, 1, relative, Loss(NEAR_GATE_M, 0.05), sums)
+    assert shared.max() > 10
+    assert shared.sum() == np.count_nonzero(partners >= 0)
+    assert sums[HITS] == pytest.approx((2 * shared / (1 + shared)).sum())
+    assert sums[HITS] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
 
 
 @LASERS
