@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import quote, urlsplit
 
-from sixthsense.view.target import LOOPBACK
+from sixthsense.view import LOOPBACK
 
 _OWN = "'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' data: blob:"
 _KEPT = ("Content-Type", "Content-Encoding", "Content-Length", "Cache-Control", "ETag")

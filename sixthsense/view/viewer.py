@@ -16,9 +16,8 @@ from urllib.parse import quote
 
 from sixthsense.config.errors import InputError
 from sixthsense.config.section import shown
-from sixthsense.view import keeper
+from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target, keeper
 from sixthsense.view.relay import Relay, hosts_of, reachable
-from sixthsense.view.target import LOOPBACK, VIEW_TARGETS, is_view_target
 
 _START_TIMEOUT_S = 60.0  # until the viewer listens
 

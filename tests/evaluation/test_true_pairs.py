@@ -6,8 +6,8 @@ import pytest
 from sixthsense.config import AssociationConfig, LaserConfig, LaserNoise, merge, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, predict_walls
+from sixthsense.evaluation.matches import InnovationObserver, true_pair_nis
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
-from sixthsense.evaluation.true_pairs import InnovationObserver, true_pair_nis
 from sixthsense.loop import run
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
