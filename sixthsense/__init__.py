@@ -20,7 +20,7 @@ def __getattr__(name: str) -> _Any:
     try:
         return _lazy_getattr(name)
     except AttributeError:
-        from sixthsense.config.suggestion import did_you_mean
+        from sixthsense.config.errors import did_you_mean
 
         said = f"module 'sixthsense' has no attribute {name!r}{did_you_mean(name, __all__)}"
         raise AttributeError(said, name=name, obj=None) from None  # no object: Python would add a suggestion of its own

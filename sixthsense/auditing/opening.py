@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import AuditError, Frame, Poses, Stamps, check_covariances, interpolated, made
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.section import shown
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import key_poses

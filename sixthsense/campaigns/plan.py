@@ -15,7 +15,7 @@ from typing import Any
 
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
-from sixthsense.config.extras import import_extra as import_of_extra
+from sixthsense.config.errors import import_extra as import_of_extra
 from sixthsense.config.files import absolute
 from sixthsense.config.section import shown
 

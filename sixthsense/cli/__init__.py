@@ -11,8 +11,7 @@ from importlib import import_module
 
 from sixthsense.cli.help import help_text, help_topic
 from sixthsense.cli.options import UsageError
-from sixthsense.config.errors import InputError
-from sixthsense.config.suggestion import allowed_names, nearest
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.version import __version__
 from sixthsense.core.interrupt import command_signals
 

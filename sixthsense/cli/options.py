@@ -17,9 +17,8 @@ from types import UnionType
 from typing import Annotated, Any, ClassVar, TypeVar, Union
 
 from sixthsense.config import Config, Section
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.section import checked, is_one_line, shown, shown_name
-from sixthsense.config.suggestion import allowed_names, nearest
 
 T = TypeVar("T")
 Table = dict[str, Any]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any, Unpack
 
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.fields import Fields
 from sixthsense.config.section import ConfigError, merge, shown
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.config.tree import Config
 
 _REPORT_MOTION = {

@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.extras import pandas
+from sixthsense.config.errors import InputError, did_you_mean, pandas
 from sixthsense.config.section import shown, shown_name
-from sixthsense.config.suggestion import did_you_mean
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import curves, key_distances, key_poses, key_times
 from sixthsense.evaluation.groups import Sample

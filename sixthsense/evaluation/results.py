@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from sixthsense.config.extras import pandas
-from sixthsense.config.suggestion import did_you_mean
+from sixthsense.config.errors import did_you_mean, pandas
 from sixthsense.evaluation.effective import EFFECTIVE
 from sixthsense.evaluation.metrics import RPE_LENGTHS_M
 from sixthsense.evaluation.tables import digits, html_table, text_table

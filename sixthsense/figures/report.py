@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from sixthsense.config import Config
-from sixthsense.config.files import NOTES
+from sixthsense.config.errors import allowed_names, nearest
+from sixthsense.config.files import NOTES, parse_toml
 from sixthsense.config.section import as_table, shown
-from sixthsense.config.suggestion import allowed_names, nearest
-from sixthsense.config.toml import parse_toml
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import differing, flat
 from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, numbered_names
