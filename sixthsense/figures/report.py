@@ -9,30 +9,20 @@ import platform
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from sixthsense.config import Config
-from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.files import NOTES, parse_toml
-from sixthsense.config.section import as_table, shown
+from sixthsense.config.section import as_table
 from sixthsense.config.version import __version__
 from sixthsense.evaluation.groups import differing, flat
-from sixthsense.evaluation.measured_run import MeasuredRun, ReportError, numbered_names
+from sixthsense.evaluation.measured_run import MeasuredRun, numbered_names
 from sixthsense.evaluation.results import QUANTITIES, in_groups, unit
 from sixthsense.evaluation.tables import digits, html_table, text_table
 from sixthsense.figures.panels import KINDS, figure_if_any
 from sixthsense.figures.plot import save
 
 Form = Literal["png", "svg", "pdf"]
-
-
-def as_form(text: str) -> Form:
-    """Parse the name of a file format of figures; raises ReportError with the allowed names."""
-    forms: tuple[Form, ...] = get_args(Form)
-    for form in forms:
-        if text == form:
-            return form
-    raise ReportError(f"--figures: found {shown(text)}, {allowed_names(forms, nearest(text, forms))}")
 
 
 def report(runs: Sequence[MeasuredRun], out: Path | str, form: Form = "png") -> list[Path]:
