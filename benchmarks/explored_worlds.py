@@ -7,7 +7,9 @@
   compared with that of a robot which drives to the nearest frontier (`nearest_frontier.py`).
 - `large`: the default configuration in large buildings. Navigation is what views, plans and paths take of a keyframe,
   times real time is of the whole run, both by processor time.
-- `door`: two rooms and a door that is hardly wider than the robot (`narrow_doors.py`).
+- `door`: two rooms of 4 m and one door that is hardly wider than the robot, a disc of 0.4 m: in a thin or a thick wall,
+  at an angle to the cells of the map. A narrow door is closed by the clearance alone; the robot tries it when nothing
+  else is left.
 """
 
 from __future__ import annotations
@@ -24,13 +26,15 @@ from typing import Any
 import numpy as np
 from asked import Case, Found, Line, code_of, line, parsed, resumable, tabulate
 from harness import Figures, arguments, run_by_processor
-from narrow_doors import ANGLES_RAD, FACES, WIDER_M, door_figures
 from nearest_frontier import nearest_frontier_travel
 from worlds import plan, plans_at_hand, world
 
 from sixthsense.config import Config, preset
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.running.runs import QUIET, simulate
+from sixthsense.sources.scene import Scene
 
-CODE = code_of("asked", "explored_worlds", "generated_worlds", "harness", "narrow_doors", "nearest_frontier", "worlds")
+CODE = code_of("asked", "explored_worlds", "generated_worlds", "harness", "nearest_frontier", "worlds")
 """what the figures depend on"""
 
 FIRST_SEED, DOOR_SEEDS = 1000, 3
@@ -47,6 +51,12 @@ _SILENT = dict.fromkeys((
     "speed", "turn_rate", "slip_position_per_sqrt_m", "slip_position_per_sqrt_rad",
     "slip_heading_per_sqrt_m", "slip_heading_per_sqrt_rad"), 0.0)  # fmt: skip
 _CERTAIN = {"motion": _SILENT, "floor_m": 1e-6, "floor_rad": 1e-7}
+DOOR_RADIUS_M, THICK_M = 0.2, 0.15
+SIZE_M = 8.0, 4.0
+DOOR = np.array([4.013, 2.017])  # off the cells' edges
+WIDER_M = 0.05, 0.08, 0.1, 0.13, 0.17
+ANGLES_RAD = 0.0, 0.2, 0.5, 0.8
+FACES = "thin", "thick"
 
 
 def start_of(name: str) -> tuple[float, ...]:
@@ -106,6 +116,37 @@ def explored(config: Config) -> Figures:
         "travel_m": metrics["path_length_m"], "reference_m": reference, "times_real": metrics["sim_time_s"] / spent_s,
         "plan_ms_p99": float(np.percentile(plan_ms, 99)) if plan_ms else math.nan,
     }  # fmt: skip
+
+
+def two_rooms(wider_m: float, angle_rad: float, face: str) -> Scene:
+    """The rooms and the wall with the door."""
+    (width, height), is_thick = SIZE_M, face == "thick"
+    corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+    across = np.array([math.cos(angle_rad), math.sin(angle_rad)])
+    along = np.array([-across[1], across[0]])
+    half = 0.5 * (2.0 * DOOR_RADIUS_M + wider_m)
+    walls: list[Array] = list(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
+    for side, edge in ((-1.0, 0.0), (1.0, height)):
+        jambs = []
+        for depth in (0.0, THICK_M) if is_thick else (0.0,):
+            middle = DOOR + depth * across
+            jambs.append(middle + side * half * along)
+            walls.append(np.array([jambs[-1], middle + (edge - middle[1]) / along[1] * along]))
+        if is_thick:
+            walls.append(np.array(jambs))
+    start = Pose(1.5, 2.0, 0.0)
+    return Scene("two rooms", np.array(walls), start, DOOR_RADIUS_M, None, (), (0.0, 0.0, width, height))
+
+
+def door_figures(wider_m: float, angle_rad: float, face: str, seed: int) -> Figures:
+    """Explore the two rooms."""
+    config = preset("default", seed=seed, task="explore")
+    made = simulate(config, two_rooms(wider_m, angle_rad, face), watch=QUIET)
+    across = math.cos(angle_rad), math.sin(angle_rad)
+    passed = ((np.array(made.trace.truths)[:, :2] - DOOR) @ across > 0.0).any()
+    metrics = made.metrics
+    home_m, touched = metrics.get("home_error_m", math.inf), metrics["collisions"]
+    return {"passed": int(passed), "collisions": touched, "home_m": home_m, "coverage": metrics["coverage"]}
 
 
 def over_reference(found: Sequence[Figures]) -> list[float]:

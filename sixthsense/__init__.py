@@ -14,20 +14,13 @@ _choose_cache(_Path(__file__).parent)
 _lazy_getattr, __dir__, _names = lazy_loader.attach_stub(__name__, __file__)
 __all__ = [name for name in _names if not name.startswith("_")]
 
-_OLD_NAMES = {"Sighting": "Observation"}
-
 
 def __getattr__(name: str) -> _Any:
     """A public name, imported now; ImportError's kin with the nearest name for a misspelt one."""
-    if name in _OLD_NAMES:
-        from sixthsense.config.removed import note_renamed
-
-        note_renamed(f"ss.{name}", f"ss.{_OLD_NAMES[name]}")
-        return _lazy_getattr(_OLD_NAMES[name])
     try:
         return _lazy_getattr(name)
     except AttributeError:
-        from sixthsense.config.suggestion import did_you_mean
+        from sixthsense.config.errors import did_you_mean
 
         said = f"module 'sixthsense' has no attribute {name!r}{did_you_mean(name, __all__)}"
         raise AttributeError(said, name=name, obj=None) from None  # no object: Python would add a suggestion of its own

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sixthsense.auditing.pairing import Align
 from sixthsense.auditing.poses import AuditError, Frame, Poses, Stamps, check_covariances, interpolated, made
-from sixthsense.config.section import shown
-from sixthsense.config.suggestion import allowed_names, nearest
+from sixthsense.config.section import checked, shown
 from sixthsense.core.arguments import as_array
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import key_poses
@@ -34,7 +33,7 @@ _FORMS = "(N, 3) x y theta, (N, 7) x y z qx qy qz qw, or (N, 3, 3) or (N, 4, 4) 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How the sources are read and compared; AuditError for a value that is not allowed."""
+    """How the sources are read and compared; InputError for a value that is not allowed."""
 
     topic: str = ""
     """of the estimate in a bag; by default the only one with covariances"""
@@ -52,14 +51,8 @@ class Options:
     """largest offset of the stamps to search, s; None: none is searched"""
 
     def __post_init__(self) -> None:
-        for name, value, known in (
-            ("frame", self.frame, Frame),
-            ("order", self.order, Order),
-            ("align", self.align, Align),
-        ):
-            names = get_args(known)
-            if value is not None and value not in names:
-                raise AuditError(f"{name}: found {shown(value)}, {allowed_names(names, nearest(str(value), names))}")
+        for name, known in (("frame", Frame | None), ("order", Order), ("align", Align)):
+            checked(name, known, getattr(self, name))
         offset = self.time_offset
         if offset is not None and not (isinstance(offset, (int, float)) and 0.0 < offset <= 1e6):
             raise AuditError(f"time offset: found {shown(offset)}, allowed: the largest one to search, s, above 0")

@@ -1,4 +1,4 @@
-"""`Audit`, the result of `ss.audit`, and how it is told: its lines, and the verdict in one sentence."""
+"""`Audit`, the result of `ss.audit`, and how it is told: its lines, the verdict in one sentence, and its figure."""
 
 from __future__ import annotations
 
@@ -9,15 +9,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from sixthsense.auditing.pairing import Align, Errors
 from sixthsense.auditing.poses import AuditError, Frame
 from sixthsense.auditing.statistics import AXES, Factor, Findings, Outcome, factor
 from sixthsense.core.covariance import chi_square_quantile
+from sixthsense.core.geometry import Array
 from sixthsense.evaluation.effective import LEAST_SAMPLES
+from sixthsense.figures.overtime import BAND, draw_tube
+from sixthsense.figures.plot import CYCLE, ESTIMATE, TRUTH, new_figure
 
 if TYPE_CHECKING:
     from sixthsense.figures.picture import Picture
-
 
 _ALIGNED = {
     "none": "none: both are in one frame",
@@ -25,6 +29,8 @@ _ALIGNED = {
     "all": "by all poses",
 }
 _FRAMES = {"world": "the world's axes, rotations about fixed axes", "body": "the body's axes"}
+_WIDTH_IN, _HEIGHT_IN, _PER_AXIS_IN = 11.0, 2.2, 1.65
+_MOST_POINTS = 4000  # of a curve; more are not to be seen
 _SURE = 0.6  # share of the variance of the mean from which on the first pose alone forbids a verdict
 
 
@@ -92,9 +98,7 @@ class Audit:
 
     def plot(self) -> Picture:
         """The errors of the first run in their 3-sigma tubes, the NEES with its band, and a chi-square Q-Q diagram."""
-        from sixthsense.auditing.figure import draw
-
-        return draw(self.runs, self.findings, self.frame, self.verdict)
+        return _drawn(self.runs, self.findings, self.frame, self.verdict)
 
 
 def _finite(value: Any) -> Any:
@@ -194,3 +198,78 @@ def _listed(names: list[str]) -> str:
 def _short(value: float) -> str:
     """Three digits at most, without an exponent."""
     return f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}" if value >= 10.0 else f"{value:.2f}"
+
+
+def _drawn(runs: Sequence[Errors], found: Findings, frame: Frame, title: str) -> Picture:
+    """Errors of the first run in their tubes at the left; NEES over time and chi-square Q-Q at the right."""
+    names = AXES[frame, found.dof]
+    picture = new_figure(_WIDTH_IN, _HEIGHT_IN + _PER_AXIS_IN * len(names))
+    grid = picture.add_gridspec(2 * len(names), 2, width_ratios=(1.25, 1.0))
+    tubes: list[Any] = []
+    for k, name in enumerate(names):
+        tubes.append(picture.add_subplot(grid[2 * k : 2 * k + 2, 0], sharex=tubes[0] if tubes else None))
+        _draw_axis(tubes[-1], runs[0], frame, k, name)
+        tubes[-1].tick_params(labelbottom=k == len(names) - 1)
+    tubes[-1].set_xlabel("time [s]")
+    tubes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False, borderaxespad=0.2)
+    _draw_nees(picture.add_subplot(grid[: len(names), 1]), runs, found)
+    _draw_quantiles(picture.add_subplot(grid[len(names) :, 1]), runs, found)
+    picture.suptitle(title, fontsize=11.0)
+    return picture
+
+
+def _draw_axis(ax: Any, run: Errors, frame: Frame, axis: int, name: str) -> None:
+    """Draw the error on one axis of a frame with the stated +-3 sigma."""
+    rows = _some(len(run.stamps_ns))
+    error, cov = run.in_axes(frame)
+    scale, unit = (1.0, "m") if axis < run.orientations.shape[1] else (float(np.degrees(1.0)), "°")
+    bound = 3.0 * scale * np.sqrt(cov[rows, axis, axis])
+    style = {"color": ESTIMATE, "linewidth": 0.9}
+    draw_tube(ax, _seconds(run)[rows], scale * error[rows, axis], bound, "stated ±3σ", **style)  # noqa: RUF001
+    ax.set_ylabel(f"{name} [{unit}]")
+
+
+def _draw_nees(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
+    """Draw the NEES of each pose, the means of equal parts of the time, and the band of the mean."""
+    label: str | None = f"NEES: mean {found.nees:.3g}, {100.0 * found.inside:.0f} % inside 95 %"
+    for k, run in enumerate(runs):
+        rows = _some(len(run.stamps_ns))
+        style = {"color": CYCLE[k % len(CYCLE)], "linewidth": 0.5, "alpha": 0.45}
+        ax.plot(_seconds(run)[rows], run.nees[rows], label=label, **style)
+        label = None
+    end = max(float(_seconds(run)[-1]) for run in runs)
+    edges = np.linspace(0.0, end, len(found.parts) + 1)
+    ax.stairs(np.array(found.parts), edges, baseline=None, color=TRUTH, linewidth=1.6, label="mean of each part")
+    ax.axhspan(*found.band, label="95 % band of the mean", **BAND)
+    ax.set_yscale("log")
+    together = np.concatenate([run.nees for run in runs])
+    ax.set_ylim(max(float(np.percentile(together, 1.0)), 0.02), 1.5 * max(float(together.max()), 2.0 * found.band[1]))
+    ax.set(xlabel="time [s]", ylabel="NEES [1]")
+    above = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    ax.legend(frameon=False, ncols=2, fontsize="small", **above)
+    ax.margins(x=0.0)
+
+
+def _draw_quantiles(ax: Any, runs: Sequence[Errors], found: Findings) -> None:
+    """Draw the quantiles of the NEES against those of chi-square: consistent errors lie on the diagonal."""
+    nees = np.sort(np.concatenate([run.nees for run in runs]))
+    shares = (np.arange(len(nees)) + 0.5) / len(nees)
+    rows = _some(len(nees))
+    expected = chi_square_quantile(shares[rows], found.dof)
+    ax.plot(expected, nees[rows], color=ESTIMATE, linewidth=1.4, label="poses")
+    end = float(chi_square_quantile(0.999, found.dof))
+    ax.plot([0.0, end], [0.0, end], color=TRUTH, linewidth=0.8, linestyle="--", label="consistent")
+    factor = found.factor.value
+    ax.plot([0.0, end], [0.0, factor * end], color=CYCLE[1], linewidth=0.9, label=f"covariance times {factor:.2f}")
+    ax.set(xlim=(0.0, end), ylim=(0.0, 1.15 * max(end, factor * end)))
+    ax.set(xlabel=f"quantile of chi-square with {found.dof} degrees of freedom [1]", ylabel="quantile of NEES [1]")
+    ax.legend(frameon=False, loc="upper left", fontsize="small")
+
+
+def _some(count: int) -> Any:
+    """Indices of the points of a curve, from the first to the last."""
+    return np.unique(np.linspace(0, count - 1, _MOST_POINTS).astype(np.int64))
+
+
+def _seconds(run: Errors) -> Array:
+    return np.asarray((run.stamps_ns - run.stamps_ns[0]) * 1e-9)

@@ -18,8 +18,7 @@ from sixthsense.evaluation.tables import digits
 from sixthsense.figures.canvas import FigureError
 from sixthsense.figures.groups import group_figure
 from sixthsense.figures.plot import save
-from sixthsense.figures.report import Form
-from sixthsense.figures.report_page import contents, document, escaped, figure_block, flat_texts, metrics_rows, table
+from sixthsense.figures.report import Form, contents, document, escaped, figure_block, flat_texts, metrics_rows, table
 
 _FIGURES = {
     "error": "Errors of position and heading over time: median of the runs of a group, and the band of 10 to 90 %.",

@@ -18,7 +18,7 @@ from sixthsense.cli.options import OptionalValue, Options, Table, UsageError, ar
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.sources.scene_files import scene_file
-from sixthsense.view.target import LOOPBACK, VIEW_TARGETS, is_view_target
+from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
@@ -178,14 +178,14 @@ def show_end(run: Run, verbose: bool = False) -> int:
 
     The places that an exploration has left unseen are listed with the metrics.
     """
-    from sixthsense.evaluation.judgement import summary
+    from sixthsense.evaluation.summary import run_summary
 
     if verbose:
         print(run.metrics)
         for place in run.trace.left:
             print(f"left unseen: {_described(place)}")
         print()
-    for label, text in (summary(run.metrics) | dict(_left(run)) | dict(_files(run))).items():
+    for label, text in (run_summary(run.metrics) | dict(_left(run)) | dict(_files(run))).items():
         print(f"{label:12} {text}")
     print(f"written to {run.folder}/")
     return EXIT_CODES.get(run.outcome, FAILED)

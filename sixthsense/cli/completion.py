@@ -11,7 +11,7 @@ from sixthsense.cli import COMMANDS, DONE
 from sixthsense.cli.help import Option, command_class, config_options, own_options
 from sixthsense.cli.options import Options, UsageError, parse, positional
 from sixthsense.config import PRESETS, Config
-from sixthsense.config.suggestion import allowed_names, nearest
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.sources.scene_files import shipped_scenes
 
 SHELLS = ("bash", "zsh", "fish")

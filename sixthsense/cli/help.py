@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 from sixthsense.cli.options import Options, Shown, UsageError, notes_of, option_types, unwrapped
 from sixthsense.config import Section, preset
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.names import Names
 from sixthsense.config.section import Range, field_texts, shown
-from sixthsense.config.suggestion import allowed_names, nearest
 
 EVERYTHING = "all"
 """the topic that is the complete help"""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from sixthsense.cli import DONE
 from sixthsense.cli.common import announce, numbered
 from sixthsense.cli.options import OptionalValue, Options, UsageError, arg, parse, positional
+from sixthsense.config.section import checked
 
 if TYPE_CHECKING:
     from sixthsense.figures.report import Form
@@ -59,10 +60,10 @@ def command(args: list[str]) -> int:
         raise UsageError(f"--out: {out} exists, allowed: a new folder, or --overwrite")
     from sixthsense.evaluation.measured_run import check_folders
     from sixthsense.figures.animation import check_film
-    from sixthsense.figures.report import as_form, compact, report
+    from sixthsense.figures.report import Form, compact, report
     from sixthsense.figures.run import load
 
-    form = as_form(options.figures)
+    form: Form = checked("--figures", Form, options.figures)
     if any((Path(folder) / "campaign.toml").is_file() for folder in folders):
         return _report_campaign(options, "animate" in given, form)
     if "animate" in given:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from sixthsense.config.presets import preset
-from sixthsense.config.removed import REMOVED_PRESETS, without_removed
 from sixthsense.config.section import ConfigError, as_table, merge
-from sixthsense.config.toml import parse_toml
 from sixthsense.config.tree import Config
 from sixthsense.config.version import __version__
 
 _MAX_LENGTH = 1 << 23  # characters; stops reading of an endless file
+# The parser's time grows with the square of a dotted key's length: 24 kB of `a.a.a...` take eight seconds.
+_DEEP_KEY = re.compile(r"""(?<![\w"'-])(?:[\w"'-]+[ \t]*\.[ \t]*){20}""")
 
 NOTES = ("versions", "replayed", "prior_map")
 """tables of a saved configuration that inform a reader and are no settings"""
@@ -22,20 +24,13 @@ NOTES = ("versions", "replayed", "prior_map")
 def load_config(file: str | Path, base: Config | None = None, otherwise: str = "default") -> Config:
     """Read a TOML file, partial or whole, over `base`; without one over the preset it names, `otherwise` if none.
 
-    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed. A
-    field of an earlier version is ignored at its default.
+    Raises ConfigError for a file that cannot be read, is not TOML, or holds a field or value that is not allowed.
     """
     path = Path(file)
     table = read_table(path)
-    if "versions" in table:  # a saved configuration
-        if table.get("preset") in tuple(REMOVED_PRESETS):
-            del table["preset"]  # it has all values of its preset
-        if {"goal", "tour"} <= table.keys():
-            del table["tour" if table.get("task") == "goal" else "goal"]  # of a version that took both and used one
     for note in NOTES:
         table.pop(note, None)
     try:
-        table = without_removed(table)
         return merge(base or preset(table.get("preset", otherwise)), table)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
@@ -101,3 +96,15 @@ def prior_map_of(file: str | Path) -> dict[str, Any] | None:
     """What a valid configuration file says of the prior map of its run: name, digest and start; None without one."""
     note = read_table(file).get("prior_map")
     return dict(note) if isinstance(note, Mapping) else None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """The table of a TOML text; ValueError says in a few words why it is invalid."""
+    if _DEEP_KEY.search(text):
+        raise ValueError("is not usable TOML (found a key of over 20 parts)")
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ValueError(f"is not TOML ({error})") from None
+    except ValueError as error:  # Python's limit on the digits of an integer
+        raise ValueError(f"is not usable TOML ({str(error).split(';')[0]})") from None

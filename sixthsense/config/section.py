@@ -17,9 +17,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, TypeVar
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.names import Names
-from sixthsense.config.suggestion import allowed_names, nearest
 
 C = TypeVar("C", bound="Section")
 

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 
 from sixthsense.config import Config, as_table
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.section import shown
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
 from sixthsense.evaluation.curves import Curves, Over
 

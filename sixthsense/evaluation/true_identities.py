@@ -121,17 +121,16 @@ def identify(
     counts = [len(observation.bearings) for observation in observations]
     bearings = np.concatenate([np.empty(0), *(observation.bearings for observation in observations)])
     ranges, segment = hit_walls(T_world_laser, bearings, scene.segments, laser.config.max_range)
+    angles, reached = bearings + T_world_laser.theta, np.where(segment >= 0, ranges, 0.0)
+    hits = T_world_laser.position + reached[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     found = []
     for observation, past, count in zip(observations, np.cumsum(counts, dtype=np.int64).tolist(), counts, strict=True):
-        own = np.arange(past - count, past)
-        own = own[segment[own] >= 0]
-        angles = bearings[own] + T_world_laser.theta
-        hits = T_world_laser.position + ranges[own, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+        own = past - count + np.flatnonzero(segment[past - count : past] >= 0)
         on = scene.line_of[segment[own]]
         if not len(on):
             found.append(UNEXPLAINED)
         elif observation.is_wall:
-            found.append(_identify_wall(hits, on, count, T_world_laser, scene, laser))
+            found.append(_identify_wall(hits[own], on, count, T_world_laser, scene, laser))
         else:
             found.append(_identify_point(T_world_robot @ observation.z, on, T_world_laser, scene, laser))
     return found

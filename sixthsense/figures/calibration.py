@@ -27,24 +27,20 @@ def draw_observation_errors(ax: Any, errors: Array, name: str) -> None:
         mean = shown.mean(axis=0)
         ax.plot(*mean, marker="+", color=TRUTH, markersize=9, linestyle="none", zorder=4, label="sample mean")
         _frame(ax, max(float(np.abs(outline).max()), float(np.percentile(np.abs(shown), 99.5))))
-    ax.set_xlabel("forward error [mm]")
-    ax.set_ylabel("lateral error [mm]")
-    ax.set_title(f"{name}, {len(errors)} observations")
+    title = f"{name}, {len(errors)} observations"
+    ax.set(xlabel="forward error [mm]", ylabel="lateral error [mm]", title=title)
 
 
 def draw_propagation_errors(ax: Any, before: PropagationErrors, after: PropagationErrors) -> None:
     """Draw the whitened errors of forward motion and heading before and after calibration."""
     _draw_ellipse(ax, np.eye(2))
     for errors, color, marker, when in ((before, ODOMETRY, "x", "before"), (after, ESTIMATE, "o", "after")):
-        whitened = errors.whitened
+        forward, _, heading = errors.whitened.T
         label = f"{when}: NEES {errors.nees.mean():.2f}"
-        ax.scatter(
-            whitened[:, 0], whitened[:, 2], s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label
-        )
+        ax.scatter(forward, heading, s=12, color=color, marker=marker, linewidths=0.8, zorder=3, label=label)
     _frame(ax, max(4.0, float(np.abs(np.concatenate([before.whitened, after.whitened])[:, [0, 2]]).max())))
-    ax.set_xlabel("forward error [assumed sigmas]")
-    ax.set_ylabel("heading error [assumed sigmas]")
-    ax.set_title(f"odometry, {len(after.errors)} samples")
+    title = f"odometry, {len(after.errors)} samples"
+    ax.set(xlabel="forward error [assumed sigmas]", ylabel="heading error [assumed sigmas]", title=title)
 
 
 def _draw_ellipse(ax: Any, cov: Array) -> Array:
@@ -57,9 +53,8 @@ def _draw_ellipse(ax: Any, cov: Array) -> Array:
 
 def _frame(ax: Any, reach: float) -> None:
     """Show a square around zero."""
-    ax.set_xlim(-1.05 * reach, 1.05 * reach)
-    ax.set_ylim(-1.05 * reach, 1.05 * reach)
-    ax.set_aspect("equal")
+    limits = -1.05 * reach, 1.05 * reach
+    ax.set(xlim=limits, ylim=limits, aspect="equal")
     ax.locator_params(nbins=7)
 
 

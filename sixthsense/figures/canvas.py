@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.section import shown
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
 from sixthsense.figures.plot import draw_segments, label_plane, new_figure
 from sixthsense.sources.scene import Scene

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.extras import pandas
+from sixthsense.config.errors import InputError, pandas
 from sixthsense.config.section import shown
 from sixthsense.evaluation.groups import LABELS, RUN, Sample, Sampled, differing, fields_of, labelled, usual_grouping
 from sixthsense.evaluation.measured_run import numbered_names

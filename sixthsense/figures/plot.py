@@ -152,9 +152,7 @@ def draw_walkers(ax: Any, trace: Trace) -> None:
 
 def label_plane(ax: Any) -> None:
     """Label axes in metres and give them equal aspect."""
-    ax.set_aspect("equal")
-    ax.set_xlabel("x [m]")
-    ax.set_ylabel("y [m]")
+    ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
 
 
 def draw_map(ax: Any, trace: Trace) -> None:
@@ -172,24 +170,18 @@ def draw_map(ax: Any, trace: Trace) -> None:
         draw_segments(ax, found, label="detected walls", zorder=2, **style)
     for k, plan in enumerate(reversed(trace.plans)):
         # Earlier plans, each replaced by the next one, stay in the background.
-        style = (
-            {"linewidth": 1.0, "linestyle": "--", "label": "last planned path"}
-            if k == 0
-            else {"linewidth": 0.4, "alpha": 0.25}
-        )
-        ax.plot(plan[:, 0], plan[:, 1], color=PLAN, zorder=3, **style)
+        last = {"linewidth": 1.0, "linestyle": "--", "label": "last planned path"}
+        ax.plot(*plan.T, color=PLAN, zorder=3, **({"linewidth": 0.4, "alpha": 0.25} if k else last))
     draw_walkers(ax, trace)
-    odometry = _as_path(trace.odometry, trace)
-    ax.plot(odometry[:, 0], odometry[:, 1], color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
+    odometry = _as_path(trace.odometry, trace)[:, :2]
+    ax.plot(*odometry.T, color=ODOMETRY, linewidth=0.8, label="dead reckoning", zorder=3)
     has_final = len(found) == 0 and min(trace.last_key, default=-1) >= 0  # a keyframe before every scan
     estimates = trace.scan_poses() if has_final else np.array(trace.estimates).reshape(-1, 3)
     if trace.truths:
-        truth = _as_path(trace.truths, trace)
-        ax.plot(
-            truth[:, 0], truth[:, 1], color=TRUTH, linewidth=1.2, linestyle=(0, (4, 4)), label="true path", zorder=6
-        )
-    path = _as_path(estimates, trace)
-    ax.plot(path[:, 0], path[:, 1], color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=5)
+        style = {"linewidth": 1.2, "linestyle": (0, (4, 4)), "zorder": 6}
+        ax.plot(*_as_path(trace.truths, trace)[:, :2].T, color=TRUTH, label="true path", **style)
+    path = _as_path(estimates, trace)[:, :2]
+    ax.plot(*path.T, color=ESTIMATE, linewidth=1.4, label="estimated path", zorder=5)
     landmarks = trace.final.landmarks[~trace.final.walls]
     if len(trace.final.ids):
         draw_landmarks(ax, trace)
@@ -215,8 +207,7 @@ def _frame(ax: Any, points: list[Array]) -> None:
         slack = 0.15 * (inner.max(axis=0) - inner.min(axis=0)).max() + 0.5
         low, high = np.maximum(low, inner.min(axis=0) - slack), np.minimum(high, inner.max(axis=0) + slack)
     margin = 0.02 * (high - low).max()
-    ax.set_xlim(low[0] - margin, high[0] + margin)
-    ax.set_ylim(low[1] - margin, high[1] + margin)
+    ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
 
 
 def new_figure(width_in: float, height_in: float) -> Picture:

@@ -11,8 +11,7 @@ from functools import cache
 from importlib import import_module
 from typing import Any, NamedTuple
 
-from sixthsense.config.errors import InputError
-from sixthsense.config.extras import ExtraError
+from sixthsense.config.errors import ExtraError, InputError
 from sixthsense.config.section import shown
 
 _ROS_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -43,7 +42,6 @@ class Step:
     """the map as it is now; the next keyframe changes it"""
     moving: Moving = NOTHING_MOVES
     """returns of what moves; none where people are not expected"""
-    key_scan = OldName("key_scan", "keyframe")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,4 +72,3 @@ class SlamResult:
     """between keyframes, as the estimator has them, of a front end that makes them"""
     sensor: SensorEstimate | None = None
     """the parameters of the sensor of points, if they are estimated"""
-    revisits = OldName("revisits", "loop_closures")

@@ -15,8 +15,8 @@ from typing import Literal
 
 import numpy as np
 
+from sixthsense.config.files import parse_toml
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.config.toml import parse_toml
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.sources.scene_files import (
     Point,

@@ -12,9 +12,8 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from sixthsense.config.errors import InputError
+from sixthsense.config.errors import InputError, allowed_names, nearest
 from sixthsense.config.section import ConfigError, Range, Section, shown, shown_name
-from sixthsense.config.suggestion import allowed_names, nearest
 
 T = TypeVar("T")
 S = TypeVar("S", bound=Section)

@@ -1,1 +1,11 @@
-"""The live view of a run in a Rerun window, a browser or a file; the only package that imports Rerun."""
+"""The live view in Rerun, and what `--view` accepts."""
+
+from pathlib import Path
+
+LOOPBACK = "127.0.0.1"
+VIEW_TARGETS = "window, browser or FILE.rrd"
+
+
+def is_view_target(word: str) -> bool:
+    """Whether a word names a target of the view: window, browser, or an .rrd file."""
+    return word in ("window", "browser") or Path(word).suffix.lower() == ".rrd"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sixthsense.core.source import Tick
 from sixthsense.record.trace import Trace
+from sixthsense.view import LOOPBACK
 from sixthsense.view.drawing import Drawing
-from sixthsense.view.target import LOOPBACK
 from sixthsense.view.viewer import Viewer, check_view_target
 
 _PERIOD_S = 1.0  # shortest period of the map, in the source's time

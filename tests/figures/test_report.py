@@ -16,8 +16,7 @@ from sixthsense.config import preset
 from sixthsense.evaluation.results import Metrics
 from sixthsense.figures.animation import animate
 from sixthsense.figures.panels import KINDS
-from sixthsense.figures.report import report
-from sixthsense.figures.report_page import page
+from sixthsense.figures.report import page, report
 from sixthsense.figures.run import Run, load
 from sixthsense.record.trace import Trace
 

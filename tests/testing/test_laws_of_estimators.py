@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from laws import links
 
-from sixthsense.core import landmarks
 from sixthsense.slam.estimators import ekf, ekf_algebra, register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.estimators.isam2 import ISAM2
@@ -69,11 +68,12 @@ def test_an_initialization_with_another_covariance_is_found(kind, factor):
 
 
 def with_wrong_jacobian(name, kind, change):
-    """Takes a Jacobian of the observation model `predict` or of `initialize_landmark`, changed by `change`."""
-    honest = getattr(landmarks, name)
+    """Takes a Jacobian of the `expected` observations or of `initialize_landmark`, changed by `change`."""
+    module = ekf if name == "expected" else ekf_algebra
+    honest = getattr(module, name)
 
-    def wrong_prediction(pose, means, walls):
-        z, by_pose, by_landmark = honest(pose, means, walls)
+    def wrong_prediction(pose, means, point, anchors, walls, centres):
+        z, by_pose, by_landmark = honest(pose, means, point, anchors, walls, centres)
         for k in np.flatnonzero(walls == (kind == "walls")):
             change(by_pose[k], by_landmark[k])
         return z, by_pose, by_landmark
@@ -87,7 +87,7 @@ def with_wrong_jacobian(name, kind, change):
     class Sabotaged(EKF):
         def update(self, observations):
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(ekf_algebra, name, wrong_prediction if name == "predict" else wrong_initialization)
+                patch.setattr(module, name, wrong_prediction if name == "expected" else wrong_initialization)
                 super().update(observations)
 
     return Sabotaged
@@ -115,7 +115,7 @@ INITIALIZATION_ENTRIES = [
 
 @pytest.mark.parametrize(("kind", "entry"), PREDICTION_ENTRIES)
 def test_an_entry_of_an_observations_jacobian_that_is_half_is_found(kind, entry):
-    sabotaged = with_wrong_jacobian("predict", kind, times(0.5, *entry))
+    sabotaged = with_wrong_jacobian("expected", kind, times(0.5, *entry))
     other = KINDS[kind == "points"]
     assert breaks(sabotaged, DRIVEN.format(kind)) and breaks(sabotaged, ADDED.format(kind))
     assert not breaks(sabotaged, DRIVEN.format(other))

@@ -93,8 +93,7 @@ def answer(url: str, method: str = "GET", **headers: str) -> tuple[int, dict[str
 
 
 def test_a_server_on_all_addresses_shows_its_stream_to_a_browser_at_any_of_them():
-    from sixthsense.view.relay import hosts_of
-    from sixthsense.view.viewer import Viewer
+    from sixthsense.view.viewer import Viewer, hosts_of
 
     hosts = [host for host in hosts_of("0.0.0.0") if host[0] != "["]
     assert {"localhost", "127.0.0.1"} < set(hosts) and "0.0.0.0" not in hosts

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from sixthsense.config import RRTStarConfig
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.names import PLANNERS as NAMES
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.navigation.planners.base import Plan, Planner
 
 __all__ = ["PLANNERS", "Plan", "Planner", "PlannerFactory", "make_planner", "register_planner"]

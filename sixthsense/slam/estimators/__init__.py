@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from sixthsense.config import ISAM2Config
+from sixthsense.config.errors import allowed_names, nearest
 from sixthsense.config.names import ESTIMATORS as NAMES
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.slam.estimators.base import Estimate, Estimator, Filter, LandmarkPrior, Link, Smoother
 

@@ -13,9 +13,8 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config.errors import InputError, reason_of
+from sixthsense.config.errors import InputError, allowed_names, nearest, reason_of
 from sixthsense.config.section import shown_name
-from sixthsense.config.suggestion import allowed_names, nearest
 from sixthsense.core.geometry import Array
 from sixthsense.sources.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
 from sixthsense.sources.logs.text_lines import LARGEST, LogError, check_regular
