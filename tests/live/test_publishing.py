@@ -44,7 +44,7 @@ class Sent:
 
 def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
     sent = Sent()
-    with Commands(sent) as commands:
+    with Commands(sent.send) as commands:
         commands.send(Command(0.5, 0.0))
         while len(sent.commands) < 2:
             time.sleep(0.01)
