@@ -43,11 +43,11 @@ def cmd_vel(kind: str = TWIST) -> Topic:
 class Disturbance(NamedTuple):
     """What the network does to scans, as shares of them."""
 
-    late: float = 0.0
+    late: float
     """sent up to half a second late"""
-    lost: float = 0.0
+    lost: float
     """not sent"""
-    twice: float = 0.0
+    twice: float
     """sent twice"""
 
     def delays(self, rng: np.random.Generator) -> list[float]:

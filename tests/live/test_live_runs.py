@@ -4,15 +4,15 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from processes import start, wait_until
 
 import sixthsense as ss
 from sixthsense.cli import main
@@ -22,7 +22,6 @@ from sixthsense.sources.logs.ros_messages import stamp_ns
 
 pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
 
-PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
 DOMAIN = str(20 + os.getpid() % 40)
 
 
@@ -38,29 +37,15 @@ def _compiled() -> None:
     warm_up_scans()
 
 
-def listen() -> None:
-    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
 @contextmanager
 def process(*words: str) -> Iterator[subprocess.Popen[str]]:
     """A command on the tests' domain, killed at the end of the block if it still runs."""
-    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
-    started = subprocess.Popen([sys.executable, "-c", PROGRAM, *words, "--domain", DOMAIN], **piped)
+    started = start(*words, "--domain", DOMAIN)
     try:
         yield started
     finally:
         started.kill()
         started.communicate()
-
-
-def wait_until(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 240.0
-    while not is_so():
-        assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.02)
 
 
 def truth_of(file: Path) -> np.ndarray:

@@ -5,11 +5,10 @@ import os
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
+from processes import wait_until
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
@@ -52,13 +51,6 @@ MESSAGES = {
 }
 
 
-def wait_for(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 120.0
-    while not is_so():
-        assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.01)
-
-
 @pytest.mark.parametrize("name", MESSAGES)
 def test_the_structure_that_is_announced_has_the_bytes_that_are_sent(name):
     """Cyclone DDS encodes by the structure what `rosbags` encodes by the definition of ROS."""
@@ -72,12 +64,12 @@ def test_the_structure_that_is_announced_has_the_bytes_that_are_sent(name):
 
 def test_a_scan_comes_through_byte_by_byte(node):
     reader, writer = node.reader(SCAN._replace(quality=SENSOR)), node.writer(SCAN)
-    wait_for(lambda: writer.readers)
+    wait_until(lambda: writer.readers)
     sent = [MAKE.serialized(MAKE.scan(STAMP + k, a_scan()), LASER_SCAN) for k in range(20)]
     for data in sent:
         writer.send(data)
     got: list[bytes] = []
-    wait_for(lambda: got.extend(reader.take()) or len(got) == len(sent))
+    wait_until(lambda: got.extend(reader.take()) or len(got) == len(sent))
     assert [MessageReader().read(data, LASER_SCAN).header.stamp.nanosec for data in got] == [
         STAMP % 1_000_000_000 + k for k in range(20)
     ]
@@ -91,7 +83,7 @@ def test_who_comes_late_gets_the_last_map(node):
         writer.send(MAKE.serialized(MAKE.occupancy(STAMP, cells, (0.0, 0.0), 0.05), MAP.type))
     reader = node.reader(MAP)
     got: list[bytes] = []
-    wait_for(lambda: got.extend(reader.take()) or got)
+    wait_until(lambda: got.extend(reader.take()) or got)
     (only,) = got
     message = MAKE.store.deserialize_cdr(only, MAP.type)
     assert (message.info.width, message.info.height) == (300, 200) and set(message.data.tolist()) == {2}
@@ -101,10 +93,10 @@ def test_two_publishers_of_a_topic_are_refused(node):
     reader = node.reader(SCAN)
     check_one_publisher(reader)
     node.writer(SCAN)
-    wait_for(lambda: reader.publishers == 1)
+    wait_until(lambda: reader.publishers == 1)
     check_one_publisher(reader)
     node.writer(SCAN)
-    wait_for(lambda: reader.publishers == 2)
+    wait_until(lambda: reader.publishers == 2)
     with pytest.raises(NetworkError, match="/scan: found 2 publishers, allowed: one robot"):
         check_one_publisher(reader)
 
@@ -122,7 +114,7 @@ def test_two_publishers_of_a_topic_are_refused(node):
 def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
     for topic in topics:
         node.reader(topic)
-    wait_for(lambda: len(node.subscribers("/cmd_vel")) == len(topics))
+    wait_until(lambda: len(node.subscribers("/cmd_vel")) == len(topics))
     with pytest.raises(NetworkError, match=message):
         command_type(node, "/cmd_vel", False)
 
@@ -130,7 +122,7 @@ def test_a_robot_that_cannot_be_driven_alone_is_refused(node, topics, message):
 def test_a_second_simulator_finds_the_topics_of_the_first(node):
     check_alone(node, (SCAN, ODOM), (cmd_vel(),))
     node.reader(cmd_vel())
-    wait_for(lambda: node.subscribers("/cmd_vel"))
+    wait_until(lambda: node.subscribers("/cmd_vel"))
     with pytest.raises(NetworkError, match="/cmd_vel: found another subscriber"):
         check_alone(node, (SCAN, ODOM), (cmd_vel(),))
 
@@ -138,7 +130,7 @@ def test_a_second_simulator_finds_the_topics_of_the_first(node):
 def test_the_messages_of_two_publishers_are_told_apart(node):
     reader, data = node.reader(ODOM), MAKE.serialized(MESSAGES[ODOMETRY], ODOMETRY)
     writers = [node.writer(ODOM) for _ in range(2)]
-    wait_for(lambda: reader.publishers == 2)
+    wait_until(lambda: reader.publishers == 2)
     names: list[str] = []
     for count, writer in enumerate((writers[0], writers[1], writers[0]), start=1):
         writer.send(data)

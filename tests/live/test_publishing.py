@@ -3,6 +3,7 @@
 import time
 
 import numpy as np
+from processes import wait_until
 
 import sixthsense as ss
 from sixthsense.core.source import Command, Tick
@@ -46,8 +47,7 @@ def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
     sent = Sent()
     with Commands(sent.send) as commands:
         commands.send(Command(0.5, 0.0))
-        while len(sent.commands) < 2:
-            time.sleep(0.01)
+        wait_until(lambda: len(sent.commands) == 2)
         assert sent.commands[1][1] == 0.0 and commands.stalls == 1
         assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
         commands.send(Command(0.5, 0.0))

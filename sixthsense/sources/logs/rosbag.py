@@ -17,10 +17,9 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
-from sixthsense.sources.logs.laser_geometry import described, max_range_of
+from sixthsense.sources.logs.laser_geometry import FARTHEST_M, described, max_range_of
 from sixthsense.sources.logs.log import Log, found_turns, pose_between, remarks_on
 from sixthsense.sources.logs.ros_messages import (
-    FARTHEST_M,
     LASER_SCAN,
     ODOMETRY,
     checked_stamp,
