@@ -33,7 +33,7 @@ Cell = tuple[int, int]
 def nearest_frontier_travel(config: Config, share: float) -> float:
     """Length, m, of a way by nearest frontiers that shows a share of the visible area, and home; NaN if none does."""
     scene = load_scene(config.scene, config.map_unknown)
-    start, _, radius_m = mission(scene, config)
+    _, start, _, radius_m, _ = mission(scene, config)
     region = config.region or scene.region
     area = visible_area(scene.walls, region, (start.x, start.y), radius_m, config.laser.max_range, CELL_M)
     solid = occupied(scene.walls, np.array(area.origin), area.cell_m, area.mask.shape)

@@ -71,17 +71,13 @@ def run(
         cannot be written; a prior map that is damaged, or of another building.
 
     """
-    from sixthsense.sources.mission import mission, with_people
-    from sixthsense.sources.scene import load_scene
+    from sixthsense.sources.mission import mission_of
 
     given = _register_custom(fields)
     prior = _prior_start(prior_map, given)
-    config = with_task(_of_scene(scene, given), given)
-    loaded = load_scene(config.scene, config.map_unknown)
-    config = with_people(loaded, config)
-    mission(loaded, config)
+    config, task = mission_of(with_task(_of_scene(scene, given), given))
     with reserved(out, config, overwrite, prior=prior) as folder:
-        return simulate(config, loaded, folder, _watch(on_tick, progress), prior)
+        return simulate(config, task, folder, _watch(on_tick, progress), prior)
 
 
 def replay(

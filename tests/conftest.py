@@ -1,10 +1,12 @@
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import hypothesis
 import pytest
 
 import sixthsense as ss
+from sixthsense.cli import BAD_INPUT, main
 from sixthsense.running.warmup import warm_up
 
 # Before NumPy is imported: the matrices of the tests are small, and each worker of xdist has one core.
@@ -35,6 +37,22 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder.mkdir()
     monkeypatch.chdir(folder)
     return folder
+
+
+@pytest.fixture
+def complaint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """What a command says to bad input: one line, here without the program's name; it writes nothing."""
+
+    def said(*words: object, writes_nothing: bool = True) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        capsys.readouterr()
+        assert main([str(word) for word in words]) == BAD_INPUT
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
+        assert not writes_nothing or sorted(tmp_path.rglob("*")) == before
+        return err.removeprefix("sixthsense: ").strip()
+
+    return said
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
         if before.get(name) != now.get(name):
             old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
             raise CampaignError(f"--out: {folder} is a campaign with {name} = {old}, found {new}, {allowed}")
-    for scene in campaign.scenes:
+    for scene in campaign.values["scene"]:
         if saved["scenes"].get(scene, digest := scene_digest(scene)) != digest:
             raise CampaignError(f"--out: the scene {scene} has changed since {folder} was created, {allowed}")
     return saved
@@ -95,7 +95,7 @@ def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] |
     import tomli_w
 
     axes = campaign.axes()
-    scenes = {scene: scene_digest(scene) for scene in campaign.scenes}
+    scenes = {scene: scene_digest(scene) for scene in campaign.values["scene"]}
     if saved is not None:
         seeds = [seed for text in saved["axes"]["seeds"] for seed in seed_range(text)]
         axes = {axis: list(dict.fromkeys([*saved["axes"][axis], *values])) for axis, values in axes.items()}
@@ -151,7 +151,7 @@ def _typed_fields(campaign: CampaignPlan) -> dict[str, Any]:
             if name in table
         }
 
-    return select(as_table(merge(preset(campaign.presets[0]), campaign.fields, "--")), campaign.fields)
+    return select(as_table(merge(preset(campaign.values["preset"][0]), campaign.fields, "--")), campaign.fields)
 
 
 def _plain(value: Any) -> Any:

@@ -40,14 +40,8 @@ def import_extra(module: str) -> Any:
 class CampaignPlan:
     """The axes of a campaign, each with at least one value, and the fields that its runs share."""
 
-    scenes: tuple[str, ...]
-    """shipped names, or files"""
-    estimators: tuple[str, ...]
-    """back ends"""
-    presets: tuple[str, ...]
-    """presets, which the shared fields override"""
-    planners: tuple[str, ...]
-    """path planners"""
+    values: Mapping[str, tuple[str, ...]]
+    """of each of `AXES`; scenes are shipped names or files"""
     seeds: tuple[int, ...]
     """without duplicates"""
     fields: Mapping[str, Any]
@@ -55,7 +49,7 @@ class CampaignPlan:
 
     def axes(self) -> dict[str, list[str]]:
         """The values of each axis as lists of texts; seeds as ranges."""
-        return {**{axis: list(getattr(self, f"{axis}s")) for axis in AXES}, "seeds": ranges(self.seeds)}
+        return {**{axis: list(self.values[axis]) for axis in AXES}, "seeds": ranges(self.seeds)}
 
     def settings(self) -> list[Config]:
         """The configuration of every combination of the axes but the seed, with seed 0.
@@ -65,14 +59,14 @@ class CampaignPlan:
         from sixthsense.sources.mission import mission, with_people
         from sixthsense.sources.scene import load_scene
 
-        bases = [merge(preset(name), self.fields, "--") for name in self.presets]
+        bases = [merge(preset(name), self.fields, "--") for name in self.values["preset"]]
         found = []
-        for scene in self.scenes:
+        for scene in self.values["scene"]:
             loaded = load_scene(scene, bases[0].map_unknown)
             for base in bases:
                 at_scene = with_people(loaded, dataclasses.replace(base, scene=scene))
                 mission(loaded, at_scene)
-                for planner, estimator in itertools.product(self.planners, self.estimators):
+                for planner, estimator in itertools.product(self.values["planner"], self.values["estimator"]):
                     names = {"planner": planner, "estimator": estimator, "seed": 0}
                     found.append(merge(at_scene, names, "--"))
         return found
@@ -102,7 +96,7 @@ def plan(campaign: CampaignPlan) -> dict[str, PlannedRun]:
 
     Raises CampaignError for too many runs, and the errors of `CampaignPlan.settings`.
     """
-    count = math.prod(len(getattr(campaign, f"{axis}s")) for axis in (*AXES, "seed"))
+    count = math.prod(map(len, (*campaign.values.values(), campaign.seeds)))
     if count > MOST_RUNS:
         raise CampaignError(f"campaign: found {count} runs, allowed: at most {MOST_RUNS}")
     tables = [(setting, as_table(setting)) for setting in campaign.settings()]
@@ -183,6 +177,6 @@ def campaign_of(axes: Mapping[str, Iterable[str]], seeds: Iterable[int], *tables
 
     Files of scenes are taken by their absolute paths, so that names do not depend on the working folder.
     """
-    scenes, estimators, presets, planners = (tuple(dict.fromkeys(axes[axis])) for axis in AXES)
-    files = tuple(dict.fromkeys(str(absolute(scene)) if Path(scene).suffix else scene for scene in scenes))
-    return CampaignPlan(files, estimators, presets, planners, tuple(dict.fromkeys(seeds)), shared_fields(*tables))
+    scenes = (str(absolute(scene)) if Path(scene).suffix else scene for scene in axes["scene"])
+    values = {axis: tuple(dict.fromkeys(scenes if axis == "scene" else axes[axis])) for axis in AXES}
+    return CampaignPlan(values, tuple(dict.fromkeys(seeds)), shared_fields(*tables))

@@ -25,17 +25,13 @@ def command(args: list[str]) -> int:
     config = options.settings_of_scene(flags)
     from sixthsense.api import with_task
     from sixthsense.running.runs import Watch, simulate
-    from sixthsense.sources.mission import mission, with_people
-    from sixthsense.sources.scene import load_scene
+    from sixthsense.sources.mission import mission_of
 
     prior = options.prior_start()
-    config = with_task(config, flags, "--")
-    scene = load_scene(config.scene, config.map_unknown)
-    config = with_people(scene, config)
-    mission(scene, config)
+    config, task = mission_of(with_task(config, flags, "--"))
     with (
-        run_folder(options, config, f"{scene.name}-{config.estimator}", prior=prior) as folder,
+        run_folder(options, config, f"{task.scene.name}-{config.estimator}", prior=prior) as folder,
         live_view(options) as hooks,
     ):
         watch = Watch(hooks, realtime=options.realtime, say=announce)
-        return show_end(simulate(config, scene, folder, watch, prior), options.verbose)
+        return show_end(simulate(config, task, folder, watch, prior), options.verbose)

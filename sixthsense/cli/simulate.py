@@ -44,23 +44,20 @@ def command(args: list[str]) -> int:
     from sixthsense.live.simulated import Disturbance, SimulatedRobot, drive_by_commands
     from sixthsense.running.runs import Watch, simulate
     from sixthsense.running.warmup import prepare
-    from sixthsense.sources.mission import mission
-    from sixthsense.sources.scene import load_scene
+    from sixthsense.sources.mission import mission_of
 
     drives_itself = bool({"task", "goal", "tour"} & set(flags))
-    config = with_task(config, flags, "--")
-    scene = load_scene(config.scene, config.map_unknown)
-    mission(scene, config)
+    config, task = mission_of(with_task(config, flags, "--"))
     disturbance = Disturbance(options.late, options.lost, options.twice)
     commands = TWIST_STAMPED if options.cmd_vel_stamped else TWIST
     with SimulatedRobot(network, config, disturbance, None if drives_itself else commands) as robot:
         prepare(announce)
         robot.begin(options.truth)
-        announce(f"a robot in {scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
+        announce(f"a robot in {task.scene.name} sends /scan and /odom, domain {network.domain}; Ctrl-C ends it")
         if drives_itself:
-            outcome = simulate(config, scene, None, Watch((robot.on_tick,), False, realtime=True)).outcome
+            outcome = simulate(config, task, None, Watch((robot.on_tick,), False, realtime=True)).outcome
         else:
-            outcome = drive_by_commands(robot, config, scene, options.timeout)
+            outcome = drive_by_commands(robot, config, task, options.timeout)
     print(f"collisions: {int(outcome == 'collided')}")
     print(robot.summary())
     return EXIT_CODES.get(outcome, FAILED)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -84,14 +84,6 @@ def pose_covariance(trace: Trace) -> Array:
     return by_pose @ key.pose_cov @ by_pose.T + turned_covariance(since_cov, key.pose.theta)
 
 
-class Sender(Protocol):
-    """A writer of serialized messages."""
-
-    def send(self, data: bytes) -> None:
-        """Send a message."""
-        ...
-
-
 class Stamped(NamedTuple):
     """The header of commands that have one."""
 
@@ -104,11 +96,11 @@ class Stamped(NamedTuple):
 class Commands:
     """Sends commands; a thread of its own stops the robot if the loop stalls. A context manager that stops it, too."""
 
-    def __init__(self, writer: Sender, stamped: Stamped | None = None) -> None:
-        """Send to `writer`: messages of type TwistStamped if they are to be stamped, else Twist."""
+    def __init__(self, send: Callable[[bytes], object], stamped: Stamped | None = None) -> None:
+        """`send` takes serialized messages: of type TwistStamped if they are to be stamped, else Twist."""
         self.stalls = 0
         """how often the loop was too late"""
-        self._writer, self._stamped, self._messages = writer, stamped, Messages()
+        self._send, self._stamped, self._messages = send, stamped, Messages()
         self._lock = threading.Lock()
         self._is_moving = False
         self._sent_s = time.monotonic()
@@ -131,7 +123,7 @@ class Commands:
         """Send a command now."""
         data = self._serialized(command)
         with self._lock:
-            self._writer.send(data)
+            self._send(data)
             self._is_moving = command != Command()
             self._sent_s = time.monotonic()
 

@@ -18,8 +18,8 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
 from sixthsense.record.messages import Messages
+from sixthsense.sources.logs.laser_geometry import FARTHEST_M
 from sixthsense.sources.logs.ros_messages import (
-    FARTHEST_M,
     LASER_SCAN,
     ODOMETRY,
     frame_name,

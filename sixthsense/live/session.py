@@ -138,7 +138,7 @@ class Session:
                 kind = self._commands or TWIST
                 writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)
-                send = stack.enter_context(Commands(writer, clock if kind == TWIST_STAMPED else None)).send
+                send = stack.enter_context(Commands(writer.send, clock if kind == TWIST_STAMPED else None)).send
                 steering = Steering(ahead, send, lambda: writer.readers)
             self._wait = trace.stopwatch.waiting(self._node.wait)
             robot = LiveRobot(self._received, self._reader, self._laser, self.notices, trace, steering)

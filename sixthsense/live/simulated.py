@@ -13,7 +13,6 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.core.laser import sweep_ns
-from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import Endpoint, Network, Node
 from sixthsense.live.reading import TRANSFORMS, TWIST, MessageReader
@@ -22,10 +21,7 @@ from sixthsense.record.ending import tum_line
 from sixthsense.record.messages import LASER, ROBOT, Messages
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
-from sixthsense.sources.mission import mission
-from sixthsense.sources.scene import Scene
-from sixthsense.sources.walkers import walkers_of
-from sixthsense.sources.world import World
+from sixthsense.sources.mission import Mission
 
 SCAN = Topic("/scan", LASER_SCAN, RELIABLE)
 ODOM = Topic("/odom", ODOMETRY, RELIABLE._replace(depth=50))
@@ -43,11 +39,11 @@ def cmd_vel(kind: str = TWIST) -> Topic:
 class Disturbance(NamedTuple):
     """What the network does to scans, as shares of them."""
 
-    late: float = 0.0
+    late: float
     """sent up to half a second late"""
-    lost: float = 0.0
+    lost: float
     """not sent"""
-    twice: float = 0.0
+    twice: float
     """sent twice"""
 
     def delays(self, rng: np.random.Generator) -> list[float]:
@@ -134,14 +130,12 @@ class SimulatedRobot:
         return f"scans sent: {self._sent}"
 
 
-def drive_by_commands(robot: SimulatedRobot, config: Config, scene: Scene, timeout_s: float) -> str:
+def drive_by_commands(robot: SimulatedRobot, config: Config, task: Mission, timeout_s: float) -> str:
     """Let a robot be driven by the commands that it gets, each for at most a time; returns how it ended.
 
     That is "collided", "time is up" after `config.max_time`, or "interrupted".
     """
-    start, _, radius_m = mission(scene, config)
-    walkers, rng = walkers_of(scene, config, start, radius_m), random_streams(config.seed).world
-    world = World(scene.walls, start, radius_m, config, rng, scene.glass, walkers)
+    world = task.world(config)
     period_s = config.robot.control_period_s
     command, commanded_s = Command(), time.monotonic()
     began_s, ticks = time.monotonic(), 0

@@ -23,10 +23,9 @@ from sixthsense.record.trace import Live, Stopwatch, Trace
 from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
 from sixthsense.slam.slam import Slam, Step
 from sixthsense.sources.logs.log import Log, Relations, RewindableSource
-from sixthsense.sources.mission import mission, with_people
+from sixthsense.sources.mission import Mission, mission_of
 from sixthsense.sources.replay_input import recorded_scene
-from sixthsense.sources.scene import Scene, load_scene
-from sixthsense.sources.walkers import walkers_of
+from sixthsense.sources.scene import Scene
 from sixthsense.sources.world import World
 
 OnTick = Callable[[Tick, Trace], None]
@@ -122,21 +121,24 @@ class Recorder:
 
 
 def run(
-    config: Config, on_tick: OnTick | None = None, scene: Scene | None = None, prior: PriorStart | None = None
+    config: Config,
+    on_tick: OnTick | None = None,
+    scene: Scene | Mission | None = None,
+    prior: PriorStart | None = None,
 ) -> Trace:
     """Simulate `config.scene` and drive its task.
 
-    `scene` is that scene where it is loaded already; `on_tick` is called after every tick with it and the trace so far.
+    `scene` is that scene where it is loaded already, or the mission there where it has been checked, which is that of
+    one run alone. `on_tick` is called after every tick with it and the trace so far.
     With `prior` the robot begins with the map of an earlier run; the true start is that of scene and configuration.
     Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal, ConfigError
     and PriorMapError for a prior map that cannot be used.
     """
-    scene = scene or load_scene(config.scene, config.map_unknown)
-    config = with_people(scene, config)
-    start, goals, radius_m = mission(scene, config)
+    if not isinstance(scene, Mission):
+        config, scene = mission_of(config, scene)
+    source: Source = scene.world(config)
+    scene, start, goals, radius_m, _ = scene
     streams = random_streams(config.seed)
-    walkers = walkers_of(scene, config, start, radius_m)
-    source: Source = World(scene.walls, start, radius_m, config, streams.world, scene.glass, walkers)
     region = config.region or scene.region
     believed = start if prior is None or prior.pose is None else prior.pose
     if prior is not None and prior.is_lost:

@@ -12,12 +12,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
+import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import ControlTicks, Tick
-from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, quaternion
+from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, pose_numbers
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import naming
 from sixthsense.sources.logs.ros_messages import CLOUD
@@ -40,6 +40,7 @@ _TYPES = {**TOPICS, TOUR: TOPICS["/plan"], OBSERVATIONS: CLOUD}
 _FILE = "bag_0.mcap"
 _CHUNK_S = 0.5  # of wall time; the longest part that a killed run loses
 _CHUNK_BYTES = 1 << 20
+_MARKS = (-2.345e30, -1.234e30)  # between them are numbers that stand nowhere else in a message
 # Reliable and transient local: late subscribers receive the mount, too.
 _LATCHED_QOS = """\
 - history: 1
@@ -80,11 +81,10 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         for topic in TOPICS:
             self._register(topic)
-        odometry, truth = self._messages.odometry(0, Pose(), None), self._messages.pose_stamped(0, Pose())
-        self._forms = {
-            "/odom": self._pose_form("/odom", odometry, odometry.pose.pose),
-            "/truth": self._pose_form("/truth", truth, truth.pose),
-        }
+        make, marked = self._messages, Pose(*_MARKS, 1.0)
+        messages = {"/odom": make.odometry(0, marked, None), "/truth": make.pose_stamped(0, marked)}
+        marks = np.array(pose_numbers((*_MARKS, 1.0)))
+        self._forms = {name: MessageForm(make.serialized(one, TOPICS[name]), marks) for name, one in messages.items()}
         self._scan_form: tuple[tuple[Any, ...], MessageForm] | None = None  # with the laser that it is of
         self._counts: Counter[str] = Counter()
         self._first_ns = self._last_ns = 0
@@ -190,20 +190,7 @@ class BagWriter:
 
     def _write_pose(self, topic: str, stamp_ns: int, pose: Sequence[float]) -> None:
         """Write a tick's pose, x, y and heading."""
-        x, y, theta = pose
-        self._add(topic, stamp_ns, self._forms[topic].fill(stamp_ns, (x, y, 0.0, 0.0, 0.0, *quaternion(theta))))
-
-    def _pose_form(self, topic: str, message: Any, pose: Any) -> MessageForm:
-        """The form of a message of which `pose`, a part of it, changes."""
-
-        def serialized(numbers: NDArray[Any]) -> bytes:
-            for part, names in ((pose.position, "xyz"), (pose.orientation, "xyzw")):
-                for name in names:
-                    setattr(part, name, numbers[0])
-                    numbers = numbers[1:]
-            return self._messages.serialized(message, TOPICS[topic])
-
-        return MessageForm(7, "<f8", serialized)
+        self._add(topic, stamp_ns, self._forms[topic].fill(stamp_ns, pose_numbers(pose)))
 
     def _scan(self, stamp_ns: int, scan: Scan, log_stamp_s: float | None) -> bytes:
         """A scan's message: of those from one laser only stamps and ranges differ."""
@@ -212,13 +199,9 @@ class BagWriter:
         header_ns = begin if log_stamp_s is None else round(Fraction(log_stamp_s) * 1_000_000_000)
         laser = (scan.angle_min, scan.angle_increment, scan.time_increment, scan.max_range, len(scan.ranges))
         if self._scan_form is None or laser != self._scan_form[0]:
-            name = TOPICS["/scan"]
-            form = MessageForm(
-                len(scan.ranges),
-                "<f4",
-                lambda ranges: make.serialized(make.scan(0, dataclasses.replace(scan, ranges=ranges)), name),
-            )
-            self._scan_form = laser, form
+            marks = np.linspace(*_MARKS, len(scan.ranges), dtype=np.float32)
+            message = make.scan(0, dataclasses.replace(scan, ranges=marks))
+            self._scan_form = laser, MessageForm(make.serialized(message, TOPICS["/scan"]), marks)
         return self._scan_form[1].fill(header_ns, scan.ranges)
 
     def _write_metadata(self) -> None:

@@ -125,9 +125,9 @@ def write_graph(folder: Path, graph: FactorGraph, links: PoseLinks = NO_LINKS) -
     lines = [f"VERTEX_SE2 {k} {_row(pose)}" for k, pose in enumerate(graph.poses)]
     lines += [f"VERTEX_XY {first + j} {_row(xy)}" for j, xy in enumerate(graph.landmarks)]
     upper = np.triu_indices(3)
-    for k, (motion, cov) in enumerate(zip(graph.motions, graph.motion_covs, strict=True)):
-        lines.append(f"EDGE_SE2 {k} {k + 1} {_row(motion)} {_row(_information(cov)[upper])}")
-    for (k, j), motion, cov in zip(*links, strict=True):
+    steps = ((k, k + 1) for k in range(len(graph.motions)))
+    edges = (*zip(steps, graph.motions, graph.motion_covs, strict=True), *zip(*links, strict=True))
+    for (k, j), motion, cov in edges:
         lines.append(f"EDGE_SE2 {k} {j} {_row(motion)} {_row(_information(cov)[upper])}")
     rows = zip(graph.observation_of, graph.bearing_range, graph.bearing_range_covs, strict=True)
     for (k, j), polar, cov in rows:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -142,11 +142,10 @@ class MessageForm:
     Of so many messages that differ in nothing else, none is made of its dozen objects.
     """
 
-    def __init__(self, count: int, kind: str, serialized: Callable[[NDArray[Any]], bytes]) -> None:
-        """Take the form of `serialized(numbers)`, little-endian CDR, of `count` numbers of a type such as <f4."""
-        marks = np.linspace(-2.345e30, -1.234e30, count, dtype=kind)  # numbers that stand nowhere else
-        self._data, self._type = serialized(marks), marks.dtype
-        self._begin = self._data.index(marks.tobytes())
+    def __init__(self, data: bytes, marks: NDArray[Any]) -> None:
+        """Take the form of a message in little-endian CDR, in which `marks` stand, numbers that stand nowhere else."""
+        self._data, self._type = data, marks.dtype
+        self._begin = data.index(marks.tobytes())
         self._end = self._begin + marks.nbytes
 
     def fill(self, stamp_ns: int, numbers: ArrayLike) -> bytes:
@@ -155,6 +154,12 @@ class MessageForm:
         _STAMP.pack_into(data, _STAMP_AT, *seconds_and_nanoseconds(stamp_ns))
         data[self._begin : self._end] = np.asarray(numbers, dtype=self._type).tobytes()
         return bytes(data)
+
+
+def pose_numbers(pose: Sequence[float]) -> tuple[float, ...]:
+    """The seven numbers of a geometry_msgs/Pose at x, y and heading, in their order in it."""
+    x, y, theta = pose
+    return x, y, 0.0, 0.0, 0.0, *quaternion(theta)
 
 
 def quaternion(theta: float) -> tuple[float, float]:

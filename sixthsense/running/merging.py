@@ -17,7 +17,7 @@ from sixthsense.core.source import Tick
 from sixthsense.figures.run import Run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
-from sixthsense.running.runs import QUIET, Watch, replay_log
+from sixthsense.running.runs import Watch, replay_log
 from sixthsense.slam.relocalization import Relocalizer
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log, read_relations
@@ -33,12 +33,10 @@ class MergeError(InputError):
     """Two runs that cannot be merged, in one line."""
 
 
-def open_merged(
-    first: Path, second: Path, config: Config | None = None, relations: str | Path | None = None
-) -> Recorded:
+def open_merged(first: Path, second: Path, config: Config | None, relations: str | Path | None) -> Recorded:
     """The folders of two runs as one log, with `relations` to evaluate its replay; errors as of `merged_log`.
 
-    `config` is by default that of the first run. Scans are aligned, whatever front end and estimator it names.
+    Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names.
     """
     settings = [config or load_config(first / "config.toml"), load_config(second / "config.toml")]
     one, other = (open_recorded(run, _aligning(own)) for run, own in zip((first, second), settings, strict=True))
@@ -83,7 +81,7 @@ def merged_log(first: Recorded, second: Recorded) -> Recorded:
     return Recorded(f"{first.name}-{second.name}", log, first.config, None, files, notes)
 
 
-def replay_merged(merged: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET) -> Run:
+def replay_merged(merged: Recorded, folder: RunFolder | None, watch: Watch) -> Run:
     """Replay a merged log, as `replay_log`; raises MergeError if the second run could not be linked to the first.
 
     Where no link was made, the pose stays as uncertain as the place where the second run was found. Nothing is left of

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
     from sixthsense.slam.prior_map import PriorStart
+    from sixthsense.sources.mission import Mission
     from sixthsense.sources.replay_input import Recorded
     from sixthsense.sources.scene import Scene
 
@@ -64,23 +65,26 @@ def reserved(
 
 def simulate(
     config: Config,
-    scene: Scene | None = None,
+    scene: Scene | Mission | None = None,
     folder: RunFolder | None = None,
     watch: Watch = QUIET,
     prior: PriorStart | None = None,
 ) -> Run:
-    """Simulate `config.scene`, which is `scene` if it is loaded already, and keep the run in `folder`, if there is one.
+    """Simulate `config.scene`, with `scene` as of `loop.run`, and keep the run in `folder`, if there is one.
 
     With `prior` the robot begins with the map of an earlier run. Raises SceneError for a scene, start or goal that will
     not do; ConfigError and PriorMapError for a prior map that will not; OSError, naming the file, for one that cannot
     be written.
     """
     from sixthsense import loop
-    from sixthsense.sources.scene import load_scene
+    from sixthsense.sources.mission import Mission, mission_of
 
-    there = scene or load_scene(config.scene, config.map_unknown)
-    bar = Progress(f"{there.name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
-    return _watched(lambda hook: loop.run(config, hook, there, prior), there.name, config, bar, folder, watch)
+    task = scene
+    if not isinstance(task, Mission):
+        config, task = mission_of(config, task)
+    name = task.scene.name
+    bar = Progress(f"{name}, {config.task}", config.max_time, watch.realtime, watch.progress, seen_area)
+    return _watched(lambda hook: loop.run(config, hook, task, prior), name, config, bar, folder, watch)
 
 
 def replay_log(

@@ -49,9 +49,10 @@ def prepare(say: Callable[[str], object], config: Config | None = None, of_log: 
     if is_first:
         say(COMPILING)
     if config is None or not of_log or config.front_end != "scan-matching":
-        _warm_up_once(is_first)
+        # The first time all of it, since a compilation is announced; else a run loads what measures it at its end.
+        warm_up() if is_first else _warm_up_drive()
     if config is not None and "scan-matching" in (config.front_end, config.association.proposed_by):
-        _warm_up_scans_once()
+        warm_up_scans()
 
 
 def is_compiled() -> bool:
@@ -64,19 +65,6 @@ def is_compiled() -> bool:
 
 
 @functools.cache
-def _warm_up_once(is_first: bool) -> None:
-    """The first time all of it, since a compilation is announced; else a run loads what measures it at its end."""
-    if is_first:
-        warm_up()
-    else:
-        _warm_up_drive()
-
-
-@functools.cache
-def _warm_up_scans_once() -> None:
-    warm_up_scans()
-
-
 def warm_up() -> None:
     """Compile the hot loops, or load them compiled, so that the first keyframe is as quick as the rest."""
     from sixthsense.evaluation.measure import measure  # here, since a run that begins need not wait for it
@@ -84,6 +72,7 @@ def warm_up() -> None:
     measure(_warm_up_drive())
 
 
+@functools.cache
 def _warm_up_drive() -> Trace:
     """The hot loops of a run, without those that measure it at its end; a run of 3 s."""
     gc.freeze()  # the collections to come need not walk what the imports before have made
@@ -131,6 +120,7 @@ def _keep_imports() -> None:
         atexit.register(gc.unfreeze)
 
 
+@functools.cache
 def warm_up_scans() -> None:
     """Compile the hot loops of scan matching, or load them compiled: tracking, links and loop closures."""
     # Here, so that runs with landmarks do not load them.

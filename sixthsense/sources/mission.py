@@ -1,9 +1,10 @@
-"""Start, goals and robot radius of a task in a scene."""
+"""A task in a scene: start, goals, the robot's radius and who is about."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +12,46 @@ from scipy.ndimage import distance_transform_edt, label
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.sources.scene import Scene, SceneError, check_placement
-from sixthsense.sources.walkers import walkers_of
+from sixthsense.core.random_streams import random_streams
+from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene
+from sixthsense.sources.walkers import Walkers, walkers_of
+from sixthsense.sources.world import World
 
 _CELL_M = 0.05
 _SLACK_CELLS = 1.5
 """of a distance between cells, so that no place is called unreachable that is not"""
 
 
-def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
-    """Start, goals (N, 2) and robot radius of a task, from the configuration or else from the scene.
+class Mission(NamedTuple):
+    """A task in a scene, of one run: its people walk."""
 
-    An exploration has no goals.
+    scene: Scene
+    start: Pose
+    """`T_world_robot`"""
+    goals: Array
+    """(N, 2); an exploration has none"""
+    radius_m: float
+    """of the robot"""
+    walkers: Walkers | None
+
+    def world(self, config: Config) -> World:
+        """The simulated world at the start."""
+        rng = random_streams(config.seed).world
+        return World(self.scene.walls, self.start, self.radius_m, config, rng, self.scene.glass, self.walkers)
+
+
+def mission_of(config: Config, scene: Scene | None = None) -> tuple[Config, Mission]:
+    """The mission in `config.scene`, which is `scene` if it is loaded already; the configuration with its people.
+
+    Raises SceneError for a scene that cannot be loaded, and as `mission`.
+    """
+    scene = scene or load_scene(config.scene, config.map_unknown)
+    config = with_people(scene, config)
+    return config, mission(scene, config)
+
+
+def mission(scene: Scene, config: Config) -> Mission:
+    """The task of a configuration in a scene, which has what the configuration does not say.
 
     Raises SceneError, naming the field, for a place that is missing, outside the region or too close to a wall, for a
     goal that no way leads to, for a start outside region and building from which the laser reaches no wall, and for
@@ -50,8 +79,7 @@ def mission(scene: Scene, config: Config) -> tuple[Pose, Array, float]:
     goals = np.array(tour if goal is None else (goal,), dtype=np.float64).reshape(-1, 2)
     radius_m = config.robot.radius or scene.radius
     _check_ways(scene, start, goals, radius_m, "goal" if config.task == "goal" else "tour")
-    walkers_of(scene, config, start, radius_m)  # whether there is room for them
-    return start, goals, radius_m
+    return Mission(scene, start, goals, radius_m, walkers_of(scene, config, start, radius_m))
 
 
 def with_people(scene: Scene, config: Config) -> Config:

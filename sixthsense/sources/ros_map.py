@@ -57,7 +57,7 @@ class _Map(Section):
             raise ConfigError(f"free_thresh: found {self.free_thresh:g}, allowed: at most occupied_thresh")
 
 
-def read_map(file: Path, unknown: Literal["wall", "free"] = "wall") -> Array:
+def read_map(file: Path, unknown: Literal["wall", "free"]) -> Array:
     """The walls of a map_server map: (N, 2, 2) segments, metres, world frame, solid on the left.
 
     Cells are solid from `free_thresh` on, so that beams and robots do not leave a building through the holes in a

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import sixthsense as ss
-from sixthsense.campaigns import CampaignPlan, Rows, report, worker
+from sixthsense.campaigns import Rows, report, worker
 from sixthsense.campaigns.folder import save_folder
-from sixthsense.campaigns.plan import plan
+from sixthsense.campaigns.plan import campaign_of, plan
 from sixthsense.cli import main
 from sixthsense.evaluation.curves import Curves
 
@@ -20,7 +20,8 @@ SHORT = {"task": "tour", "max_time": 4.0}
 @pytest.fixture
 def done() -> ss.Campaign:
     """A folder as of two estimators over three seeds in two scenes, whose errors are made up."""
-    planned = CampaignPlan(("block", "loop"), ("ekf", "isam2"), ("worn",), ("astar",), (0, 1, 2), SHORT)
+    axes = {"scene": ["block", "loop"], "estimator": ["ekf", "isam2"], "preset": ["worn"], "planner": ["astar"]}
+    planned = campaign_of(axes, range(3), SHORT)
     save_folder(Path("mc"), planned, None)
     for key, run in plan(planned).items():
         error = np.full(20, 1.0 + run.seed + 10.0 * (run.setting.estimator == "isam2"))

@@ -30,15 +30,6 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def complaint(args: list[str], capsys: pytest.CaptureFixture[str], folder: Path) -> str:
-    before = sorted(folder.rglob("*"))
-    assert cli.main(args) == cli.BAD_INPUT
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith("sixthsense: ")
-    assert sorted(folder.rglob("*")) == before
-    return err.removeprefix("sixthsense: ").strip()
-
-
 def test_a_run_begins_with_the_map_and_the_next_with_its_map(first, here, capsys):
     rough = ("--pose", "-1.38", "-0.41", "0.01", "--pose-sigma", "0.02", "0.02", "0.01")
     assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), *rough, "--out", "second"]) == cli.DONE
@@ -65,35 +56,32 @@ def test_python_takes_the_same_options(first):
         ss.run("rectangle", pose=(0.0, 0.0, 0.0))
 
 
-def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, capsys):
+def test_a_map_of_another_building_ends_in_one_line_and_leaves_nothing(first, here, complaint):
     (here / "other.toml").write_text(OTHER)
-    line = complaint(["run", "other.toml", "--prior-map", str(first)], capsys, here)
+    line = complaint("run", "other.toml", "--prior-map", str(first))
     assert line.startswith("prior_map: found first, of which the first scan shows ")
 
 
 @pytest.mark.parametrize("name", ["landmarks.npz", "record.npz", "grid.npz", "config.toml"])
-def test_a_damaged_folder_ends_in_one_line_that_names_the_file(name, first, here, capsys, tmp_path):
+def test_a_damaged_folder_ends_in_one_line_that_names_the_file(name, first, complaint, tmp_path):
     damaged = tmp_path / "damaged"
     shutil.copytree(first, damaged)
     content = (damaged / name).read_bytes()
     (damaged / name).write_bytes(content[: len(content) // 2] + b"\0")
-    assert str(damaged / name) in complaint(["run", "rectangle", *SHORT, "--prior-map", str(damaged)], capsys, here)
+    assert str(damaged / name) in complaint("run", "rectangle", *SHORT, "--prior-map", str(damaged))
     if name in ("landmarks.npz", "record.npz"):
         (damaged / name).unlink()
-        line = complaint(["run", "rectangle", *SHORT, "--prior-map", str(damaged)], capsys, here)
+        line = complaint("run", "rectangle", *SHORT, "--prior-map", str(damaged))
         assert line == f"{damaged}: found no {name}, allowed: the folder of a run that has ended"
 
 
-def test_a_configuration_of_a_run_with_a_map_is_repeated_with_one(first, here, capsys):
+def test_a_configuration_of_a_run_with_a_map_is_repeated_with_one(first, here, complaint):
     assert cli.main(["run", "rectangle", *SHORT, "--prior-map", str(first), "--out", "second"]) == cli.DONE
-    capsys.readouterr()
-    line = complaint(["run", "--config", "second/config.toml"], capsys, here)
+    line = complaint("run", "--config", "second/config.toml")
     assert line.startswith(
         "--config: second/config.toml is of a run with the prior map first, allowed: with --prior-map"
     )
-    line = complaint(
-        ["campaign", "rectangle", "--seeds", "0:2", "--out", "c", "--config", "second/config.toml"], capsys, here
-    )
+    line = complaint("campaign", "rectangle", "--seeds", "0:2", "--out", "c", "--config", "second/config.toml")
     assert line.startswith("--config: second/config.toml is of a run with a prior map, allowed: ")
     assert cli.main(["run", "--config", "second/config.toml", "--prior-map", str(first), "--out", "one"]) == cli.DONE
     for file in ("estimate.tum", "landmarks.csv"):

@@ -3,13 +3,11 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from processes import start, wait_until
 
 import sixthsense as ss
 from sixthsense.record.folder import has_record, reason_not_a_run
@@ -17,26 +15,6 @@ from sixthsense.record.folder import has_record, reason_not_a_run
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
 ENDLESS = ("run", "rectangle", "--task", "tour", "--max-time", "1e6", "--out", "x")
-
-
-def listen() -> None:
-    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
-def start(*args: str, **options: object) -> subprocess.Popen[str]:
-    # As the installed script does it; with -m Python may end by the signal itself, which a shell shows as 130, too.
-    command = [sys.executable, "-c", "import sys; from sixthsense.cli import main; sys.exit(main())", *args]
-    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
-    return subprocess.Popen(command, **(piped | options))
-
-
-def wait_until(is_so: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60.0
-    while not is_so():
-        assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.02)
 
 
 def outcome(folder: Path) -> str:
@@ -92,7 +70,7 @@ def processes(word: str) -> list[int]:
 @pytest.mark.skipif(not Path("/proc/self/cmdline").is_file(), reason="needs /proc")
 def test_a_viewer_ends_with_its_run_even_if_that_is_killed(here):
     pytest.importorskip("rerun")
-    process = start(*ENDLESS, "--view", "browser", stderr=subprocess.PIPE)
+    process = start(*ENDLESS, "--view", "browser")
     assert process.stderr is not None
     page = process.stderr.readline()
     port = page.rpartition("%3A")[2].partition("%2F")[0]

@@ -4,16 +4,15 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from processes import start, wait_until
 
 import sixthsense as ss
 from sixthsense.cli import main
@@ -21,10 +20,8 @@ from sixthsense.record.folder import has_record, reason_not_a_run
 from sixthsense.running.warmup import warm_up, warm_up_scans
 from sixthsense.sources.logs.ros_messages import stamp_ns
 
-needs_dds = pytest.mark.skipif(
-    find_spec("cyclonedds") is None, reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'"
-)
-PROGRAM = "import sys; from sixthsense.cli import main; sys.exit(main())"
+pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
+
 DOMAIN = str(20 + os.getpid() % 40)
 
 
@@ -40,29 +37,15 @@ def _compiled() -> None:
     warm_up_scans()
 
 
-def listen() -> None:
-    """In the child: no signal is ignored, as they are under nohup and in the background of a shell."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)
-
-
 @contextmanager
 def process(*words: str) -> Iterator[subprocess.Popen[str]]:
     """A command on the tests' domain, killed at the end of the block if it still runs."""
-    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "preexec_fn": listen}
-    started = subprocess.Popen([sys.executable, "-c", PROGRAM, *words, "--domain", DOMAIN], **piped)
+    started = start(*words, "--domain", DOMAIN)
     try:
         yield started
     finally:
         started.kill()
         started.communicate()
-
-
-def wait_until(is_so: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 240.0
-    while not is_so():
-        assert time.monotonic() < deadline, "nothing happened"
-        time.sleep(0.02)
 
 
 def truth_of(file: Path) -> np.ndarray:
@@ -104,7 +87,6 @@ def check_published(published: dict[str, list[Any]], trace: Any) -> None:
     assert set(np.unique(world.data)) == {-1, 0, 100}
 
 
-@needs_dds
 def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays_it(here, _compiled):
     disturbed = ("--late", "0.2", "--lost", "0.05", "--twice", "0.1", "--truth", "truth.tum")
     with (
@@ -129,7 +111,6 @@ def test_a_live_run_maps_with_late_lost_and_doubled_scans_and_its_record_replays
     np.testing.assert_array_equal(np.array(again.trace.estimates), np.array(trace.estimates))
 
 
-@needs_dds
 @pytest.mark.parametrize(
     ("name", "code", "outcome"),
     [("SIGTERM", 143, "interrupted"), ("SIGINT", 0, "ended by the user")],
@@ -156,7 +137,6 @@ def test_a_signal_stops_the_robot_and_the_record_is_kept(name, code, outcome, he
     assert json.loads((here / "x" / "metrics.json").read_text())["outcome"] == outcome
 
 
-@needs_dds
 def test_a_robot_whose_driver_is_killed_stands_within_its_timeout_and_is_alone(here, _compiled, capsys):
     task = ("--drive", "--task", "tour", "--tour", *("1.4", "0.4", "-1.4", "-0.4") * 20)
     with (

@@ -1,10 +1,14 @@
-"""The covariance of the pose that is published between keyframes."""
+"""What a live run publishes: the covariance of its pose between keyframes, and commands."""
+
+import time
 
 import numpy as np
+from processes import wait_until
 
 import sixthsense as ss
-from sixthsense.core.source import Tick
-from sixthsense.live.publishing import pose_covariance
+from sixthsense.core.source import Command, Tick
+from sixthsense.live.publishing import TIMEOUT_S, Commands, pose_covariance
+from sixthsense.live.reading import MessageReader
 from sixthsense.record.trace import Trace
 
 
@@ -27,3 +31,24 @@ def test_the_covariance_is_that_of_the_keyframe_and_grows_until_the_next():
 
 def test_before_the_first_keyframe_nothing_is_known():
     assert not pose_covariance(Trace(ss.preset(), None, 0.2)).any()
+
+
+class Sent:
+    """Keeps what is sent, with the time."""
+
+    def __init__(self) -> None:
+        self.commands: list[tuple[float, float]] = []
+
+    def send(self, data: bytes) -> None:
+        self.commands.append((time.monotonic(), MessageReader().command(data).speed))
+
+
+def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
+    sent = Sent()
+    with Commands(sent.send) as commands:
+        commands.send(Command(0.5, 0.0))
+        wait_until(lambda: len(sent.commands) == 2)
+        assert sent.commands[1][1] == 0.0 and commands.stalls == 1
+        assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
+        commands.send(Command(0.5, 0.0))
+    assert [speed for _, speed in sent.commands[3:]] == [0.0, 0.0, 0.0]

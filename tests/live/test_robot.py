@@ -1,12 +1,13 @@
-"""A live robot without a network and without a clock: what it makes of messages, and when it stops."""
+"""A live robot without a network and without a clock: what it makes of messages, when it stops, and how it is found."""
 
 import gc
 import tracemalloc
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from sixthsense.config import Config, preset
+from sixthsense.config import merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
@@ -14,6 +15,7 @@ from sixthsense.live.joining import SILENT_NS
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
+from sixthsense.loop import recorded_drive
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import AheadPilot, Pilot
@@ -21,10 +23,16 @@ from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
+from sixthsense.sources.world import World
 
 MS = 1_000_000
 BEGAN = 1_700_000_000_000 * MS
 MAKE = Messages()
+CONFIG = preset("log", robot={"speed": 0.5}, laser={"beams": 180})
+CORNERS = [(0, 0), (9, 0), (9, 4), (6, 4), (6, 7), (3, 7), (3, 5), (0, 5)]
+WALLS = np.array([CORNERS, np.roll(CORNERS, -1, axis=0).tolist()], dtype=np.float64).transpose(1, 0, 2)
+START, ELSEWHERE = Pose(2.0, 1.0), Pose(7.0, 2.0, 2.0)
+PAUSE_MS = 7000
 
 
 class Forward(Navigator):
@@ -37,11 +45,9 @@ class Forward(Navigator):
 class Bench:
     """A robot that stands, and whose sensors can be switched off; time passes while it waits."""
 
-    def __init__(self, config: Config | None = None) -> None:
+    def __init__(self) -> None:
         self.now_ms = 0
         self.has_scans = self.has_odometry = True
-        self.odd: bytes | None = None
-        self.jump_ms = 0
         self.subscribers = 1
         self.publishers = ["robot"]
         self.lines: list[str] = []
@@ -52,13 +58,13 @@ class Bench:
         steering = Steering(self.pilot, send, lambda: self.subscribers)
         laser = LaserReader(reader, None, Pose())
         notices = Notices(self.lines.append)
-        trace = Trace(config or preset(), None, 0.2)
+        trace = Trace(preset(), None, 0.2)
         self.robot = LiveRobot(self._receive, reader, laser, notices, trace, steering, lambda: self.now_ms * MS)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
 
     def _receive(self, timeout_s: float):
         self.now_ms += 20
-        stamp_ns = BEGAN + (self.now_ms + self.jump_ms) * MS
+        stamp_ns = BEGAN + self.now_ms * MS
         found = []
         if self.has_odometry:
             for name in self.publishers:
@@ -67,8 +73,6 @@ class Bench:
             ranges = np.full(360, 3.0, dtype=np.float32)
             scan = Scan(ranges, np.float32(-np.pi), np.float32(2 * np.pi / 360), 10.0)
             found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, scan), LASER_SCAN), "robot"))
-        if self.odd is not None:
-            found.append((True, self.odd, "robot"))
         return [(is_scan, Message(data, name)) for is_scan, data, name in found]
 
     def run(self, until_ms: int) -> None:
@@ -143,3 +147,92 @@ def test_the_source_keeps_nothing_of_what_has_passed(bench):
         assert memory_after(120_000) - before < 100_000
     finally:
         tracemalloc.stop()
+
+
+# --- odometry that begins anew elsewhere: the robot is searched in the map so far
+
+
+class Driver:
+    """Drives a circle, is switched off after a while, and started again 7 s later, with the robot at a place."""
+
+    def __init__(self, place: Pose | None, T_anew_world: Pose, off_ms: int = 12_000) -> None:
+        """`place` is None where the robot stands; odometry then begins in another frame."""
+        self.now_ms, self.off_ms = 0, off_ms
+        self.place, self.T_anew_world = place, T_anew_world
+        self.name = "driver"
+        self.world = self._at(START)
+        self.truths: dict[int, Pose] = {}
+
+    def _at(self, place: Pose) -> World:
+        return World(WALLS, place, 0.2, CONFIG, np.random.default_rng(0))
+
+    def receive(self, timeout_s: float) -> list[tuple[bool, Message]]:
+        if self.now_ms == self.off_ms:
+            self.now_ms += PAUSE_MS
+            last = self.truths[max(self.truths)]
+            self.world, self.name = self._at(self.place or last), "driver again"
+        self.now_ms += 20
+        tick = self.world.step(Command(0.4, 0.4))
+        assert tick is not None and tick.truth is not None
+        stamp_ns = BEGAN + self.now_ms * MS
+        self.truths[stamp_ns] = tick.truth
+        pose = tick.odometry if self.name == "driver" else self.T_anew_world @ tick.odometry
+        found = [(False, MAKE.serialized(MAKE.odometry(stamp_ns, pose, None), ODOMETRY))]
+        if tick.scan is not None:
+            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, tick.scan), LASER_SCAN)))
+        return [(is_scan, Message(data, self.name)) for is_scan, data in found]
+
+
+def run(
+    driver: Driver, max_time_s: float, steering: Callable[[Guard], Steering] | None = None
+) -> tuple[Trace, LiveRobot, list[str]]:
+    config, lines = merge(CONFIG, {"max_time": max_time_s}), []
+    trace, reader, guard = Trace(config, None, 0.2), MessageReader(), Guard(config, 0.2)
+    laser, notices = LaserReader(reader, CONFIG.laser.max_range, Pose()), Notices(lines.append)
+    steers = None if steering is None else steering(guard)
+    robot = LiveRobot(driver.receive, reader, laser, notices, trace, steers, lambda: driver.now_ms * MS)
+    start = robot.begin()
+    assert start is not None
+    recorded_drive(robot, start, Pilot(Navigator(), guard), trace)
+    return trace, robot, lines
+
+
+def errors_m(trace: Trace, driver: Driver) -> np.ndarray:
+    """Of the scans since the pause."""
+    after = [k for k, stamp in enumerate(trace.stamps_ns) if stamp > BEGAN + driver.off_ms * MS]
+    truths = np.array([driver.truths[trace.stamps_ns[k]].position for k in after])
+    return np.linalg.norm(np.array([trace.estimates[k][:2] for k in after]) - truths, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("place", "T_anew_world", "lost_s"),
+    [
+        (None, Pose(40.0, -7.0, 1.0), 0.2),  # a driver that begins at another pose
+        (ELSEWHERE, Pose(), 0.2),  # odometry of one frame, as where the driver keeps it
+        (ELSEWHERE, Pose(40.0, -7.0, 1.0), 12.0),  # carried: nothing says where
+    ],
+)
+def test_a_robot_that_is_started_again_is_found_in_the_map(place, T_anew_world, lost_s):
+    driver = Driver(place, T_anew_world)
+    trace, robot, lines = run(driver, 24.0 + lost_s)
+    assert trace.outcome == "log ended" and robot.outcome is None
+    assert lines[0].endswith("its driver was started again; the pose is unknown and searched in the map")
+    assert lines[-1] == "the robot's place in the map is found; the map goes on"
+    anew_ns = BEGAN + (driver.off_ms + PAUSE_MS) * MS
+    found_ns = min(stamp for stamp in trace.stamps_ns if stamp > anew_ns)
+    assert found_ns - anew_ns <= (lost_s + 0.2) * 1e9
+    errors = errors_m(trace, driver)
+    assert errors.max() < 0.3 and errors[-1] < 0.03  # as uncertain as is said, until a loop is closed
+    assert len(trace.carried_scans()) == 1
+
+
+def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
+    driver, sent = Driver(ELSEWHERE, Pose(40.0, -7.0, 1.0)), []
+
+    def steering(guard: Guard) -> Steering:
+        return Steering(AheadPilot(Pilot(Navigator(), guard)), sent.append, lambda: 1)
+
+    trace, robot, lines = run(driver, 45.0, steering)
+    assert robot.outcome == "lost" and sent[-1] == Command()
+    assert lines[-1] == "the robot's place in the map is not found; the robot is stopped"
+    assert trace.stamps_ns[-1] <= BEGAN + driver.off_ms * MS

@@ -25,13 +25,6 @@ pytestmark = pytest.mark.usefixtures("compiled")
 RUN = ["run", "rectangle", "--task", "tour", "--max-time", "3"]
 
 
-def complaint(args: list[str], capsys) -> str:
-    assert cli.main(args) == cli.BAD_INPUT
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and err.startswith("sixthsense: ") and "Traceback" not in err
-    return err
-
-
 # The command, which also writes the last recorded and the last flushed stamp into shared memory.
 CHILD = """
 import mmap, struct, sys
@@ -119,11 +112,11 @@ def test_what_a_killed_run_leaves_is_replayed_measured_and_drawn(kills, tmp_path
     assert (tmp_path / "map.png").is_file()
 
 
-def test_a_replay_never_costs_the_log_itself(kills, capsys):
+def test_a_replay_never_costs_the_log_itself(kills, complaint):
     partial = kills[0].partial
     before = (partial / "bag" / "bag_0.mcap").read_bytes()
     for log in (partial, partial / "bag" / "bag_0.mcap"):
-        said = complaint(["replay", str(log), "--out", str(partial.with_name("run")), "--overwrite"], capsys)
+        said = complaint("replay", log, "--out", partial.with_name("run"), "--overwrite")
         assert "whose .partial is the log itself, allowed: another folder" in said
     assert (partial / "bag" / "bag_0.mcap").read_bytes() == before
 
@@ -150,17 +143,18 @@ def test_a_bag_cut_anywhere_is_read_up_to_its_last_whole_chunk_or_named(share, t
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a disk that is always full")
-def test_a_full_disk_ends_the_run_in_one_line(tmp_path, capsys, monkeypatch):
+def test_a_full_disk_ends_the_run_in_one_line(tmp_path, complaint, monkeypatch):
     monkeypatch.setattr(bag, "_FILE", "/dev/full")
-    assert "/dev/full: No space left on device" in complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
+    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
+    assert "/dev/full: No space left on device" in said
     assert not (tmp_path / "x").exists()
 
 
-def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, capsys, monkeypatch):
+def test_a_disk_that_fills_up_at_the_end_leaves_the_evidence(tmp_path, complaint, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(ending, "write_landmarks", full)
-    said = complaint([*RUN, "--out", str(tmp_path / "x")], capsys)
+    said = complaint(*RUN, "--out", tmp_path / "x", writes_nothing=False)
     assert "x.partial: No space left on device" in said
     assert len(load(tmp_path / "x.partial").trace.estimates) > 20

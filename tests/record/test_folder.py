@@ -148,13 +148,6 @@ def content(folder: Path) -> dict[str, bytes | None]:
     return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
 
 
-def complaint(args: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str:
-    assert cli.main(args) == cli.BAD_INPUT
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1 and err.startswith("sixthsense: ")
-    return err.removeprefix("sixthsense: ").strip()
-
-
 def seed_of(folder: Path) -> int:
     return load_config(folder / "config.toml").seed
 
@@ -171,7 +164,7 @@ FOREIGN = {
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_no_run_has_written_is_never_removed(name, here, capsys):
+def test_what_no_run_has_written_is_never_removed(name, here, complaint):
     out = here / "x"
     if not name.startswith(("cargo", "saved")):
         ss.run("rectangle", task="tour", max_time=2.0, out=out)
@@ -183,14 +176,14 @@ def test_what_no_run_has_written_is_never_removed(name, here, capsys):
             (out / file).parent.mkdir(parents=True, exist_ok=True)
             (out / file).write_text(text)
     before = content(here)
-    said = complaint((*RUN, "--out", "x", "--overwrite"), capsys)
+    said = complaint(*RUN, "--out", "x", "--overwrite")
     assert said.startswith("--out: x is not a run folder, it holds ") and "allowed: " in said
     assert content(here) == before
 
 
-def test_the_second_of_two_runs_into_one_folder_is_told(here, capsys):
+def test_the_second_of_two_runs_into_one_folder_is_told(here, complaint):
     with RunFolder(here / "x", Config(seed=1)) as first:
-        said = complaint((*RUN, "--out", "x"), capsys)
+        said = complaint(*RUN, "--out", "x")
         assert said == "--out: found another process that writes x, allowed: another folder, or wait for its end"
         assert seed_of(first.partial) == 1
     assert cli.main([*RUN, "--seed", "2", "--out", "x"]) == cli.DONE

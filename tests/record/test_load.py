@@ -3,6 +3,7 @@
 import io
 import json
 import shutil
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from sixthsense.evaluation.measure import measure
 from sixthsense.figures.panels import KINDS, FigureError
 from sixthsense.figures.run import Run
 from sixthsense.record.stream import FILE, RecordWriter
+from sixthsense.record.trace import Stopwatch
 
 ARRAYS = ("record.npz", "landmarks.npz", "grid.npz")
 
@@ -193,3 +195,32 @@ def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):
     assert back.trace.config.people
     again = ss.replay(tmp_path / "run", progress=False)
     assert np.array_equal(again.trace.trajectory, made.trace.trajectory)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    return now
+
+
+def pass_time(clock, seconds):
+    clock[0] += seconds
+
+
+def test_time_that_is_waited_is_in_no_stage(clock):
+    watch = Stopwatch()
+    wait = watch.waiting(pass_time)
+
+    def receive():
+        pass_time(clock, 0.002)
+        wait(clock, 5.0)
+        pass_time(clock, 0.001)
+
+    watch.timed("sense", receive)()
+    wait(clock, 7.0)
+    watch.timed("plan", pass_time)(clock, 0.004)
+    watch.end_tick(is_keyframe=True)
+    assert watch.totals["sense"] == pytest.approx(3.0)
+    assert watch.rows == [pytest.approx({"sense": 3.0, "plan": 4.0})]
+    assert watch.keyframe_ms() == pytest.approx([4.0])

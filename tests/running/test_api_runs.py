@@ -112,3 +112,9 @@ def test_where_nobody_looks_on_a_run_says_nothing_and_where_it_shall_it_shows_a_
     bar = said(True)
     assert "rectangle, tour" in bar and "of 3 s" in bar
     assert said(True, TQDM_DISABLE="1") == ""
+
+
+def test_a_process_with_ompl_ends_without_a_word() -> None:
+    code = "from ompl import base; from sixthsense.running.warmup import _keep_imports; _keep_imports()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -90,17 +90,6 @@ def test_on_worn_wheels_the_estimate_beats_dead_reckoning() -> None:
     assert values["ate_rmse_m"] < 0.3 * values["dead_reckoning_ate_rmse_m"]
 
 
-def test_a_collision_ends_a_world_and_the_robot_stands_where_it_touched() -> None:
-    source = world(preset("noiseless"))
-    seen = ticks(source, [Command(0.5, 0.0)] * 500)
-    assert [tick.collided for tick in seen] == [False] * (len(seen) - 1) + [True]
-    last = seen[-1].truth
-    assert last is not None
-    assert last.x == pytest.approx(1.8, abs=0.5 * 0.02)
-    assert last.x <= 1.8
-    assert source.step(Command()) is None
-
-
 def test_a_collision_ends_the_run_with_that_outcome() -> None:
     config = merge(SHORT, {"laser": {"max_range": 0.05}, "world": {"drift_rad_per_m": 1.0}})
     trace = run(config)

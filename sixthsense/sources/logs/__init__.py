@@ -56,11 +56,11 @@ def open_log(
 
         return read_run(path, laser or LaserConfig())
     if kind == "bag":
-        from sixthsense.sources.logs.rosbag import BagOptions, read_bag
+        from sixthsense.sources.logs.rosbag import read_bag
         from sixthsense.sources.logs.transforms import frame_pair
 
-        options = BagOptions(topics, frame_pair(odometry_frames), odometry)
-        return read_bag(path, laser or LaserConfig(), options, "mount" in stated)
+        frames = frame_pair(odometry_frames)
+        return read_bag(path, laser or LaserConfig(), topics, frames, odometry, "mount" in stated)
     if kind == "mrclam":
         from sixthsense.config import preset
         from sixthsense.sources.logs.mrclam import read_mrclam

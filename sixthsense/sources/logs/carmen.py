@@ -19,7 +19,8 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan, time_increment
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.laser_geometry import (
-    LARGEST_RANGE_M,
+    FARTHEST_M,
+    MOST_BEAMS,
     Beams,
     beams_as_stated,
     beams_by_count,
@@ -43,7 +44,6 @@ _ROBOTLASER_TAIL = 14
 """x y theta odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the m remissions"""
 _PARAMS = (b"robot_frontlaser_offset", b"robot_front_laser_max")
 _MESSAGE_NAME = re.compile(rb"[A-Z][A-Z0-9_-]{0,39}")
-_MOST_BEAMS = 100_000
 
 
 class _Geometry(NamedTuple):
@@ -136,11 +136,11 @@ def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
 def _geometry(path: Path, readings: Sequence[_Reading], count: int | None, remarks: list[str]) -> _Geometry:
     """The geometry of most scans, or of those with a stated number of beams; the other scans are left out."""
     found = Counter(reading.geometry for reading in readings if reading.geometry is not None)
-    wanted = range(2, _MOST_BEAMS + 1) if count is None else (count,)
+    wanted = range(2, MOST_BEAMS + 1) if count is None else (count,)
     fitting = {geometry: scans for geometry, scans in found.items() if geometry.beams in wanted}
     if not fitting:
         counts = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found}))
-        allowed = f"2 to {_MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
+        allowed = f"2 to {MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
         raise LogError(f"{path}: found scans of {counts} beams, allowed: {allowed}")
     chosen = max(fitting, key=lambda geometry: fitting[geometry])
     others = found.total() - found[chosen]
@@ -183,11 +183,11 @@ def _max_range(scans: Sequence[_Reading], stated: float, content: _Lines, remark
     code = no_return_code(ranges)
     if code is not None and code < stated:
         remarks.append(f"assumed: ranges from {code:.2f} m on are no returns, since many beams repeat such a value")
-        return min(code, LARGEST_RANGE_M)
+        return min(code, FARTHEST_M)
     parameter = content.params.get(b"robot_front_laser_max", 0.0)
     if stated == math.inf and parameter > 0.0:
         stated = parameter
-    return min(stated, LARGEST_RANGE_M) if stated < math.inf else max_range_of(ranges)
+    return min(stated, FARTHEST_M) if stated < math.inf else max_range_of(ranges)
 
 
 def _ticks(readings: Sequence[_Reading], geometry: _Geometry, beams: Beams, laser: LaserConfig) -> list[Tick]:

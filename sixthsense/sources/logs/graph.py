@@ -86,38 +86,28 @@ def read_graph(file: str | Path) -> Log:
         if tag not in _TAGS:
             record.fail(f"found tag {shown(tag)}, allowed: {', '.join(known.decode() for known in _TAGS)}")
         _READERS[tag](graph, record)
-    if len(graph.poses) < 2:
+    if len(graph.ticks) < 2:
         raise LogError(f"{path}: found no edge between poses, allowed: a graph with {b', '.join(_MOTIONS).decode()}")
-    return Log([pose.tick(k) for k, pose in enumerate(graph.poses.values())])
-
-
-@dataclass(slots=True)
-class _Node:
-    """A pose of the graph with its observations."""
-
-    odometry: Pose
-    increment_cov: Array | None
-    observations: dict[LandmarkId, Observation] = field(default_factory=dict)
-
-    def tick(self, index: int) -> Tick:
-        return Tick(index * _STEP_NS, self.odometry, observations=self.observations, increment_cov=self.increment_cov)
+    return Log(list(graph.ticks.values()))
 
 
 @dataclass(slots=True)
 class _Graph:
     """The part of the graph read so far."""
 
-    poses: dict[int, _Node] = field(default_factory=dict)
-    """by id, in order"""
-    newest: int = -1
+    ticks: dict[int, Tick] = field(default_factory=dict)
+    """of the poses, by id, in order"""
+    seen: dict[int, dict[LandmarkId, Observation]] = field(default_factory=dict)
+    """by pose, as in its tick"""
     kinds: dict[int, str] = field(default_factory=dict)
     """pose or landmark, by id"""
     guessed: dict[int, str] = field(default_factory=dict)
     """the same of those with an initial value"""
 
-    def begin(self, pose: int) -> None:
-        self.poses[pose] = _Node(Pose(), None)
-        self.newest = pose
+    def add(self, pose: int, odometry: Pose, cov: Array | None = None) -> None:
+        """Add a pose without observations."""
+        seen = self.seen[pose] = {}
+        self.ticks[pose] = Tick(len(self.ticks) * _STEP_NS, odometry, observations=seen, increment_cov=cov)
 
     def check_kind(self, record: Record, vertex: int, kind: str) -> None:
         """Fail for a pose with the id of a landmark, and the other way round."""
@@ -133,16 +123,15 @@ def _read_motion(graph: _Graph, record: Record) -> None:
     cov = _covariance(record, form, record.fields[6:], definite=False)
     for pose in (before, after):
         graph.check_kind(record, pose, "pose")
-    if not graph.poses:
-        graph.begin(before)
-    if after in graph.poses:
+    if not graph.ticks:
+        graph.add(before, Pose())
+    if after in graph.ticks:
         record.fail(f"found pose {after} again, allowed: a new one")
-    if before != graph.newest:
-        record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {graph.newest}")
+    if before != (newest := next(reversed(graph.ticks))):
+        record.fail(f"found an edge from pose {before} to {after}, allowed: from the newest pose, {newest}")
     step = Pose.from_array(motion)
     R_i_j = Pose(theta=step.theta).adjoint()  # rotates from the axes of pose j to those of pose i
-    graph.poses[after] = _Node(graph.poses[before].odometry @ step, _symmetric(R_i_j @ cov @ R_i_j.T))
-    graph.newest = after
+    graph.add(after, graph.ticks[before].odometry @ step, _symmetric(R_i_j @ cov @ R_i_j.T))
 
 
 def _read_landmark(graph: _Graph, record: Record) -> None:
@@ -160,11 +149,11 @@ def _read_landmark(graph: _Graph, record: Record) -> None:
         cov = _covariance(record, form, record.fields[5:], definite=True)
         observation = Observation(Kind.CORNER, np.array([first, second]), cov)
     graph.check_kind(record, landmark, "landmark")
-    if not graph.poses and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
-        graph.begin(pose)
-    if pose not in graph.poses:
+    if not graph.ticks and ("pose" not in graph.guessed.values() or graph.guessed.get(pose) == "pose"):
+        graph.add(pose, Pose())
+    if pose not in graph.ticks:
         record.fail(f"found landmark {landmark} seen from pose {pose}, allowed: from a pose with an earlier edge")
-    seen = graph.poses[pose].observations
+    seen = graph.seen[pose]
     if landmark in seen:
         record.fail(f"found landmark {landmark} again from pose {pose}, allowed: once from each pose")
     seen[landmark] = observation

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from sixthsense.config import LaserConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 
-LARGEST_RANGE_M = 1000.0
-"""that a configuration allows"""
+FARTHEST_M, MOST_BEAMS = 1000.0, 100_000
+"""maximum range and number of beams of a laser that a configuration allows"""
 _MOUNT_SPREAD_M, _MOUNT_SPREAD_RAD = 0.01, math.radians(0.5)
 """Rounding of poses to two decimals gives less; poses that were corrected by a scan matcher differ by more."""
 _MOUNT_LARGEST_M = 10.0
@@ -117,7 +117,7 @@ def max_range_of(scans: Sequence[NDArray[np.float32]]) -> float:
     """The maximum range, m, of a laser that does not state it: its code for no return, else above all its ranges."""
     code = no_return_code(scans)
     above = np.nextafter(np.float32(greatest_range(scans)), np.float32(np.inf))
-    return min(float(above) if code is None else code, LARGEST_RANGE_M)
+    return min(float(above) if code is None else code, FARTHEST_M)
 
 
 def greatest_range(scans: Sequence[NDArray[np.float32]]) -> float:

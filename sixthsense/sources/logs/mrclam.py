@@ -35,7 +35,7 @@ def robots(folder: Path) -> list[int]:
     return sorted({int(match[1]) for file in folder.iterdir() if (match := _NAME.fullmatch(file.name))})
 
 
-def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = None, as_depth: bool = True) -> Log:
+def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = None) -> Log:
     """Read `Barcodes.dat` and one robot's `RobotN_Odometry.dat`, `_Measurement.dat` and `_Groundtruth.dat`.
 
     Each file is plain or gzip; `_Groundtruth.dat` and `Landmark_Groundtruth.dat` are optional. `robot` is optional if
@@ -51,7 +51,7 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
 
     The column called range is a depth, the distance along the camera's axis, and is divided by the cosine of the
     bearing: compared with Vicon it is 12 % short at 0.55 rad and correct ahead, as (cos bearing)^0.94 (set 6, robot 3).
-    Without `as_depth` it is used as a range. Raises LogError, naming file and line, for anything else.
+    Raises LogError, naming file and line, for anything else.
     """
     path = Path(folder)
     robot = _chosen(path, robot)
@@ -62,7 +62,7 @@ def read_mrclam(folder: str | Path, assumed: AssumedConfig, robot: int | None = 
     drive = read_table(_file(path, f"Robot{robot}_Odometry.dat"), "stamp speed turn-rate")
     drive.check(1, "forward speed", -_FASTEST, _FASTEST)
     drive.check(2, "turn rate", -_FASTEST, _FASTEST)
-    seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed, as_depth)
+    seen, misread = _observations(_file(path, f"Robot{robot}_Measurement.dat"), subjects, assumed)
     vicon = _existing(path, f"Robot{robot}_Groundtruth.dat")
     truth = None if vicon is None else _Truth(vicon)
     ticks = _ticks(drive, seen, truth)
@@ -116,7 +116,7 @@ def _ticks(drive: Table, seen: Mapping[int, dict[LandmarkId, Observation]], trut
 
 
 def _observations(
-    file: Path, subjects: Mapping[int, int], assumed: AssumedConfig, as_depth: bool
+    file: Path, subjects: Mapping[int, int], assumed: AssumedConfig
 ) -> tuple[dict[int, dict[LandmarkId, Observation]], int]:
     """Observations of landmarks by stamp (ns), and the number of measurements with an unknown barcode."""
     table = read_table(file, "stamp barcode range bearing")
@@ -139,8 +139,7 @@ def _observations(
             record.fail(
                 f"found landmark {subject} (barcode {barcode}) again at the same stamp, allowed: once per time step"
             )
-        distance = row[2] / math.cos(row[3]) if as_depth else row[2]
-        step[subject] = polar_observation(distance, row[3], variances, assumed.landmark_floor_m)
+        step[subject] = polar_observation(row[2] / math.cos(row[3]), row[3], variances, assumed.landmark_floor_m)
     if len(unknown) > _MISREAD * len(table.records):
         barcodes = ", ".join(map(str, sorted(subjects)))
         unknown[0].fail(f"found barcode {shown(unknown[0].fields[1])}, allowed: those of Barcodes.dat, {barcodes}")

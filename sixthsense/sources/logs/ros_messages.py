@@ -12,21 +12,18 @@ from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
-from sixthsense.sources.logs.text_lines import LAST_STAMP_S, LogError
+from sixthsense.sources.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
+from sixthsense.sources.logs.text_lines import LARGEST, LAST_STAMP_S, LogError
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
-FARTHEST_M = 1000.0
-"""greatest maximum range of a laser"""
 NOT_MEASURED = 1e6
 """Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
 
 _PLANE = np.ix_((0, 1, 5), (0, 1, 5))  # x, y, yaw of x y z roll pitch yaw
 
 _LARGEST_STAMP_NS = LAST_STAMP_S * 1_000_000_000
-_LARGEST_M = 1e10  # distance from a frame's origin; squares and products of larger numbers may overflow
-_MOST_BEAMS = 100_000
 _LONGEST_SWEEP_S = 1.0
 _LEAST_UPRIGHT = 0.9  # cosine of the largest tilt of a planar scan
 
@@ -64,8 +61,8 @@ def planar(position: Any, orientation: Any) -> Pose:
     norm = math.hypot(x, y, z, w)
     if not (all(map(math.isfinite, (*values, norm))) and norm > 0.0):
         raise ValueError(f"found a pose of {values}, allowed: finite numbers and a quaternion that is not zero")
-    if max(abs(values[0]), abs(values[1])) > _LARGEST_M:
-        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {_LARGEST_M:.0e} m")
+    if max(abs(values[0]), abs(values[1])) > LARGEST:
+        raise ValueError(f"found a pose at ({values[0]}, {values[1]}), allowed: up to {LARGEST:.0e} m")
     if x == 0.0 and y == 0.0:
         return Pose(values[0], values[1], 2.0 * math.atan2(z, w))
     x, y, z, w = x / norm, y / norm, z / norm, w / norm
@@ -78,9 +75,9 @@ def transform(message: Any) -> Array:
     q = np.array([r.x, r.y, r.z, r.w], dtype=np.float64)
     t_xyz = np.array([t.x, t.y, t.z], dtype=np.float64)
     norm = math.hypot(*q)  # without intermediate overflow
-    if not (np.abs(t_xyz).max() <= _LARGEST_M and math.isfinite(norm) and norm > 0.0):  # false for NaN
+    if not (np.abs(t_xyz).max() <= LARGEST and math.isfinite(norm) and norm > 0.0):  # false for NaN
         raise ValueError(
-            f"found a transform that is not finite, allowed: up to {_LARGEST_M:.0e} m and a quaternion that is not zero"
+            f"found a transform that is not finite, allowed: up to {LARGEST:.0e} m and a quaternion that is not zero"
         )
     x, y, z, w = q / norm
     out = np.eye(4)
@@ -117,8 +114,8 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
     ranges = np.asarray(message.ranges, dtype=np.float32)
     low, high = np.float32(message.range_min), np.float32(message.range_max)
     count = len(ranges)
-    if not 2 <= count <= _MOST_BEAMS:
-        raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {_MOST_BEAMS}")
+    if not 2 <= count <= MOST_BEAMS:
+        raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
         raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
     if not high > 0.0:

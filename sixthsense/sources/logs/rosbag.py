@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,10 +17,9 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
-from sixthsense.sources.logs.laser_geometry import described, max_range_of
+from sixthsense.sources.logs.laser_geometry import FARTHEST_M, described, max_range_of
 from sixthsense.sources.logs.log import Log, found_turns, pose_between, remarks_on
 from sixthsense.sources.logs.ros_messages import (
-    FARTHEST_M,
     LASER_SCAN,
     ODOMETRY,
     checked_stamp,
@@ -36,25 +35,19 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 
-class BagOptions(NamedTuple):
-    """What is read of a bag."""
-
-    topics: Sequence[str] = ()
-    """chosen among several of one type"""
-    frames: FramePair | None = None
-    """of odometry in /tf; None: a topic of Odometry, else the frames that are found"""
-    odometry: bool = True
-    """whether odometry is read"""
-
-
 def read_bag(
-    file: str | Path, laser: LaserConfig, options: BagOptions | None = None, is_mount_given: bool = False
+    file: str | Path,
+    laser: LaserConfig,
+    topics: Sequence[str] = (),
+    frames: FramePair | None = None,
+    odometry: bool = True,
+    is_mount_given: bool = False,
 ) -> Log:
     """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
-    Scans and odometry are the topics of type LaserScan and Odometry; `options.topics` selects among several. Without a
-    topic of Odometry, or with `options.frames`, odometry is a pair of frames in /tf; without transforms there, the log
-    has scans alone, as with `options.odometry` off. Beams and ranges come from the messages. The mount is `laser.mount`
+    Scans and odometry are the topics of type LaserScan and Odometry; `topics` selects among several. Without a
+    topic of Odometry, or with `frames`, odometry is a pair of frames in /tf; without transforms there, the log
+    has scans alone, as without `odometry`. Beams and ranges come from the messages. The mount is `laser.mount`
     if it is not zero or `is_mount_given`, else that of /tf_static. Scans of another frame than the first are left out.
     Messages are sorted by the stamps of their headers if the stamps of each topic ascend, else they keep the order of
     the file. The stamp of a tick is at least 1 ns after the previous one. The odometry of a scan is interpolated at its
@@ -63,7 +56,9 @@ def read_bag(
     """
     path = Path(file)
     with opened(path) as reader:
-        return _log(path, _recording(path, reader, options or BagOptions()), laser, is_mount_given)
+        chosen = _choose(path, reader, topics, odometry and frames is None)
+        recording = _recording(path, reader, chosen, frames, odometry and ODOMETRY not in chosen)
+        return _log(path, recording, laser, is_mount_given)
 
 
 @dataclass(slots=True)
@@ -94,11 +89,11 @@ class _Recording:
         return [(own, value) for own, value in self.records if not isinstance(value, Pose)]
 
 
-def _recording(path: Path, reader: AnyReader, options: BagOptions) -> _Recording:
-    """Read the messages; LogError for a topic that is missing or ambiguous, and for one that cannot be used."""
+def _recording(
+    path: Path, reader: AnyReader, chosen: Mapping[str, str], frames: FramePair | None, uses_tree: bool
+) -> _Recording:
+    """Read the messages of chosen topics; odometry of /tf if `uses_tree`; LogError for one that cannot be used."""
     recording = _Recording()
-    chosen = _choose(path, reader, options)
-    uses_tree = options.odometry and ODOMETRY not in chosen
     known = [c for c in reader.connections if c.topic in chosen.values() or _has_transforms(c, uses_tree)]
     rows: dict[int, int] = {}  # of the transforms of /tf by their record
     for connection, record_ns, raw in reader.messages(connections=known):
@@ -113,8 +108,8 @@ def _recording(path: Path, reader: AnyReader, options: BagOptions) -> _Recording
                 _add_scan(recording, own, message)
             else:
                 _add_odometry(path, recording, own, message)
-    if uses_tree and (recording.tree.stamped or options.frames is not None):
-        _take_odometry(path, recording, rows, options.frames)
+    if uses_tree and (recording.tree.stamped or frames is not None):
+        _take_odometry(path, recording, rows, frames)
     elif ODOMETRY not in chosen and recording.scans:
         recording.has_odometry = False
         recording.robot = recording.tree.root(recording.laser)
@@ -144,9 +139,8 @@ def _take_odometry(path: Path, recording: _Recording, rows: Mapping[int, int], n
     recording.remarks.append(f"odometry: /tf {pair}, {len(poses)} transforms (otherwise {OPTION})")
 
 
-def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str]:
+def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry: bool) -> dict[str, str]:
     """The topic of each type; LogError with the candidates unless there is one, or one is selected."""
-    topics = options.topics
     types = {c.topic: c.msgtype for c in reader.connections}
     fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
     for topic in topics:
@@ -157,7 +151,7 @@ def _choose(path: Path, reader: AnyReader, options: BagOptions) -> dict[str, str
     chosen = {}
     for kind, names in fitting.items():
         short = kind.rpartition("/")[2]
-        if kind == ODOMETRY and (not names or options.frames is not None or not options.odometry):
+        if kind == ODOMETRY and not (names and with_odometry):
             continue
         if not names:
             held = (

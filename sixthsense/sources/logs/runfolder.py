@@ -79,9 +79,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
             elif ticks:
                 # The message has the maximum range as a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
-                ticks[-1] = replace(ticks[-1], scan=scan(message, place, max_range=known))
-                own = stamp_ns(message) / 1e9
-                ticks[-1] = replace(ticks[-1], log_stamp_s=own)
+                seen = scan(message, place, max_range=known)
+                ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=stamp_ns(message) / 1e9)
     except InputError:
         raise
     except Exception as error:  # a message with valid checksums may still be invalid
@@ -89,9 +88,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
     if not any(tick.scan is not None or tick.observations is not None for tick in ticks):
         cut = " before it ends" * reader.cut_short
         raise LogError(f"{file}: found no scan and no observation{cut}, allowed: a bag of a run")
-    log = RunLog(ticks, laser)
-    if reader.cut_short:
-        log = RunLog(ticks, laser, [f"the recording is incomplete; its first {log.duration_s:.1f} s are used"])
+    used_s = 1e-9 * (ticks[-1].stamp_ns - ticks[0].stamp_ns)
+    remarks = [f"the recording is incomplete; its first {used_s:.1f} s are used"] * reader.cut_short
+    log = RunLog(ticks, laser, remarks)
     log.plans, log.tours = paths["/plan"], paths["/tour"]
     return log
 
