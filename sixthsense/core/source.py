@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
@@ -49,6 +50,7 @@ class Tick:
     """How often the robot and a person have touched so far, by the robot's fault and by the person's."""
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
+    sightings = OldName("sightings", "observations")
 
 
 @dataclass(frozen=True, slots=True)

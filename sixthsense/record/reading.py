@@ -28,6 +28,10 @@ from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.sources.scene import Scene
 
 _LARGEST = (1 << 63) - 1
+_CURRENT_NAMES = {
+    "key_scan": "keyframe", "sightings": "observations", "revisits": "loop_closures", "revisit": "loop_closure",
+}  # fmt: skip
+"""by the names that earlier versions wrote"""
 
 
 class RecordError(InputError):
@@ -73,12 +77,16 @@ def _whole_lines(file: Path) -> Iterator[bytes]:
 
 def _table(line: bytes) -> Line:
     try:
-        table = json.loads(line)
+        table = json.loads(line, object_pairs_hook=_under_current_names)
     except ValueError:
         raise ValueError("no JSON") from None
     if not isinstance(table, dict):
         raise ValueError("no table")
     return table
+
+
+def _under_current_names(pairs: list[tuple[str, Any]]) -> Line:
+    return {_CURRENT_NAMES.get(name, name): value for name, value in pairs}
 
 
 def _begun(table: Line, config: Config) -> Trace:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -42,6 +43,7 @@ class Step:
     """the map as it is now; the next keyframe changes it"""
     moving: Moving = NOTHING_MOVES
     """returns of what moves; none where people are not expected"""
+    key_scan = OldName("key_scan", "keyframe")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,3 +74,4 @@ class SlamResult:
     """between keyframes, as the estimator has them, of a front end that makes them"""
     sensor: SensorEstimate | None = None
     """the parameters of the sensor of points, if they are estimated"""
+    revisits = OldName("revisits", "loop_closures")

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.config.removed import OldName
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
@@ -163,6 +164,8 @@ class Slam:
     def pose(self) -> Pose:
         """`T_world_robot` now: the last estimate, and the odometry since."""
         return self._front_end.pose
+
+    revisits = OldName("revisits", "loop_closures")
 
     @property
     def loop_closures(self) -> LoopClosureCounts | None:

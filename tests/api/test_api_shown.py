@@ -53,11 +53,6 @@ def test_metrics_are_a_dictionary_that_json_and_pickle_take(run):
     assert type(again) is Metrics and again == run.metrics
 
 
-def test_a_misspelt_metric_is_a_key_error_with_the_nearest_one(run):
-    with pytest.raises(KeyError, match="did you mean ate_rmse_m"):
-        run.metrics["ate_rmse"]
-
-
 def test_metrics_are_measured_once_and_handed_out_as_copies(run, monkeypatch):
     before = run.metrics
     monkeypatch.setattr("sixthsense.evaluation.measured_run.measure", None)

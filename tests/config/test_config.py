@@ -66,6 +66,7 @@ BAD_FIELDS = {
     "laser.mount": ("[laser]\nmount = [1, 2]", "[1, 2]", "3 numbers"),
     "world.motion.speed": ("[world.motion]\nspeed = -0.1", "-0.1", "0 to 100"),
     "follow.shortcut": ("[follow]\nshortcut = 1", "1", "true or false"),
+    "association.match_probability": ("[association]\nmatch_probability = 1.0", "1.0", "above 0"),
     "estimator": ('estimator = "ekff"', "'ekff'", "ekf"),
     "scene": ("scene = 3", "3", "a text"),
     "max_time": (f"max_time = 1{'0' * 400}", "1000", "a finite number"),

@@ -14,7 +14,7 @@ from sixthsense.record.trace import Trace
 from sixthsense.slam.scans.poses import between
 from sixthsense.sources.logs import open_log
 
-KEEP = {"cull_below": 0}  # a culled landmark's observations are in the solver's past, and not in the graph
+KEEP = {"culling": False}  # a culled landmark's observations are in the solver's past, and not in the graph
 
 
 @pytest.fixture(scope="module", params=["isam2", "ekf"])

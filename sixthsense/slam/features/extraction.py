@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, FeaturesConfig
+from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.laser import Scan
@@ -38,6 +39,7 @@ class Features:
     """beams of each first-level partition"""
     spans: tuple[Indices, ...]
     """beams of each second-level partition"""
+    sightings = OldName("sightings", "observations")
 
 
 NO_FEATURES = Features(np.zeros((0, 2, 2)), (), (), ())

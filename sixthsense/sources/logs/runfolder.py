@@ -37,6 +37,7 @@ _TYPES = {
     "/plan": PLAN,
     "/tour": PLAN,
     "/observations": CLOUD,
+    "/sightings": CLOUD,  # the name in older bags
 }
 _LARGEST_CHUNK = 1 << 26  # bytes; the bag writer's chunks have one million
 
@@ -74,7 +75,7 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
             elif ticks and topic == "/truth":
                 ticks[-1] = replace(ticks[-1], truth=planar(message.pose.position, message.pose.orientation))
-            elif ticks and topic == "/observations":
+            elif ticks and topic in ("/observations", "/sightings"):
                 ticks[-1] = replace(ticks[-1], observations=from_cloud(message))
             elif ticks:
                 # The message has the maximum range as a float32 only.
