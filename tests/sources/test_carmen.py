@@ -86,6 +86,14 @@ def test_a_stated_laser_has_its_mount_its_bearings_and_no_returns_beyond_its_ran
     assert scan.bearings == pytest.approx(np.linspace(-math.pi / 2, math.pi / 2, 4), abs=1e-6)
 
 
+def test_ranges_that_are_negative_or_no_number_are_no_returns(tmp_path: Path) -> None:
+    log = read(tmp_path, flaser(ranges=(math.nan, -1.0, 3.0, -math.inf)) + flaser(2.0), LASER)
+    assert log.scans[0].ranges.tolist() == [math.inf, math.inf, 3.0, math.inf]
+    assert "3 ranges that are negative or no number are no returns" in log.remarks()
+    with pytest.raises(LogError, match="found 'abc', allowed: a number"):
+        read(tmp_path, flaser().replace(" 2.00 ", " abc ").replace(" 1.00 ", " nan ") + flaser(2.0), LASER)
+
+
 def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:
     for seed in range(10):
         own = np.random.default_rng(seed).uniform(0.0, 1.0, 50).round(2)

@@ -84,6 +84,7 @@ class _Lines:
     """number of lines of each message"""
     params: dict[bytes, float] = field(default_factory=dict)
     """values of the parameters that describe the laser, m"""
+    unmeasured: int = 0  # ranges that are negative or no number
 
 
 def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Collection[str] = ()) -> Log:
@@ -95,10 +96,10 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Coll
     two poses of a line) and its maximum range (as stated, or the value that beams without a return repeat). A field of
     `laser` that is named in `stated`, or differs from the default of LaserConfig, takes precedence.
 
-    Ranges at or beyond the maximum are no returns. Scans of another geometry than that of most are left out, as is a
-    damaged last line. Ticks keep the order of the file: each has the stamp of its record, or 1 ns after the previous
-    tick if that is later. Raises LogError for a file that cannot be read or is damaged before its last line, that is
-    not a CARMEN log, or has no scan with a return.
+    Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Scans of another
+    geometry than that of most are left out, as is a damaged last line. Ticks keep the order of the file: each has the
+    stamp of its record, or 1 ns after the previous tick if that is later. Raises LogError for a
+    file that cannot be read or is damaged before its last line, is no CARMEN log, or has no scan with a return.
     """
     path, given, default = Path(file), laser or LaserConfig(), LaserConfig()
     names = {f.name for f in dataclasses.fields(LaserConfig) if getattr(given, f.name) != getattr(default, f.name)}
@@ -106,6 +107,7 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Coll
     remarks: list[str] = []
     content = _read_lines(path, remarks)
     kind = _kind_of_scans(path, content, remarks)
+    remarks += [f"{content.unmeasured} ranges that are negative or no number are no returns"] * (content.unmeasured > 0)
     content.readings = [r for r in content.readings if r.geometry is None or r.kind == kind]
     geometry = _geometry(path, content.readings, given.beams if "beams" in names else None, remarks)
     scans = [r for r in content.readings if r.geometry == geometry]
@@ -234,6 +236,8 @@ def _take(content: _Lines, record: Record) -> None:
     read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
     if read is not None:
         scan = read(record)  # which checks the number of fields
+        content.unmeasured += int(np.count_nonzero(scan[2] < 0.0))
+        scan[2][scan[2] < 0.0] = np.inf
         stamp = fields[-3]
         content.readings.append(_Reading(kind, record.stamp_ns(stamp), float(stamp), *scan))
     elif not _MESSAGE_NAME.fullmatch(kind):
@@ -290,10 +294,7 @@ def _expect(record: Record, count: int, what: str = "") -> None:
 
 
 def _ranges(record: Record, first: int, count: int) -> NDArray[np.float32]:
-    """(count,) metres, at least 0, or inf, from field `first` on."""
+    """(count,) metres, or inf, from field `first` on; -1 for one that is negative or no number."""
     values = record.parsed(record.fields[first : first + count])
-    bad = np.flatnonzero(~(values >= 0.0))
-    if len(bad):
-        record.fail(f"found range {shown(record.fields[first + bad[0]])}, allowed: metres, at least 0")
     values[values > LARGEST] = np.inf  # these may overflow a float32
-    return values.astype(np.float32)
+    return np.where(values >= 0.0, values, -1.0).astype(np.float32)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import gzip
-import math
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -83,17 +82,15 @@ class Record:
         try:
             return np.array(fields, dtype=np.float64)
         except ValueError:
-            for field in fields:
-                if math.isnan(_number(field)):
-                    self.fail(f"found {shown(field)}, allowed: a number")
-            raise
+            self.fail(f"found {shown(next(field for field in fields if not _is_number(field)))}, allowed: a number")
 
 
-def _number(field: bytes) -> float:
+def _is_number(field: bytes) -> bool:
     try:
-        return float(field)
+        float(field)
     except ValueError:
-        return math.nan
+        return False
+    return True
 
 
 def shown(field: bytes) -> str:
