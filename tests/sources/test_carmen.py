@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,7 +68,8 @@ def path_of(count: int) -> list[Pose]:
 
 
 def test_a_log_has_one_tick_per_odometry_or_laser_line_in_the_order_of_the_file(tmp_path: Path) -> None:
-    lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2), "\n", "RLASER 1 2.0\n", "NMEA-GGA x\n", odom(3, x=7)]
+    skipped = ["\n", "RLASER 1 2.0\n", "NMEA-GGA x\n"]
+    lines = [HEADER, odom(1, x=1), "SYNC start\n", flaser(2, robot=Pose(4.0)), *skipped, odom(3, x=7)]
     log = read(tmp_path, "".join(lines), LASER)
     seen = []
     while (tick := log.step(Command(1.0, 1.0))) is not None:
@@ -100,6 +102,30 @@ def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path)
         log = read(tmp_path, "".join(flaser(stamp) for stamp in own), LASER)
         assert np.all(np.diff([tick.stamp_ns for tick in log.ticks]) > 0)
         assert log.backward_stamps == np.count_nonzero(np.diff(own) < 0)
+
+
+@pytest.mark.parametrize("jump", [Pose(100.0, 0.0, 0.0), Pose(3.0, -2.0, 0.7), Pose(-1.0, 0.3, 2.0)])
+def test_odometry_that_jumps_goes_on_from_where_it_was(tmp_path: Path, jump: Pose) -> None:
+    poses = path_of(40)
+    jumped = [*poses[:20], *(jump @ pose for pose in poses[20:])]
+    stamps, ranges = 0.1 * np.arange(40), [[1.0, 2.0, 3.0, 4.0]] * 40
+    log, as_before = (read(tmp_path, "".join(map(flaser, stamps, ranges, way))) for way in (jumped, poses))
+    assert any("odometry jumps once" in line for line in log.remarks())
+    assert not any("jumps" in line for line in as_before.remarks())
+    for tick, before in zip(log.ticks[:20], as_before.ticks, strict=False):
+        assert tick.odometry == before.odometry
+    assert log.ticks[20].odometry.array() == pytest.approx(log.ticks[19].odometry.array(), abs=1e-9)
+    motions = [(a.odometry.inverse() @ b.odometry).array() for a, b in itertools.pairwise(log.ticks[20:])]
+    expected = [(a.inverse() @ b).array() for a, b in itertools.pairwise(poses[20:])]
+    assert np.allclose(motions, expected, atol=1e-5)
+
+
+def test_a_pose_that_was_repeated_through_a_gap_is_no_jump(tmp_path: Path) -> None:
+    poses, stamps = path_of(3), [0.0, 0.1, 3.0, 3.1, 3.2]
+    far = poses[1] @ Pose(1.0, 0.2, 1.2)
+    ways = [poses[0], poses[1], poses[1], far, far @ Pose(0.01)]
+    log = read(tmp_path, "".join(map(flaser, stamps, [[1.0, 2.0, 3.0, 4.0]] * 5, ways)))
+    assert log.ticks[3].odometry.array() == pytest.approx(far.array(), abs=1e-5)
 
 
 @pytest.mark.parametrize("name", ["a.log", "a.log.gz", "a.clf.bz2"])

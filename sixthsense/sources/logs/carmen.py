@@ -30,7 +30,7 @@ from sixthsense.sources.logs.laser_geometry import (
     mount_from_poses,
     no_return_code,
 )
-from sixthsense.sources.logs.log import Log
+from sixthsense.sources.logs.log import Log, without_jumps
 from sixthsense.sources.logs.text_lines import LARGEST, LogError, Record, records, shown
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
@@ -118,7 +118,7 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Coll
         allowed = f"allowed: ranges above 0 and below {reach:g} m"
         raise LogError(f"{path}: found no return in {len(scans)} scans, {allowed}")
     known = described(given, geometry.beams, beams.step, reach, place)
-    return Log(_ticks(content.readings, geometry, beams, known), known, remarks)
+    return Log(without_jumps(_ticks(content.readings, geometry, beams, known), remarks), known, remarks)
 
 
 def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:

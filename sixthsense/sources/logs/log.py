@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -144,14 +144,12 @@ def pose_between(before: tuple[int, Pose], after: tuple[int, Pose], at_ns: int) 
     return pose @ Pose(share * motion.x, share * motion.y, share * motion.theta)
 
 
-def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
-    """A line each on gaps and jumps of poses with stamps, ns, in the order of the records."""
+def gaps_of(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
+    """A line on the gaps of poses with stamps, ns, in the order of the records, if there are any."""
     if len(odometry) < 2:
         return []
     stamps_s = 1e-9 * np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.float64)
-    poses = np.array([pose.array() for _, pose in odometry])
-    periods_s, steps = np.diff(stamps_s), np.diff(poses, axis=0)
-    lines = []
+    periods_s, lines = np.diff(stamps_s), []
     usual_s = float(np.median(periods_s))
     gaps = np.flatnonzero(periods_s > max(GAP_S, 3.0 * usual_s))
     if len(gaps):
@@ -160,16 +158,43 @@ def remarks_on(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
             f"odometry has {len(gaps)} gaps, the longest of {periods_s[longest]:.1f} s after "
             f"{stamps_s[longest] - stamps_s[0]:.1f} s; it comes every {usual_s:.3f} s otherwise"
         )
-    passed_s = np.maximum(periods_s, 0.0)
-    moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
-    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + JOLT_M) | (turned > _FASTEST_RAD * passed_s + JOLT_RAD))
-    if len(jumps):
-        largest = jumps[np.argmax(moved_m[jumps])]
-        lines.append(
-            f"odometry jumps {len(jumps)} times, by up to {moved_m[largest]:.1f} m after "
-            f"{stamps_s[largest] - stamps_s[0]:.1f} s: it may have begun anew, or be the frame of a map"
-        )
     return lines
+
+
+def continued(odometry: Sequence[tuple[int, Pose]]) -> tuple[list[Pose], list[str]]:
+    """The poses, with stamps in ns, where odometry that jumps goes on from where it was; and a line on the jumps.
+
+    No robot on wheels is that fast: its driver was started again, or the poses are of a map that was corrected. Scans
+    tell what the robot did meanwhile, and standing is next to that.
+    """
+    poses = [pose for _, pose in odometry]
+    if len(poses) < 2:
+        return poses, []
+    stamps_s = 1e-9 * np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.float64)
+    passed_s, steps = np.maximum(np.diff(stamps_s), 0.0), np.diff([pose.array() for pose in poses], axis=0)
+    moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
+    passed_s[1:] += np.where(steps[:-1].any(axis=1), 0.0, passed_s[:-1])  # a record may repeat an old pose, late
+    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + JOLT_M) | (turned > _FASTEST_RAD * passed_s + JOLT_RAD))
+    if not len(jumps):
+        return poses, []
+    for first, past in itertools.pairwise([*(jumps + 1).tolist(), len(poses)]):
+        back = poses[first - 1] @ poses[first].inverse()
+        poses[first:past] = [back @ pose for pose in poses[first:past]]
+    largest = jumps[np.argmax(moved_m[jumps])]
+    after_s = stamps_s[largest] - stamps_s[0]
+    times = "once" if len(jumps) == 1 else f"{len(jumps)} times, at most"
+    return poses, [
+        f"odometry jumps {times} by {moved_m[largest]:.1f} m after {after_s:.1f} s: it goes on from where it was"
+    ]
+
+
+def without_jumps(ticks: Sequence[Tick], remarks: list[str]) -> Sequence[Tick]:
+    """The ticks with odometry that is `continued`; a line on its jumps is added to the remarks."""
+    poses, jumps = continued([(tick.stamp_ns, tick.odometry) for tick in ticks])
+    remarks += jumps
+    if not jumps:
+        return ticks
+    return [replace(tick, odometry=pose) for tick, pose in zip(ticks, poses, strict=True)]
 
 
 def found_turns(scans: Sequence[Scan], frame: str) -> str | None:

@@ -18,7 +18,7 @@ from sixthsense.core.laser import Scan, sweep_ns
 from sixthsense.core.source import Tick
 from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
 from sixthsense.sources.logs.laser_geometry import FARTHEST_M, described, max_range_of
-from sixthsense.sources.logs.log import Log, found_turns, pose_between, remarks_on
+from sixthsense.sources.logs.log import Log, continued, found_turns, gaps_of, pose_between
 from sixthsense.sources.logs.ros_messages import (
     LASER_SCAN,
     ODOMETRY,
@@ -115,7 +115,13 @@ def _recording(
         recording.robot = recording.tree.root(recording.laser)
         recording.records = [each for own, message in recording.scans for each in ((own, Pose()), (own, message))]
     if recording.has_odometry:
-        recording.remarks += remarks_on(recording.odometry)
+        recording.remarks += gaps_of(recording.odometry)
+        poses, jumps = continued(recording.odometry)
+        recording.remarks += jumps
+        left = iter(poses)
+        recording.records = [
+            (own, next(left) if isinstance(value, Pose) else value) for own, value in recording.records
+        ]
     return recording
 
 
