@@ -71,38 +71,6 @@ def inverted(a: Triple) -> Triple:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def hypot(x: float, y: float) -> float:
-    """The length of (x, y) to the last bit, as `math.hypot` has it; that of the C library, in kernels, differs by one.
-
-    Squares and their sum are exact in two numbers each, and one step of Newton's method corrects the root (Borges,
-    "An improved algorithm for hypot(a, b)", 2019). For lengths whose squares neither overflow nor vanish.
-    """
-    largest = max(abs(x), abs(y))
-    if largest == 0.0 or not math.isfinite(largest):
-        return largest
-    scale = math.ldexp(1.0, -math.frexp(largest)[1])
-    total, low, lower = 1.0, 0.0, 0.0
-    for side in (x * scale, y * scale):
-        total, low, lower = _added_product(side, side, total, low, lower)
-    root = math.sqrt(total - 1.0 + (low + lower))
-    total, low, lower = _added_product(-root, root, total, low, lower)
-    return (root + (total - 1.0 + (low + lower)) / (2.0 * root)) / scale
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _added_product(a: float, b: float, total: float, low: float, lower: float) -> tuple[float, float, float]:
-    """A sum of three parts with the product of `a` and `b`, without rounding (Dekker 1971); `total` is the largest."""
-    t, u = a * 134217729.0, b * 134217729.0  # 2^27 + 1 splits a number in halves
-    a_high, b_high = t - (t - a), u - (u - b)
-    a_low, b_low = a - a_high, b - b_high
-    p, q = a_high * b_high, a_high * b_low + a_low * b_high
-    product = p + q
-    rest = p - product + q + a_low * b_low
-    added = total + product
-    return added, low + rest, lower + (total - added + product)
-
-
-@numba.njit(cache=True, error_model="numpy")
 def driven(pose: Triple, speed: float, turn_rate: float, step_s: float, steps: int) -> Triple:
     """Propagate a differential drive at constant speed (m/s) and turn rate (rad/s), in RK4 steps of `step_s`.
 

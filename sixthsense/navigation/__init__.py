@@ -34,16 +34,14 @@ def make_navigator(
     """
     from sixthsense.navigation.exploration import Exploration
     from sixthsense.navigation.exploration_task import ExplorationTask
-    from sixthsense.navigation.follower import Follower
     from sixthsense.navigation.goal_navigator import goal_navigator
     from sixthsense.navigation.navigator import Navigator
     from sixthsense.navigation.path_planner import PathPlanner
     from sixthsense.navigation.planners import make_planner
 
-    follower = Follower(config.follow, config.robot)
     planner = make_planner(config.planner, config.rrtstar, planner_rng)
     if config.task != "explore":
-        return goal_navigator(goals, planner, follower, config)
+        return goal_navigator(goals, planner, config)
     x0, y0, x1, y1 = region
     paths = PathPlanner(planner, config)
     task = ExplorationTask(
@@ -51,7 +49,6 @@ def make_navigator(
         region=(min(x0, start.x), min(y0, start.y), max(x1, start.x), max(y1, start.y)),
         radius_m=radius_m,
         paths=paths,
-        follower=follower,
         config=config,
         rng=exploration_rng,
     )

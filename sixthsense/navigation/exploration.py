@@ -34,9 +34,6 @@ from sixthsense.slam.mapping.grid import Grid
 State = Literal["viewing", "closing a loop", "going home"]
 
 _LOST_M = 0.5  # a robot whose position is less certain cannot say what it has explored
-_LONGER = 1.5  # a path to a viewpoint may become this much longer before another view is chosen
-_BLOCKED_PATHS = 6  # without anything new to see; explorations that go on have up to three in a row
-_NEW_M2 = 0.05  # seen since: less may be noise at the edges of obstacles
 
 
 class Exploration:
@@ -63,7 +60,7 @@ class Exploration:
         self._seen_m2 = 0.0
         self._has_seen_more = True  # since the last loop closure: else one loop closure could follow another for ever
         self._map = self._driving_map(grid, estimate)
-        self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.follower, task.config)
+        self.driver = PathDriver(self._map, estimate.pose, task.home, task.paths, task.config)
 
     def look(self, grid: Grid, estimate: Estimate) -> None:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
@@ -149,11 +146,11 @@ class Exploration:
         """
         promised_m = self.driver.remaining_m(pose)
         self.driver.plan(pose)
-        if self.driver.remaining_m(pose) <= _LONGER * promised_m < math.inf:
+        if self.driver.remaining_m(pose) <= self._task.config.safety.detour * promised_m < math.inf:
             return
         self._forget_if_new()
         self._blocked_paths += 1
-        if self._blocked_paths <= _BLOCKED_PATHS:
+        if self._blocked_paths <= PATIENT_TURNS:
             self._choose_view(pose)
         else:
             self._blocked_paths = 0
@@ -275,9 +272,9 @@ class Exploration:
         return bool(self._task.config.people) and self._waits <= PATIENT_TURNS
 
     def _forget_if_new(self) -> None:
-        """Count blocked paths and waits from nothing if more has been seen since the last one."""
+        """Count blocked paths and waits from nothing if more has been seen since, beside noise at obstacles' edges."""
         seen_m2 = self._map.grid.seen_area_m2
-        if seen_m2 > self._seen_m2 + _NEW_M2:
+        if seen_m2 > self._seen_m2 + self._task.config.explore.least_area_m2:
             self._blocked_paths = self._waits = 0
         self._seen_m2 = max(seen_m2, self._seen_m2)
 

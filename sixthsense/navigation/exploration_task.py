@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.regions import spread
 from sixthsense.slam.mapping.changes import Box
@@ -35,7 +34,6 @@ class ExplorationTask:
     radius_m: float
     """the robot's"""
     paths: PathPlanner
-    follower: Follower
     config: Config
     rng: np.random.Generator
     """for the random method"""

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.navigator import Navigator, Outcome
 from sixthsense.navigation.path_driver import DriveEvent, PathDriver
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner, margin_m
@@ -18,7 +17,7 @@ from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
 
 
-def goal_navigator(goals: Array, planner: Planner, follower: Follower, config: Config) -> Navigator:
+def goal_navigator(goals: Array, planner: Planner, config: Config) -> Navigator:
     """The navigator to `goals` (N, 2), world frame, in turn.
 
     It drives to them once, or again and again until the time is up on a tour that has a limit.
@@ -29,7 +28,7 @@ def goal_navigator(goals: Array, planner: Planner, follower: Follower, config: C
 
     def begin(grid: Grid, estimate: Estimate) -> GoalDrive:
         map_ = _driving_map(grid, estimate, config)
-        return GoalDrive(ways, at_end, PathDriver(map_, estimate.pose, next(ways), paths, follower, config), config)
+        return GoalDrive(ways, at_end, PathDriver(map_, estimate.pose, next(ways), paths, config), config)
 
     return Navigator(begin, paths, "tour ended" if is_tour else "out of time")
 

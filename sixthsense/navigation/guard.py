@@ -19,9 +19,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.pose_kernels import Triple
 from sixthsense.core.source import Command
 
-_TOUCH = 1e-9  # metres
 _NOTHING = np.zeros((0, 2))
-_STRAIGHT = 1e-6  # an arc with a smaller product of curvature and radius is treated as a line
 
 
 class GuardLimits(NamedTuple):
@@ -86,21 +84,23 @@ def _limits(
         distance = math.hypot(ahead, left)
         if ahead > 0.0:
             gap = min(gap, distance - radius)
-        if distance <= radius + _TOUCH:
+        if distance <= radius:
             if ahead > 0.0:
                 contact = 0.0
             continue  # else the robot moves away from it
-        if curvature * radius < _STRAIGHT:
-            if ahead > 0.0 and abs(left) < radius:
-                contact = min(contact, ahead - math.sqrt(radius * radius - left * left))
+        # The centre moves on a circle around (0, 1 / curvature), from which the return is 1 / curvature + off away. The
+        # contact is where the centre's distance to the return is `radius`.
+        away = math.hypot(curvature * ahead, 1.0 - curvature * left)
+        off = (curvature * distance * distance - 2.0 * left) / (1.0 + away)
+        if abs(off) >= radius or away == 0.0:
             continue
-        # The centre moves on a circle around (0, r). The contact is where its distance to the return is `radius`.
-        r = 1.0 / curvature
-        rho = math.hypot(ahead, r - left)
-        if abs(rho - r) < radius and rho > 0.0:
-            at = math.atan2(ahead, r - left) % (2.0 * math.pi)
-            half = math.acos(min(max((r * r + rho * rho - radius * radius) / (2.0 * r * rho), -1.0), 1.0))
-            contact = min(contact, r * ((at - half) % (2.0 * math.pi)))
+        chord = math.sqrt((radius * radius - off * off) / away)
+        if curvature > 0.0:
+            at = math.atan2(curvature * ahead, 1.0 - curvature * left)
+            half = 2.0 * math.asin(min(0.5 * curvature * chord, 1.0))
+            contact = min(contact, (at - half) % (2.0 * math.pi) / curvature)
+        elif ahead > 0.0:
+            contact = min(contact, ahead - chord)
     return contact if contact <= reach else np.inf, gap
 
 

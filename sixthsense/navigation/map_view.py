@@ -28,9 +28,7 @@ from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import give_way
 
 _UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
-_SIGHT_MARGIN = 0.5  # robot radii that a line of sight keeps off obstacles
 _WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
-_CLOSING = 2  # cells; how far a closing by 3 x 3 cells carries a change
 _MASKS = "seen", "free", "obstacles", "opaque", "wanted", "blocked", "passable", "_barred"
 _NOWHERE, _NO_CELLS = Box(0, 0, 0, 0), np.zeros((0, 0), dtype=np.bool_)
 
@@ -74,9 +72,11 @@ class MapView:
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
         self._area = AreaToSee(region, config)
-        self._unknown_reach, self._sight_margin = round(_UNKNOWN_M / cell_m), round(_SIGHT_MARGIN * self.radius)
+        self._unknown_reach = round(_UNKNOWN_M / cell_m)
+        self._sight_margin = round(0.5 * self.radius)  # that lines of sight keep off obstacles
         inflation = math.ceil((radius_m + config.grid.clearance_m) / cell_m) + 1
-        self._spread = max(inflation, self._unknown_reach, self._sight_margin + _CLOSING, self._area.narrow_outside)
+        closing = 2  # cells; how far a closing by 3 x 3 cells carries a change
+        self._spread = max(inflation, self._unknown_reach, self._sight_margin + closing, self._area.narrow_outside)
         self._revision: Revision | None = None
         self._due = _NOWHERE  # where views are to be drawn again
         self._ignored: Nodes = np.zeros(0, dtype=np.int64)

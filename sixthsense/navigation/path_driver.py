@@ -1,19 +1,20 @@
-"""Driving to one place: plan, follow, plan again when the path is blocked, and turn around while there is no path."""
+"""Driving to one place: plan, follow, plan again when the path is blocked, and turn around while there is no path.
+
+A path is followed by turns on the spot and straight lines: orient, then translate (report section 4.4).
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 import numba
 import numpy as np
 
-from sixthsense.config import Config, RobotConfig
-from sixthsense.core.geometry import Array, Pose, wrap_angle
-from sixthsense.core.pose_kernels import Triple, hypot, wrapped
+from sixthsense.config import Config
+from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.pose_kernels import Triple, wrapped
 from sixthsense.core.source import Command
-from sixthsense.navigation.follower import Follower, Following, FollowLimits, followed
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.shortcut import path_is_free
 
@@ -22,9 +23,90 @@ DriveEvent = Literal["arrived", "turned around", "stuck"]
 several, and no path was found during it; stuck: no progress for a while."""
 
 PATIENT_TURNS = 5
-"""turns on the spot, half a minute, that a robot without a way waits for people to go"""
+"""turns on the spot, half a minute, that a robot without a way waits for people to go; and as many blocked paths in a
+row to what it wants to see"""
 _STUCK_S = 60.0  # least time without progress after which the robot is stuck
 _STUCK_M = 0.1  # progress
+_REORIENT = 5.0  # the robot stops and turns on the spot at this multiple of the heading slack
+
+
+class FollowLimits(NamedTuple):
+    """How precisely a path is followed, and how fast."""
+
+    distance_slack_m: float
+    heading_slack_rad: float
+    speed: float
+    """m/s"""
+    turn_rate: float
+    """rad/s"""
+    period_s: float
+    """of a control tick"""
+
+    @staticmethod
+    def of(config: Config) -> FollowLimits:
+        """Those of a configuration."""
+        follow, robot = config.follow, config.robot
+        return FollowLimits(
+            float(follow.distance_slack_m),
+            float(follow.heading_slack_rad),
+            float(robot.speed),
+            float(robot.turn_rate),
+            float(robot.control_period_s),
+        )
+
+
+class Following(NamedTuple):
+    """A path, and how far the robot has come on it."""
+
+    path: Array
+    """(N, 2) way points, metres, world frame; the first one is where the robot was"""
+    next: int
+    """index of the way point ahead"""
+    is_driving: bool
+    """whether it drives towards it, else it turns towards it"""
+
+    @staticmethod
+    def along(path_world: Array) -> Following:
+        """At the begin of a path (N, 2)."""
+        return Following(np.array(path_world, dtype=np.float64, order="C"), 1, False)
+
+    def remaining(self, pose: Pose) -> Array:
+        """(M, 2): the robot's position and the way points ahead."""
+        return np.vstack([pose.position, self.path[self.next :]])
+
+
+@numba.njit(cache=True, error_model="numpy")
+def followed(pose: Triple, following: Following, limits: FollowLimits) -> tuple[float, float, int, bool]:
+    """Speed and turn rate of one control tick, then the next way point and whether the robot drives towards it.
+
+    A standstill when no way point is left.
+    """
+    path, k, is_driving = following.path, following.next, following.is_driving
+    x, y, distance = 0.0, 0.0, 0.0
+    while k < len(path):
+        x, y = path[k, 0] - pose[0], path[k, 1] - pose[1]
+        distance = math.hypot(x, y)
+        if distance > limits.distance_slack_m:
+            break
+        k += 1
+        is_driving = False
+    if k >= len(path):
+        return 0.0, 0.0, k, is_driving
+    error = wrapped(math.atan2(y, x) - pose[2])
+    if is_driving and abs(error) > _REORIENT * limits.heading_slack_rad:
+        is_driving = False
+    if not is_driving:
+        if abs(error) > limits.heading_slack_rad:
+            return 0.0, _clip(error / limits.period_s, limits.turn_rate), k, is_driving
+        is_driving = True
+    # A small turn rate corrects drift while driving. One tick never overshoots the way point.
+    turn_rate = _clip(2.0 * error * limits.speed / max(distance, 0.25), limits.turn_rate)
+    return min(limits.speed, distance / limits.period_s), turn_rate, k, is_driving
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _clip(value: float, limit: float) -> float:
+    return min(max(value, -limit), limit)
 
 
 class Mission(Protocol):
@@ -45,24 +127,36 @@ class DriverLimits(NamedTuple):
     """rad/s"""
     follow: FollowLimits
 
+    @staticmethod
+    def of(config: Config) -> DriverLimits:
+        """Those of a configuration: a slow robot is allowed the time for two turns on the spot and for the distance."""
+        robot = config.robot
+        patience_s = max(_STUCK_S, 2.0 * math.tau / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
+        follow = FollowLimits.of(config)
+        return DriverLimits(float(config.follow.goal_slack_m), patience_s * 10**9, float(robot.turn_rate), follow)
+
 
 class GoalDrive(NamedTuple):
-    """A drive to a goal, as kernels change it tick by tick."""
+    """A drive to a goal, as it changes tick by tick."""
 
     goal: tuple[float, float]
-    is_following: bool
+    is_following: bool = False
     """whether there is a path that is being followed"""
-    following: Following
-    is_turning: bool
+    following: Following = Following(np.zeros((0, 2)), 0, False)
+    is_turning: bool = False
     """whether the robot turns on the spot, as long as there is no path"""
-    heading: float
+    heading: float = 0.0
     """at the last tick of that turn"""
-    left_rad: float
+    left_rad: float = 0.0
     """still to be turned"""
-    is_watched: bool
+    is_watched: bool = False
     """whether there is a place since which progress is watched"""
-    anchor: tuple[int, float, float]
+    anchor: tuple[int, float, float] = (0, 0.0, 0.0)
     """stamp (ns) and that place"""
+
+
+_STEERED, _ARRIVED, _STUCK, _TURNED = range(4)
+"""what a control tick has come to"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -73,65 +167,40 @@ def steered(
 
     It is not where the mission has to be asked: the robot is at the goal, is stuck or has completed a turn.
     """
-    if hypot(pose[0] - drive.goal[0], pose[1] - drive.goal[1]) <= limits.goal_slack_m:
+    if _is_there(drive, pose, limits):
         return drive, 0.0, 0.0, False
-    anchor, following, heading, left_rad = drive.anchor, drive.following, drive.heading, drive.left_rad
-    if not drive.is_watched or hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _STUCK_M:
-        anchor = (stamp_ns, pose[0], pose[1])
+    after, speed, turn_rate, event = _advanced(drive, pose, stamp_ns, limits)
+    return after, speed, turn_rate, event == _STEERED
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _is_there(drive: GoalDrive, pose: Triple, limits: DriverLimits) -> bool:
+    """Whether the robot is at the goal."""
+    return math.hypot(pose[0] - drive.goal[0], pose[1] - drive.goal[1]) <= limits.goal_slack_m
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _advanced(
+    drive: GoalDrive, pose: Triple, stamp_ns: int, limits: DriverLimits
+) -> tuple[GoalDrive, float, float, int]:
+    """The drive after a control tick that does not end at the goal, speed, turn rate and what the tick has come to."""
+    is_watched, anchor, following, heading, left_rad = (
+        drive.is_watched, drive.anchor, drive.following, drive.heading, drive.left_rad,
+    )  # fmt: skip
+    is_turning, speed, turn_rate, event = drive.is_turning, 0.0, 0.0, _STEERED
+    if not is_watched or math.hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _STUCK_M:
+        is_watched, anchor = True, (stamp_ns, pose[0], pose[1])
     elif stamp_ns - anchor[0] > limits.patience_ns:
-        return drive, 0.0, 0.0, False
-    speed, turn_rate = 0.0, 0.0
-    if drive.is_following:
+        is_watched, event = False, _STUCK
+    if event == _STEERED and drive.is_following:
         speed, turn_rate, k, is_driving = followed(pose, following, limits.follow)
         following = Following(following.path, k, is_driving)
-    elif drive.is_turning:
+    elif event == _STEERED and is_turning:
         left_rad -= abs(wrapped(pose[2] - heading))
-        if left_rad <= 0.0:
-            return drive, 0.0, 0.0, False
-        heading, turn_rate = pose[2], limits.turn_rate
-    after = GoalDrive(drive.goal, drive.is_following, following, drive.is_turning, heading, left_rad, True, anchor)
-    return after, speed, turn_rate, True
-
-
-class ProgressMonitor:
-    """Watches whether the robot moves on."""
-
-    def __init__(self, robot: RobotConfig) -> None:
-        """Allow a slow robot the time for two turns on the spot and for the distance."""
-        patience_s = max(_STUCK_S, 4.0 * math.pi / robot.turn_rate + 2.0 * _STUCK_M / robot.speed)
-        self.patience_ns = 1e9 * patience_s
-        """time without progress after which the robot is stuck"""
-        self.anchor: tuple[int, float, float] | None = None
-        """stamp (ns) and place since which the robot is watched"""
-
-    def reset(self) -> None:
-        """Start to watch anew."""
-        self.anchor = None
-
-    def is_stuck(self, pose: Pose, stamp_ns: int) -> bool:
-        """Whether the robot has not moved on for too long; if so, start anew."""
-        if self.anchor is None or math.dist((pose.x, pose.y), self.anchor[1:]) > _STUCK_M:
-            self.anchor = (stamp_ns, pose.x, pose.y)
-        elif stamp_ns - self.anchor[0] > self.patience_ns:
-            self.anchor = None
-            return True
-        return False
-
-
-@dataclass(slots=True)
-class _Turn:
-    """A turn on the spot."""
-
-    heading: float
-    """at the last tick"""
-    left_rad: float
-    """still to be turned"""
-
-    def advance(self, heading: float) -> bool:
-        """Take in the heading; whether the turn is complete."""
-        self.left_rad -= abs(wrap_angle(heading - self.heading))
-        self.heading = heading
-        return self.left_rad <= 0.0
+        heading, is_turning = pose[2], left_rad > 0.0
+        turn_rate, event = (limits.turn_rate, _STEERED) if is_turning else (0.0, _TURNED)
+    after = GoalDrive(drive.goal, drive.is_following, following, is_turning, heading, left_rad, is_watched, anchor)
+    return after, speed, turn_rate, event
 
 
 class PathDriver:
@@ -140,27 +209,25 @@ class PathDriver:
     A blocked path may be due to a single wrong return, which more scans will clear: hence the turn.
     """
 
-    def __init__(
-        self, map_: DrivingMap, pose: Pose, goal: Array, planner: PathPlanner, follower: Follower, config: Config
-    ) -> None:
+    def __init__(self, map_: DrivingMap, pose: Pose, goal: Array, planner: PathPlanner, config: Config) -> None:
         """Stand at `pose` with the goal (2,), without a path yet."""
-        self.goal = goal
-        self.following = False
-        """whether there is a path that is being followed"""
-        self._planner = planner
-        self._follower = follower
-        self._config = config
-        self._patience_rad = 2.0 * math.pi * (PATIENT_TURNS if config.people else 1)
-        self._progress = ProgressMonitor(config.robot)
-        self._turn: _Turn | None = None
-        self.limits = DriverLimits(
-            float(config.follow.goal_slack_m),
-            float(self._progress.patience_ns),
-            float(config.robot.turn_rate),
-            follower.limits,
-        )
+        self.limits = DriverLimits.of(config)
         """when a tick needs more than a command"""
+        self.drive = GoalDrive((float(goal[0]), float(goal[1])))
+        """the state that control ticks change"""
+        self._planner = planner
+        self._patience_rad = math.tau * (PATIENT_TURNS if config.people else 1)
         self.update_map(map_, pose)
+
+    @property
+    def goal(self) -> Array:
+        """(2,) the place to drive to, world frame."""
+        return np.array(self.drive.goal)
+
+    @property
+    def following(self) -> bool:
+        """Whether there is a path that is being followed."""
+        return self.drive.is_following
 
     def update_map(self, map_: DrivingMap, pose: Pose) -> None:
         """Take in another map."""
@@ -170,84 +237,58 @@ class PathDriver:
 
     def head_for(self, goal: Array, pose: Pose) -> None:
         """Plan a path to another goal (2,) and follow it."""
-        self.goal = goal
-        self._progress.reset()
+        self.drive = self.drive._replace(goal=(float(goal[0]), float(goal[1])), is_watched=False)
         self.space = self.space.covering(pose.position, goal)
         self.plan(pose)
 
     def plan(self, pose: Pose) -> None:
         """Plan a path to the goal and follow it; without a path, turn around."""
         path = self._planner.plan(self._map, self.space, pose.position, self.goal)
-        self.following = path is not None
-        if path is not None:
-            self._turn = None
-            self._follower.follow(path)
-        elif self._turn is None:
-            self._turn = _Turn(pose.theta, self._patience_rad)
+        if path is None:
+            self.guard_stopped(pose)
+        else:
+            self.drive = self.drive._replace(is_following=True, following=Following.along(path), is_turning=False)
 
     def path_is_free(self, pose: Pose) -> bool:
         """Whether there is a path and the rest of it is free."""
-        return self.following and path_is_free(self.space, self._follower.remaining(pose))
+        return self.following and path_is_free(self.space, self.drive.following.remaining(pose))
 
     def remaining_m(self, pose: Pose) -> float:
         """Length of the rest of the path; infinite without one."""
         if not self.following:
             return math.inf
-        steps = np.diff(self._follower.remaining(pose), axis=0)
+        steps = np.diff(self.drive.following.remaining(pose), axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
     def stop(self) -> None:
         """Drop the path, and end a turn."""
-        self.following, self._turn = False, None
+        self.drive = self.drive._replace(is_following=False, is_turning=False)
 
     def turn_around(self, pose: Pose, angle_rad: float) -> None:
         """Drop the path and turn on the spot."""
-        self.following, self._turn = False, _Turn(pose.theta, angle_rad)
+        self.drive = self.drive._replace(is_following=False, is_turning=True, heading=pose.theta, left_rad=angle_rad)
 
     def wait(self, pose: Pose) -> None:
         """Drop the path and turn around once: who is in the way may go."""
-        self._progress.reset()
-        self.turn_around(pose, 2.0 * math.pi)
+        self.drive = self.drive._replace(is_watched=False)
+        self.turn_around(pose, math.tau)
 
     def guard_stopped(self, pose: Pose) -> None:
         """Drop the path and turn, until a keyframe has brought the obstacle into the map and a new path avoids it."""
-        self.following = False
-        if self._turn is None:
-            self._turn = _Turn(pose.theta, self._patience_rad)
-
-    @property
-    def drive(self) -> GoalDrive:
-        """The state that control ticks change."""
-        turn, anchor = self._turn or _Turn(0.0, 0.0), self._progress.anchor
-        return GoalDrive(
-            (float(self.goal[0]), float(self.goal[1])),
-            self.following,
-            self._follower.following,
-            self._turn is not None,
-            turn.heading,
-            turn.left_rad,
-            anchor is not None,
-            anchor or (0, 0.0, 0.0),
-        )
-
-    def passed(self, drive: GoalDrive) -> None:
-        """Take in control ticks in which a kernel has steered, to the state after them."""
-        self._follower.following = drive.following
-        self._turn = _Turn(drive.heading, drive.left_rad) if drive.is_turning else None
-        self._progress.anchor = drive.anchor if drive.is_watched else None
+        if self.drive.is_turning:
+            self.drive = self.drive._replace(is_following=False)
+        else:
+            self.turn_around(pose, self._patience_rad)
 
     def step(self, pose: Pose, stamp_ns: int, mission: Mission) -> Command:
         """The command of a control tick, after `mission` has handled the events."""
-        if math.dist(pose.position, self.goal) <= self._config.follow.goal_slack_m and mission.handle("arrived", pose):
+        place = pose.x, pose.y, pose.theta
+        if _is_there(self.drive, place, self.limits) and mission.handle("arrived", pose):
             return Command()
-        if self._progress.is_stuck(pose, stamp_ns):
+        self.drive, speed, turn_rate, event = _advanced(self.drive, place, stamp_ns, self.limits)
+        if event == _STUCK:
             mission.handle("stuck", pose)
-        if self.following:
-            return self._follower.step(pose)
-        if self._turn is None:
-            return Command()
-        if self._turn.advance(pose.theta):
-            self._turn = None
+            self.drive, speed, turn_rate, event = _advanced(self.drive, place, stamp_ns, self.limits)
+        if event == _TURNED:
             mission.handle("turned around", pose)
-            return Command()
-        return Command(0.0, self._config.robot.turn_rate)
+        return Command(speed, turn_rate)

@@ -123,7 +123,7 @@ class Pilot:
         self.guard.moved_to(steering.since_scan)
         driver = self.navigator.driver
         if ticks and driver is not None:
-            driver.passed(steering.drive)
+            driver.drive = steering.drive
             self.guard.passed(steering.waits_for_moving)
             self._stopped_ns = None
 

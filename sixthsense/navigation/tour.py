@@ -17,13 +17,11 @@ from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.regions import Cells
 from sixthsense.slam.mapping.freespace import Bools
 
-_RING = 8  # buckets of the search: more than the longest step
 _STOPS = 30  # so many views are visited by a tour, those with the shortest ways
-_NO_WAY = 1e6  # cells; more than any way, and a number that can be added
 _LEG = 0.15  # the way to the first stop counts so much more: what is seen early may shorten the rest
 _OPTIONS = 6  # nearest views that may be the first stop instead of the tour's
-_LESS = 1e-6  # a tour that is not shorter by so much is as long
 _SEGMENT = 3  # most stops that are moved at once
+_LESS = 1e-6  # a tour that is not shorter by so much is as long
 
 Links = NDArray[np.uint8]
 """(H, W) of each tile: a bit for each neighbour, set if it leads there; across a corner, by a third tile."""
@@ -106,7 +104,9 @@ def stop_order(lengths: Array) -> Cells:
     first with the least way to it, which counts a little more, plus the best tour found from there; the lowest of
     equals.
     """
-    return np.asarray(_stop_order(np.minimum(lengths, _NO_WAY)))
+    is_way = np.isfinite(lengths)
+    no_way = lengths.sum(where=is_way) + 1.0  # more than any tour, and a number that can be added
+    return np.asarray(_stop_order(np.where(is_way, lengths, no_way)))
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -174,7 +174,8 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
     width = links.shape[1]
     steps[:] = -1
     steps[row, col] = 0
-    stacks, sizes = np.empty((_RING, 1024), dtype=np.int32), np.zeros(_RING, dtype=np.int64)
+    ring = DIAGONAL + 1  # more than the longest step
+    stacks, sizes = np.empty((ring, 1024), dtype=np.int32), np.zeros(ring, dtype=np.int64)
     stacks[0, 0], sizes[0] = row * width + col, 1
     at, queued = 0, 1
     while queued > 0 and missing > 0:
@@ -191,15 +192,15 @@ def _search(links: Links, row: int, col: int, wanted: Bools, missing: int, steps
                 if 0 <= steps[to_r, to_c] <= there:
                     continue
                 steps[to_r, to_c] = there
-                stacks = push(stacks, sizes, there % _RING, to_r * width + to_c)
+                stacks = push(stacks, sizes, there % ring, to_r * width + to_c)
                 queued += 1
 
 
 @numba.njit(cache=True, error_model="numpy")
 def _stop_order(lengths: Array) -> Cells:
     tour = short_tour(lengths)
-    nearest = np.argsort(lengths[0, 1:-1])[:_OPTIONS] + 1
     best, least = tour[1:-1].copy(), np.inf
+    nearest = np.argsort(lengths[0, 1:-1])[:_OPTIONS] + 1
     for stop in np.unique(np.append(nearest, tour[1])):
         rest = np.append(stop, tour[1:][tour[1:] != stop])
         shorten(lengths, rest)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +22,6 @@ from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 
 _TILE_M = 1.0  # longer frontiers are split
-_GLIMPSED_M2 = 1.0  # free cells that are not connected to the robot's count as a place if they are so many
 _SEEN_FRACTION = 0.2  # a target is seen when no more than this share of it is unknown
 
 
@@ -112,14 +110,11 @@ class ViewPlanner:
         return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], dust)
 
     def glimpsed_cells(self) -> int:
-        """Fewest free cells of a place that counts though it is not connected to the robot's.
+        """Fewest free cells of a place that counts though it is not connected to the robot's: those of a whole tile.
 
-        A room that was seen through a door which the map has closed since, after an error of the pose perhaps, is none
-        that nobody need look at.
+        A room may have been seen through a door which the map has closed since, after an error of the pose perhaps.
         """
-        cell_m2 = self.view.cell_m**2
-        cells = math.ceil(_GLIMPSED_M2 / cell_m2)
-        return cells - 1 if (cells - 1) * cell_m2 >= _GLIMPSED_M2 else cells
+        return self.tile**2
 
     def best(self, candidates: Candidates) -> Target | None:
         """The first stop of a short tour through the views; None if all that is visible together is dust."""

@@ -67,7 +67,7 @@ def _nearest(tiles: Bools, allowed: Bools, obstacles: Bools, row: int, col: int,
     ranges, count = np.empty((_RANGES, 2), dtype=np.int64), 1  # of directions that are open, in their order
     ranges[0] = 0, _DIRECTIONS
     hiding = np.empty((8 * int(reach) + 1, 2), dtype=np.int64)
-    best, found = reach + 1e-9, -1
+    best, found = np.nextafter(reach, np.inf), -1
     for ring in range(1, int(reach) + 1):
         if ring > best or count == 0:
             break
@@ -163,14 +163,14 @@ def _direction(rows: float, cols: float) -> float:
     """Direction of an offset as a number from 0 up to `_DIRECTIONS`: how far it lies along the square about (0, 0)."""
     ring = max(abs(rows), abs(cols))
     if -rows == ring and cols < ring:
-        along = cols + ring
+        side, along = 0, cols
     elif cols == ring and rows < ring:
-        along = rows + 3.0 * ring
+        side, along = 1, rows
     elif rows == ring and cols > -ring:
-        along = 5.0 * ring - cols
+        side, along = 2, -cols
     else:
-        along = 7.0 * ring - rows
-    return along * (_DIRECTIONS / (8.0 * ring))
+        side, along = 3, -rows
+    return (2 * side + 1 + along / ring) * (_DIRECTIONS // 8)
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -16,7 +16,7 @@ from sixthsense.core.laser import beam_bearings
 from sixthsense.navigation.gridsearch.reached import TILE
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.viewpoints import Cell, Viewpoints
-from sixthsense.navigation.visibility import expected_gain, gapless_reach
+from sixthsense.navigation.visibility import expected_gain
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.inflation import too_near
 
@@ -108,7 +108,7 @@ class SensorModel:
     reach: float
     """range within which a cell is seen, in cells"""
     gapless_reach: float
-    """range within which no cell falls between two beams, in cells"""
+    """range within which no cell falls between two beams, with some slack, in cells"""
     turn_rad: float
     """turn at a viewpoint that covers all directions, and the gaps between beams"""
 
@@ -116,11 +116,11 @@ class SensorModel:
     def of(cls, laser: LaserConfig, cell_m: float, keyframe_turn_rad: float) -> SensorModel:
         """The model of a laser; a turn of `keyframe_turn_rad` makes a keyframe."""
         bearings = beam_bearings(laser)
-        spacing = abs(float(bearings[1] - bearings[0]))
+        spacing, reach = abs(float(bearings[1] - bearings[0])), 0.95 * laser.max_range / cell_m
         return cls(
             rays=max(8, round(math.pi / spacing)),
-            reach=0.95 * laser.max_range / cell_m,
-            gapless_reach=max(2.0, gapless_reach(spacing, laser.max_range / cell_m)),
+            reach=reach,
+            gapless_reach=max(2.0, min(0.8 / spacing, reach)),
             turn_rad=2.0 * math.pi if laser.fov < 2.0 * math.pi - spacing else 3.0 * keyframe_turn_rad + 0.1,
         )
 

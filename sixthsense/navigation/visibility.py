@@ -89,11 +89,3 @@ def mark_visible(visible: Bools, obstacles: Bools, mask: Bools, row: int, col: i
         for c in range(max(col - span, 0), min(col + span + 1, width)):
             if mask[r, c] and not visible[r, c] and math.hypot(r - row, c - col) <= reach:
                 visible[r, c] = line_of_sight(obstacles, row, col, r, c)
-
-
-def gapless_reach(spacing_rad: float, max_range_cells: float) -> float:
-    """The range, in cells, up to which beams of a spacing leave no gap as wide as a cell, with some slack.
-
-    At most 0.95 of the laser's range.
-    """
-    return min(0.8 / max(spacing_rad, 1e-9), 0.95 * max_range_cells)

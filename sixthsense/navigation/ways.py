@@ -26,8 +26,6 @@ from sixthsense.slam.mapping.inflation import marked, too_near
 
 _FREE, _TIGHT, _DRIVEN = np.uint8(1), np.uint8(10), np.uint8(30)
 """a detour over free cells of so many times the length is better"""
-_INTO_WALLS = 0.5  # cells that the robot may reach into those of obstacles: a wall is thinner than its cells
-_PASSED_M = 0.3  # from the end of a way: a robot so near to it has come through
 _OUT_M = 2.0  # longest way out of the inflation over tight cells
 _OVERLAP = np.uint8(4)  # on the way out, price of cells where, if the map is right, the robot does not fit
 
@@ -79,8 +77,9 @@ class Ways:
             self._untried.append(OpenWay(way[dear[0] : dear[-1] + 2], bool((prices == _DRIVEN).any())))
 
     def moved(self, position: Array) -> bool:
-        """Take in where the robot is, (2,): a way stays open if it has come to its end; whether it has to one."""
-        passed = [math.dist(position, (way.cells[-1, ::-1] + 0.5) * self._cell_m) <= _PASSED_M for way in self._untried]
+        """Take in where the robot is, (2,): a way stays open if the robot covers its end; whether it has to one."""
+        reach_m = self._radius * self._cell_m
+        passed = [math.dist(position, (way.cells[-1, ::-1] + 0.5) * self._cell_m) <= reach_m for way in self._untried]
         self._passed += [way for way, through in zip(self._untried, passed, strict=True) if through]
         self._untried = [way for way, through in zip(self._untried, passed, strict=True) if not through]
         return any(passed)
@@ -105,7 +104,7 @@ class Ways:
         """(H, W) the cells of a box where the robot may not go, though it has `driven` there or has no clearance."""
         if driven and self._guarded:  # the guard stops it before it touches anything
             return np.zeros((box.bottom - box.top, box.right - box.left), dtype=np.bool_)
-        into_walls = 0.0 if driven else _INTO_WALLS * self._cell_m
+        into_walls = 0.0 if driven else 0.5 * self._cell_m  # a wall is thinner than its cells
         return grid.inflated(box, -self._clearance_m - into_walls)
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.pose_kernels import Triple, composed, driven, hypot, inverted
+from sixthsense.core.pose_kernels import Triple, composed, driven, inverted
 
 RNG = np.random.default_rng(0)
 
@@ -45,11 +45,3 @@ def test_inverted_is_the_inverse_of_a_pose() -> None:
     for _ in range(1000):
         pose = random_pose()
         assert inverted(triple(pose)) == triple(pose.inverse())
-
-
-def test_hypot_is_that_of_python_to_the_last_bit() -> None:
-    for scale in (1e-9, 1e-3, 1.0, 1e3):
-        for x, y in (RNG.normal(size=(2000, 2)) * [scale, 1e-2 * scale]).tolist():
-            assert hypot(x, y) == math.hypot(x, y)
-    for x, y in ((0.0, 0.0), (-3.0, 4.0), (0.0, -2.0), (math.inf, 1.0)):
-        assert hypot(x, y) == math.hypot(x, y)

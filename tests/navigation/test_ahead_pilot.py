@@ -8,7 +8,6 @@ import pytest
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
@@ -24,7 +23,7 @@ HALL = np.array(
 
 
 def to_goal() -> Navigator:
-    return goal_navigator(np.array([[4.0, -1.0]]), make_planner("astar"), Follower(CONFIG.follow, CONFIG.robot), CONFIG)
+    return goal_navigator(np.array([[4.0, -1.0]]), make_planner("astar"), CONFIG)
 
 
 def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():

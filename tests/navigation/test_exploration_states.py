@@ -10,8 +10,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.navigation.exploration import Exploration, State
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.follower import Follower
-from sixthsense.navigation.path_driver import DriveEvent
+from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent
 from sixthsense.navigation.path_planner import PathPlanner
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.unseen_places import UnseenPlace
@@ -47,7 +46,6 @@ class Stage:
             region=(0.0, 0.0, float(walls[..., 0].max()), 3.0),
             radius_m=RADIUS,
             paths=PathPlanner(make_planner("astar"), self.config),
-            follower=Follower(self.config.follow, self.config.robot),
             config=self.config,
             rng=np.random.default_rng(0),
         )
@@ -189,7 +187,7 @@ def test_a_target_whose_path_is_blocked_again_and_again_while_nothing_new_is_see
     stage = Stage(TWO_ROOMS)
     stage.look(START)
     exploration = stage.exploration
-    for _ in range(7):
+    for _ in range(PATIENT_TURNS + 1):
         assert not attempts(exploration).any()
         exploration.driver.stop()
         stage.look(START)
@@ -238,10 +236,10 @@ def test_a_blocked_path_is_planned_again_towards_the_same_goal(state: State) -> 
     stage.look(START)
     exploration = stage.exploration
     exploration.state, exploration._target = state, NO_TARGET
-    goal = exploration.driver.goal
+    goal = exploration.driver.drive.goal
     exploration.driver.stop()
     assert stage.look(START, sigma_m=0.08) == state  # too uncertain to end a loop closure
-    assert exploration.driver.following and exploration.driver.goal is goal
+    assert exploration.driver.following and exploration.driver.drive.goal is goal
 
 
 def test_a_robot_stuck_on_the_way_home_tries_another_way() -> None:

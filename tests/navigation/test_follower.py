@@ -5,13 +5,34 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sixthsense.config import FollowConfig, RobotConfig
+from sixthsense.config import Config, FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.follower import Follower
+from sixthsense.navigation.path_driver import Following, FollowLimits, followed
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
+
+
+class Follower:
+    """Follows a path tick by tick, as a drive does."""
+
+    def __init__(self, follow: FollowConfig, robot: RobotConfig) -> None:
+        self._limits = FollowLimits.of(Config(follow=follow, robot=robot))
+        self.follow(np.zeros((0, 2)))
+
+    def follow(self, path: Array) -> None:
+        self._following = Following.along(path)
+
+    def remaining(self, pose: Pose) -> Array:
+        return self._following.remaining(pose)
+
+    def step(self, pose: Pose) -> Command:
+        speed, turn_rate, k, is_driving = followed((pose.x, pose.y, pose.theta), self._following, self._limits)
+        self._following = Following(self._following.path, k, is_driving)
+        return Command(speed, turn_rate)
+
+
 places = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
 
 

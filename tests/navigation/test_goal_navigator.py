@@ -12,7 +12,6 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.navigator import Navigator, Outcome
 from sixthsense.navigation.planners import Plan, make_planner
@@ -28,7 +27,7 @@ BOX = [[[1.0, -1.0], [3.0, -1.0]], [[3.0, -1.0], [3.0, 1.0]], [[3.0, 1.0], [1.0,
 
 
 def navigator_to(*goals: tuple[float, float], config: Config = CONFIG) -> Navigator:
-    return goal_navigator(np.array(goals), make_planner("astar"), Follower(config.follow, config.robot), config)
+    return goal_navigator(np.array(goals), make_planner("astar"), config)
 
 
 def empty_grid() -> Grid:
@@ -201,7 +200,7 @@ def test_a_replan_reuses_the_last_search() -> None:
             return asked[-1][0]
 
     grid, config = empty_grid(), merge(CONFIG, {"safety": {"max_margin_m": 0.0}})
-    navigator = goal_navigator(np.array([[4.0, 1.0]]), Compared(), Follower(config.follow, config.robot), config)
+    navigator = goal_navigator(np.array([[4.0, 1.0]]), Compared(), config)
     add_walls(grid, [[[-0.6, -2.0], [-0.6, 2.0]], [[3.0, -2.0], [3.0, 0.5]]])
     navigator.look(grid, believed(Pose()))
     add_walls(grid, [[[1.0, -0.5], [1.0, 0.9]]])
@@ -223,7 +222,7 @@ def test_the_planner_is_called_once_per_plan_and_only_if_there_is_a_path() -> No
             return Plan.along(np.array([start, goal]), 1, 0.0)
 
     grid, config = empty_grid(), CONFIG
-    navigator = goal_navigator(np.array([[4.0, 0.0]]), Straight(), Follower(config.follow, config.robot), config)
+    navigator = goal_navigator(np.array([[4.0, 0.0]]), Straight(), config)
     navigator.look(grid, believed(Pose()))
     assert len(asked) == 1 and len(navigator.plans[0]) == 2 and navigator.plans_by_astar == 0
     add_walls(grid, [[[2.0, -0.5], [2.0, 0.5]]])

@@ -13,7 +13,6 @@ from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop import recorded_drive
-from sixthsense.navigation.follower import Follower
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
 from sixthsense.navigation.navigator import Navigator
@@ -188,8 +187,7 @@ class SuddenWall(World):
 
 def driven(config: Config, kind: type[World], goal: tuple[float, float] = (5.0, 0.0)) -> Trace:
     source = kind(HALL, Pose(), RADIUS, config, np.random.default_rng(config.seed))
-    follower = Follower(config.follow, config.robot)
-    navigator = goal_navigator(np.array([goal]), make_planner("astar"), follower, config)
+    navigator = goal_navigator(np.array([goal]), make_planner("astar"), config)
     scene = Scene("hall", HALL, Pose(), RADIUS, goal, (), (-1.0, -2.0, 6.0, 2.0))
     trace = Trace(config, scene, RADIUS)
     recorded_drive(source, Pose(), Pilot(navigator, Guard(config, RADIUS)), trace)

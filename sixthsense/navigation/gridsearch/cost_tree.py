@@ -8,6 +8,7 @@ cells around them are queued. The next search continues from there. Its costs ar
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numba
@@ -16,24 +17,21 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.gridsearch.prices import Sizes, Stacks, appended, push
-from sixthsense.slam.mapping.freespace import Bools
+from sixthsense.slam.mapping.freespace import TOUCH, Bools
 
 Nodes = NDArray[np.int32]
 """Flat indices of cells, a border of blocked cells included."""
 Steps = NDArray[np.uint8]
 """Per cell: the step that led to it, an index into `MOVES`, and the flags `EXPANDED`, `LISTED` and `BLOCKED`."""
 
-SQRT2 = math.sqrt(2.0)
 BUCKET = 0.25
 """Width of a bucket of the queue, in cells."""
-BUCKETS = 16
+BUCKETS = math.ceil(2.0 * math.sqrt(2.0) / BUCKET) + 1
 """Buckets in the ring: one step raises f by at most 2 sqrt 2."""
-TIE = 1e-9
-"""Costs that differ by less are equal: sums of the same steps in another order differ by rounding alone."""
 STEP, EXPANDED, LISTED, BLOCKED = np.uint8(7), np.uint8(8), np.uint8(16), np.uint8(32)
-ROOT = 1e-300
+ROOT = np.finfo(np.float64).tiny
 """Cost of the goal, instead of 0; added to the length of a step it makes no difference."""
-MOVES = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+MOVES = tuple(sorted(itertools.product((0, 1, -1), repeat=2), key=lambda move: abs(move[0]) + abs(move[1])))[1:]
 """(row, col) of the eight steps, straight ones first."""
 
 
@@ -69,21 +67,15 @@ class CostTree:
         self._cost[self._root] = ROOT
         self._waiting = np.array([self._root], dtype=np.int32)
 
-    def update(self, blocked: Bools, max_changes: int) -> bool:
-        """Repair the tree for another state (H, W) of the same cells, with the goal still free.
-
-        Returns False, and leaves the tree as it is, if more than `max_changes` cells differ.
-        """
+    def update(self, blocked: Bools) -> None:
+        """Repair the tree for another state (H, W) of the same cells, with the goal still free."""
         changed = np.flatnonzero(blocked != self.blocked)
-        if len(changed) > max_changes:
-            return False
         rows, cols = np.divmod(changed, blocked.shape[1])
         nodes = ((rows + 1) * self._stride + cols + 1).astype(np.int32)
         closed = blocked.ravel()[changed]
         reopened = _repair(self._cost, self._steps, self._stride, self._root, nodes[closed], nodes[~closed])
         self._waiting = np.concatenate([self._waiting, reopened])
         self.blocked = blocked
-        return True
 
     def reach(self, start: tuple[int, int]) -> tuple[float, int]:
         """Cost in cells from `start` (row, col), a free cell, inf without a path; and the cells expanded for it."""
@@ -105,9 +97,9 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
     """Expand `waiting` and the cells they lead to until no cell is left by which `target` could cost less.
 
     `cost` (0: not reached) and `steps` are flat, with a border of blocked cells, and are updated.
-    Returns the number of expansions and the cells that wait for the next search. Each
-    stack of the queue holds one bucket of f. The order within a stack is arbitrary, so a cell that improves after its
-    expansion is expanded again.
+    Returns the number of expansions and the cells that wait for the next search. Each stack of the queue holds one
+    bucket of f. The order within a stack is arbitrary, so a cell that improves after its expansion is expanded again.
+    Costs that differ by less than `TOUCH` are equal: sums of the same steps in another order differ by rounding alone.
     """
     target_row, target_col = target // stride, target % stride
     seeds, f_seeds = _sorted_seeds(cost, steps, stride, waiting, target)
@@ -138,7 +130,7 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
             continue
         row, col = node // stride, node % stride
         g = cost[node]
-        if g + _octile(row - target_row, col - target_col) > so_far - TIE:
+        if g + _octile(row - target_row, col - target_col) > so_far - TOUCH:
             left, kept = appended(left, kept, node)
             continue
         steps[node] |= EXPANDED
@@ -146,8 +138,8 @@ def _grow(cost: Array, steps: Steps, stride: int, waiting: Nodes, target: int) -
         for k in range(8):
             d_row, d_col = MOVES[k]
             to = node + d_row * stride + d_col
-            g_to = g + (1.0 if k < 4 else SQRT2)
-            if steps[to] & BLOCKED or (cost[to] > 0.0 and g_to > cost[to] - TIE):
+            g_to = g + _octile(d_row, d_col)
+            if steps[to] & BLOCKED or (cost[to] > 0.0 and g_to > cost[to] - TOUCH):
                 continue
             if k >= 4 and (steps[node + d_row * stride] | steps[node + d_col]) & BLOCKED:
                 continue
@@ -262,4 +254,4 @@ def _trace_path(steps: Steps, stride: int, start: int, root: int) -> NDArray[np.
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def _octile(rows: int, cols: int) -> float:
     """Length in cells of the shortest 8-connected path over so many rows and columns, without obstacles."""
-    return max(abs(rows), abs(cols)) + (SQRT2 - 1.0) * min(abs(rows), abs(cols))
+    return max(abs(rows), abs(cols)) + (math.sqrt(2.0) - 1.0) * min(abs(rows), abs(cols))

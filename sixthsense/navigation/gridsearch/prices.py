@@ -53,8 +53,6 @@ def appended(cells: NDArray[np.signedinteger[Any]], count: int, cell: int) -> tu
 
 STRAIGHT, DIAGONAL = 5, 7
 """cost of a step into a cell of price 1; 7 / 5 is nearly the root of 2"""
-_RING = 256
-"""buckets of the queue: more than the cost of the longest step"""
 
 Prices = NDArray[np.uint8]
 """(H, W) how much dearer a cell is than a free one, whose price is 1; 0: no way."""
@@ -71,7 +69,8 @@ def costs_from(prices: Prices, row: int, col: int) -> Costs:
     height, width = prices.shape
     costs = np.full((height, width), -1, dtype=np.int32)
     costs[row, col] = 0
-    stacks, sizes = np.empty((_RING, 1024), dtype=np.int32), np.zeros(_RING, dtype=np.int64)
+    ring = DIAGONAL * int(prices.max()) + 1  # more than the cost of the longest step
+    stacks, sizes = np.empty((ring, 1024), dtype=np.int32), np.zeros(ring, dtype=np.int64)
     stacks[0, 0], sizes[0] = row * width + col, 1
     at, queued = 0, 1
     while queued > 0:
@@ -85,7 +84,7 @@ def costs_from(prices: Prices, row: int, col: int) -> Costs:
                 step = _step(prices, r, c, to_r, to_c)
                 if step > 0 and (costs[to_r, to_c] < 0 or costs[to_r, to_c] > at + step):
                     costs[to_r, to_c] = at + step
-                    stacks = push(stacks, sizes, (at + step) % _RING, to_r * width + to_c)
+                    stacks = push(stacks, sizes, (at + step) % ring, to_r * width + to_c)
                     queued += 1
     return costs
 

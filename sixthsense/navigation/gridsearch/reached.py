@@ -11,6 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.slam.mapping import changes
 from sixthsense.slam.mapping.freespace import Bools
 
 Numbers = NDArray[np.int64]
@@ -32,7 +33,7 @@ def join(root: Numbers, i: int, j: int) -> None:
     root[max(a, b)] = min(a, b)
 
 
-SQUARE = 64
+SQUARE = changes.TILE
 """cells; side of the squares"""
 TILE = 8
 """cells; side of the tiles by which changes are told"""

@@ -11,8 +11,6 @@ from sixthsense.navigation.gridsearch import CostTree
 from sixthsense.navigation.planners.base import Plan, joined_path, plan_with_blocked_end
 from sixthsense.slam.mapping.freespace import FreeSpace, as_point
 
-_MAX_REPAIR_FRACTION = 0.1  # of all cells: when more have changed, a search from scratch is faster
-
 
 class AStar:
     """Shortest path from cell centre to cell centre, joined to the exact start and goal.
@@ -50,7 +48,8 @@ class AStar:
         """The tree of the last plan, updated, or a new one."""
         tree, place = self._tree, (space.origin, space.cell_m)
         same = tree is not None and (tree.goal, self._place, tree.blocked.shape) == (goal, place, space.blocked.shape)
-        if tree is not None and same and tree.update(space.blocked, round(_MAX_REPAIR_FRACTION * space.blocked.size)):
+        if tree is not None and same:
+            tree.update(space.blocked)
             return tree
         self._tree = None  # free the memory before the next allocation
         self._tree, self._place = CostTree(space.blocked, goal), place

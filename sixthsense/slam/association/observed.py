@@ -21,9 +21,7 @@ from sixthsense.slam.estimators.base import Estimate
 
 Mask = NDArray[np.bool_]
 
-_TURN_LIMITS_RAD = (0.15, 0.6)
-"""between two walls: always plausible below the first, never above the second"""
-_OFFSET_LIMIT_M = 0.3
+_PARALLEL_RAD = 0.15
 """between two walls: always plausible below"""
 
 
@@ -92,15 +90,15 @@ class Distances(NamedTuple):
         the smoother relinearizes.
         """
         widest = math.sqrt(max(cfg.match_gate, cfg.new_gate))
-        turn = min(max(widest * heading_sigma, _TURN_LIMITS_RAD[0]), _TURN_LIMITS_RAD[1])
-        of_walls = np.minimum(np.maximum(widest * sigmas, _OFFSET_LIMIT_M), cfg.pre_gate_m)[:, None]
+        turn = max(widest * heading_sigma, _PARALLEL_RAD)
+        of_walls = np.minimum(np.maximum(widest * sigmas, cfg.new_separation_m), cfg.pre_gate_m)[:, None]
         of_points = np.minimum(widest * (sigmas[:, None] + 2.0 * known), cfg.pre_gate_m)
         near = self.metres < np.where(self.length_m[:, None] > 0.0, of_walls, of_points)
         return np.asarray(near & (self.turn_rad < turn) & (self.gap_m < cfg.wall_gap_m))
 
     def apart(self, cfg: AssociationConfig) -> Mask:
         """(m, n) pairs that are far enough apart to be of two landmarks, whatever their covariances say."""
-        near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _TURN_LIMITS_RAD[0])
+        near = (self.metres <= cfg.new_separation_m) & (self.turn_rad < _PARALLEL_RAD)
         return np.asarray(~(near & (self.gap_m < cfg.wall_gap_m)))
 
 
@@ -153,7 +151,6 @@ def _distances(
             out[2, i, j] = max(min(a, b), min(first, last)) - min(max(a, b), max(first, last))
 
 
-_PARALLEL_RAD = 0.15  # largest angle between two walls that may be one
 _ONE_WALL = np.ones(1, dtype=bool)
 
 

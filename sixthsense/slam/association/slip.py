@@ -22,7 +22,7 @@ _LEAST = 3
 """landmarks that tell where the robot is, and whether a few others are wrong"""
 _SIGMA_M, _STEP_RAD = 0.5, 0.25
 """sigma of the position, and the step of the headings that are tried, whose sigma is half of it"""
-_STEPS = (0, 1, -1, 2, -2)
+_STEPS = sorted(range(-2, 3), key=abs)
 _SIGMAS = np.array([_SIGMA_M, _SIGMA_M, max(_STEPS) * _STEP_RAD])
 """of a slip, m, m and rad"""
 

@@ -32,7 +32,6 @@ from sixthsense.slam.estimators.isam2_solution import Head, Solution
 from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver, Unsolved
 
 _REJECT_PERIOD = 10  # updates between two searches for outliers
-_MAX_REJECTED = 5  # per search
 _MAX_ITERATIONS = 20  # after links were added or removed: one that closes a loop moves all poses of the loop
 
 
@@ -282,7 +281,7 @@ class ISAM2:
         At the solution the residual of a correct match is smaller than its noise, so the gate is conservative.
         First observations are kept: without it a wall's frame could slide along the wall.
         """
-        for _ in range(_MAX_REJECTED):
+        while True:
             ids, means = self._landmarks.ids(), self._solution.landmarks().means
             squared, factors = self._observations.squared_residuals(self.trajectory(), ids, means)
             if not len(squared) or squared.max() <= self._reject_gate:

@@ -17,17 +17,15 @@ from sixthsense.core.landmarks import Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
-from sixthsense.slam.estimators.isam2_factors import Loss, gaussian, noise_of, to_pose2, with_loss
+from sixthsense.slam.estimators.isam2_factors import Loss, floored, gaussian, noise_of, to_pose2, with_loss
 
 WHEELS, SENSOR = int(gtsam.symbol("c", 0)), int(gtsam.symbol("s", 0))
 """keys of the variables, vectors"""
-_FLOOR = 1e-6  # sigma added to each parameter: one that is known would make the system singular
 
 
 def parameters_factor(key: int, prior: WheelEstimate | SensorEstimate) -> gtsam.NonlinearFactor:
     """The prior of the parameters in a variable."""
-    noise = noise_of(prior.cov + _FLOOR**2 * np.eye(len(prior.cov)))
-    return gtsam.PriorFactorVector(key, prior.values.array(), noise)
+    return gtsam.PriorFactorVector(key, prior.values.array(), noise_of(floored(prior.cov)))
 
 
 def motion_factor(before: int, after: int, motion: Odometry, with_wheels: bool) -> gtsam.NonlinearFactor:

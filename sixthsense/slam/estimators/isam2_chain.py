@@ -24,8 +24,8 @@ from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_calibration import motion_factor
+from sixthsense.slam.estimators.isam2_solver import NONE
 
-_UNSOLVED = -1  # number of a factor that the solver does not have yet
 _WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their observations, too
 
 
@@ -88,8 +88,8 @@ class Chain:
             step, after = self._steps[pose], self._steps[pose + 1]
             relative = pose_at(step.before).inverse() @ pose_at(pose)
             del self._steps[pose]
-            gone += [factor for factor in (step.factor, after.factor) if factor != _UNSOLVED]
-            self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), _UNSOLVED)
+            gone += [factor for factor in (step.factor, after.factor) if factor != NONE]
+            self._steps[pose + 1] = _Step(step.before, step.motion.then(after.motion), NONE)
             # The pose has at most the uncertainty of the motion from its anchor.
             self._relative[pose] = step.before, Odometry(relative, step.motion.cov)
             self._gone.extend((pose, step.before))

@@ -23,8 +23,7 @@ from sixthsense.slam.estimators.base import Link
 
 Loss = gtsam.noiseModel.mEstimator.Base
 
-_FLOOR = 1e-6  # smallest sigma (m, rad) of a pose's factor: a certain motion or start would make the system singular
-_FLOOR_COV = _FLOOR**2 * np.eye(3)
+_FLOOR = 1e-6  # sigma (m, rad) added to each number: one that is known would make the system singular
 
 
 def to_pose(pose: gtsam.Pose2) -> Pose:
@@ -39,7 +38,12 @@ def to_pose2(pose: Pose) -> gtsam.Pose2:
 
 def gaussian(motion: Odometry) -> gtsam.noiseModel.Gaussian:
     """The noise of a motion, in the axes of the frame after, as GTSAM has it."""
-    return noise_of(motion.cov_after() + _FLOOR_COV)
+    return noise_of(floored(motion.cov_after()))
+
+
+def floored(cov: Array) -> Array:
+    """A covariance (n, n) with a floor that keeps the system regular."""
+    return np.asarray(cov + _FLOOR**2 * np.eye(len(cov)))
 
 
 def noise_of(cov: Array) -> gtsam.noiseModel.Gaussian:
@@ -81,7 +85,7 @@ def _cauchy(scale: float) -> gtsam.noiseModel.mEstimator.Base:
 
 # Sigma along the wall. The first observation fixes the origin: GTSAM's logarithm of a Pose2 couples tangential
 # uncertainty into the normal residual, by half of the angle's residual.
-_FIRST_M, _LATER_M = 1e-3, 1e3
+FIRST_M, _LATER_M = 1e-3, 1e3
 
 
 def wall_frame(pose: Pose, observation: Observation) -> Pose:
@@ -104,7 +108,7 @@ def measurement(pose: Pose, frame: Pose, observation: Observation, is_first: boo
     centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)  # axes of the wall
     along = (frame.inverse() @ pose @ centre).x
     _, of_turn, of_shift = line_errors(observation.cov)
-    sigmas = np.array([_FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
+    sigmas = np.array([FIRST_M if is_first else _LATER_M, math.sqrt(of_shift), math.sqrt(of_turn)])
     # GTSAM's residual is in the axes of the measured pose; the logarithm of a motion changes by the adjoint.
     to_centre = centre.inverse()
     return Pose(x=along) @ to_centre, to_centre.adjoint() / sigmas[:, None]
@@ -125,7 +129,7 @@ def stretch_factor(
     centre = Pose(x, y, float(observation.z[0]) - 0.5 * math.pi)
     place = Pose(x=(frame.inverse() @ pose @ centre).x)
     _, of_turn, of_shift = line_errors(observation.shape_cov)
-    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([_FIRST_M, math.sqrt(of_shift), math.sqrt(of_turn)]))
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([FIRST_M, math.sqrt(of_shift), math.sqrt(of_turn)]))
     return frame @ place, gtsam.BetweenFactorPose2(wall_key, key, to_pose2(place), noise)
 
 

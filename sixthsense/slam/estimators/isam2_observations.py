@@ -20,15 +20,10 @@ from sixthsense.core.landmarks import LandmarkId, Observation, observation_innov
 from sixthsense.slam.estimators.isam2_calibration import seen_point
 from sixthsense.slam.estimators.isam2_factors import Loss, exact_factor, stretch_factor, to_pose, to_pose2, wall_factor
 from sixthsense.slam.estimators.isam2_solution import Head
-from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver, Unsolved
+from sixthsense.slam.estimators.isam2_solver import NONE, Landmarks, Solver, Unsolved
 
 _FIELDS = (("pose", np.int64), ("id", np.int64), ("factor", np.int64), ("wall", np.bool_), ("first", np.bool_),
            ("z", np.float64, (2,)), ("cov", np.float64, (2, 2)))  # fmt: skip
-
-_NO_POSE = -1
-"""of the factor between a wall and what is seen of it"""
-_UNSOLVED = -1
-"""number of a factor that the solver does not have yet"""
 
 
 class Observations:
@@ -47,7 +42,7 @@ class Observations:
                 self._landmarks.add(i, guess, observation, waiting.values)
             if observation.shape_cov is not None and (i, observation.stretch) not in self._landmarks.stretches:
                 self._add_stretch(i, guess, observation, waiting)
-                self._append(_NO_POSE, i, observation, True)
+                self._append(NONE, i, observation, True)  # a factor between a wall and what is seen of it
             waiting.graph.add(self._factor(i, (int(X(pose)), guess), observation, is_new, waiting.values))
             self._append(pose, i, observation, is_new)
 
@@ -99,7 +94,7 @@ class Observations:
         """Add a row; a first observation fixes its landmark, and stays where others contradict it."""
         if self._count == len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros_like(self._rows)])
-        self._rows[self._count] = (pose, i, _UNSOLVED, seen.is_wall, is_first, seen.z, seen.cov)
+        self._rows[self._count] = (pose, i, NONE, seen.is_wall, is_first, seen.z, seen.cov)
         self._count += 1
 
     def _add_stretch(self, i: LandmarkId, guess: Pose, observation: Observation, waiting: Unsolved) -> None:

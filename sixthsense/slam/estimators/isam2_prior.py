@@ -12,11 +12,8 @@ from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.slam.estimators.base import LandmarkPrior
-from sixthsense.slam.estimators.isam2_factors import lines
+from sixthsense.slam.estimators.isam2_factors import FIRST_M, floored, lines
 from sixthsense.slam.estimators.isam2_solver import Landmarks, Solver
-
-_FLOOR = 1e-6  # sigma added to each landmark, m and rad: one that is known would make the system singular
-_ALONG_M = 1e-3  # sigma of the place of a wall's origin along the wall, which is arbitrary
 
 
 class PriorFactor:
@@ -93,7 +90,7 @@ def _jacobians(prior: LandmarkPrior, frames: Array) -> list[Array]:
     `frames` (n, 3) are those of walls; of points they are unused.
     """
     n = len(prior.ids)
-    root = root_information(prior.cov + _FLOOR**2 * np.eye(2 * n))
+    root = root_information(floored(prior.cov))
     _, axes = lines(frames)
     along = np.cumsum(prior.walls) - 1 + 2 * n
     blocks = []
@@ -101,7 +98,7 @@ def _jacobians(prior: LandmarkPrior, frames: Array) -> list[Array]:
         block = np.zeros((2 * n + int(prior.walls.sum()), 3 if is_wall else 2))
         block[: 2 * n] = root[:, 2 * k : 2 * k + 2] @ axes[k] if is_wall else root[:, 2 * k : 2 * k + 2]
         if is_wall:
-            block[along[k], 0] = 1.0 / _ALONG_M
+            block[along[k], 0] = 1.0 / FIRST_M  # the place of its origin along it is arbitrary
         blocks.append(block)
     return blocks
 

@@ -45,9 +45,7 @@ class Landmarks:
     means: Array = field(default_factory=lambda: np.zeros((0, 2)))
     """(n, 2) at the last solution"""
     made: int = 0
-    """number of landmarks so far, forgotten ones included"""
-    apparent: int = 0
-    """number of apparent walls so far, forgotten ones included"""
+    """number of landmarks and apparent walls so far, forgotten ones included"""
 
     def add(self, i: LandmarkId, guess: Pose, observation: Observation, values: gtsam.Values) -> None:
         """Add a landmark that is observed from `guess`, and its initial value to `values`."""
@@ -65,8 +63,8 @@ class Landmarks:
 
     def next_stretch(self, i: LandmarkId, stretch: int) -> int:
         """The key of a stretch that is new."""
-        self.stretches[i, stretch] = key = int(V(self.apparent))
-        self.apparent += 1
+        self.stretches[i, stretch] = key = int(V(self.made))
+        self.made += 1
         return key
 
     def drop(self, ids: Collection[LandmarkId]) -> None:
@@ -87,6 +85,9 @@ class Landmarks:
 
 
 T = TypeVar("T")
+
+NONE = -1
+"""number of a pose that there is not, and of a factor that the solver does not have yet"""
 
 
 class Solver:
@@ -184,7 +185,7 @@ def solver_parameters(config: ISAM2Config, factorization: Literal["CHOLESKY", "Q
     parameters.setRelinearizeThreshold(config.relinearize_threshold)
     parameters.relinearizeSkip = config.relinearize_skip
     parameters.setFactorization(factorization)
-    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(min(1e-3, 0.1 * config.relinearize_threshold)))
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.05 * config.relinearize_threshold))
     parameters.enableAdaptiveReorder = True  # a stale order costs 50 % more at the 99th percentile
     parameters.enablePartialRelinearizationCheck = True  # only below poses that have moved
     return parameters

@@ -67,7 +67,7 @@ def intersect(first: Array, second: Array) -> Array:
     c1, s1, c2, s2 = math.cos(first[0]), math.sin(first[0]), math.cos(second[0]), math.sin(second[0])
     det = c1 * s2 - s1 * c2
     out = np.full(5, np.nan)
-    if abs(det) < 1e-6:
+    if det == 0.0:
         return out
     x, y = (s2 * first[1] - s1 * second[1]) / det, (c1 * second[1] - c2 * first[1]) / det
     out[0], out[1] = x, y
@@ -94,7 +94,7 @@ def free_end(line: Array, bearing: float, step: float, sigma_bearing: float) -> 
     end = bearing + 0.5 * step
     cosine = math.cos(end - line[0])
     out = np.full(5, np.nan)
-    if cosine < 1e-3:
+    if cosine <= 0.0:
         return out
     r, tangent = line[1] / cosine, math.tan(end - line[0])
     c, s = math.cos(end), math.sin(end)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.landmarks import Kind
 from sixthsense.slam.features.endpoints import (
     FREE_END,
     UNDECIDED,
@@ -31,7 +32,7 @@ from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_li
 from sixthsense.slam.features.lines import FittedLines
 from sixthsense.slam.features.partition import Indices
 
-CORNER, END = range(2)
+CORNER, END = int(Kind.CORNER), int(Kind.END)
 """Values of `Kind`, which compiled code cannot read."""
 
 
@@ -60,7 +61,7 @@ def _fit_sides(
             begin = u + (middle if middle >= 0 and side == 1 else 0)
             of_sides[j, side] = begin, begin + len(half)
             if endpoint_type[j, side] != UNDECIDED and len(half) >= 3:
-                sides[j, side] = fit_line(points, half, sigmas.range_m, sigmas.bearing_rad)
+                sides[j, side] = fit_line(points, half, sigmas)
         u += len(owned)
     return sides, used[:u], of_sides
 
@@ -184,10 +185,10 @@ def find_walls(
         owned = _trim_ambiguous_ends(points, owned, undecided_first, undecided_last, within)
         if len(owned) < 3:
             continue
-        fit = fit_line(points, owned, sigmas.range_m, sigmas.bearing_rad)
+        fit = fit_line(points, owned, sigmas)
         for side, of_end, step in ((0, of_first_end, -spacing), (1, of_last_end, spacing)):
             if len(of_end):
-                across = parallel_line(points, of_end, fit, sigmas.range_m, sigmas.bearing_rad)
+                across = parallel_line(points, of_end, fit, sigmas)
                 _write(found[e], 0, free_end(across, scan.bearings[lines.ends[j, side]], step, sigmas.bearing_rad))
                 _write(used, u, of_end)
                 of_ends[e, 0], of_ends[e, 1] = u, u + len(of_end)

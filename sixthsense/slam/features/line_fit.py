@@ -38,16 +38,16 @@ def across_line(x: float, y: float, line: Array, sigmas: LaserSigmas) -> tuple[f
     c, s = math.cos(line[0]), math.sin(line[0])
     r = math.hypot(x, y)
     cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)  # of the angle between beam and normal
-    arm = min(line[1] / cosine, 2.0 * r) * (y * c - x * s) / r
+    arm = min(line[1] / cosine, 2.0 * r) * ((y * c - x * s) / r)
     var = (sigmas.range_m * cosine) ** 2 + (sigmas.bearing_rad * arm) ** 2
     return x * c + y * s - line[1], arm, max(var, 1e-18)
 
 
 @numba.njit(cache=True, error_model="numpy")
-def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: float) -> Array:
+def fit_line(points: Array, index: Indices, sigmas: LaserSigmas) -> Array:
     """Fit a line to laser returns, with its covariance.
 
-    `points` (N, 2) metres in the laser's frame, of which those at `index` take part; sigmas in metres and radians.
+    `points` (N, 2) metres in the laser's frame, of which those at `index` take part.
     Returns (5,): alpha, d and the entries aa, ad, dd of its covariance. Orthogonal least squares (Arras and Siegwart
     1997) gives the initial line. Two Gauss-Newton steps then weight each return by its noise across the line, with
     lever arms of the fitted line, since those of the noisy returns would bias the angle.
@@ -68,18 +68,11 @@ def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: f
         alpha, d = alpha + math.pi, -d
     aa = ad = dd = 0.0
     for _ in range(2):
-        c, s = math.cos(alpha), math.sin(alpha)
         i_aa = i_ad = i_dd = b_a = b_d = 0.0
+        line = np.array([alpha, d])
         for i in index:
-            x, y = points[i, 0], points[i, 1]
-            r = math.hypot(x, y)
-            cosine = max((x * c + y * s) / r, _MIN_INCIDENCE_COSINE)  # of the angle between beam and normal
-            sine = (y * c - x * s) / r
-            arm = min(d / cosine, 2.0 * r) * sine
-            across_sq = (sigma_range * cosine) ** 2 + (sigma_bearing * arm) ** 2
-            weight = 1.0 / max(across_sq, 1e-18)
-            e = x * c + y * s - d
-            # de/dalpha = arm, de/dd = -1
+            e, arm, var = across_line(points[i, 0], points[i, 1], line, sigmas)
+            weight = 1.0 / var
             i_aa += weight * arm * arm
             i_ad -= weight * arm
             i_dd += weight
@@ -95,12 +88,11 @@ def fit_line(points: Array, index: Indices, sigma_range: float, sigma_bearing: f
 
 
 @numba.njit(cache=True, error_model="numpy")
-def parallel_line(points: Array, index: Indices, line: Array, sigma_range: float, sigma_bearing: float) -> Array:
+def parallel_line(points: Array, index: Indices, line: Array, sigmas: LaserSigmas) -> Array:
     """The line through the returns at `index` that is parallel to a fitted `line`; arguments and result as `fit_line`.
 
     Its distance is the weighted mean of the returns' distances; direction and its variance are those of `line`.
     """
-    sigmas = LaserSigmas(sigma_range, sigma_bearing)
     total = offset = along = 0.0
     for i in index:
         off, arm, var = across_line(points[i, 0], points[i, 1], line, sigmas)
@@ -183,7 +175,7 @@ def straight_pieces(
             continue
         piece = index[a:b]
         if b - a < len(index):
-            line = fit_line(points, piece, sigmas.range_m, sigmas.bearing_rad)
+            line = fit_line(points, piece, sigmas)
         gains = cut_gains(points, piece, line, sigmas)
         best = int(np.argmax(gains))
         if gains[best] > cut_threshold(b - a, false_alarm):
@@ -209,14 +201,14 @@ def shape(points: Array, index: Indices, line: Array, sigmas: LaserSigmas) -> Ar
     _, first, _ = across_line(points[index[0], 0], points[index[0], 1], line, sigmas)
     _, last, _ = across_line(points[index[-1], 0], points[index[-1], 1], line, sigmas)
     middle, half = 0.5 * (first + last), 0.5 * abs(last - first)
-    if half < 1e-6:
+    if half == 0.0:
         return out
     # Sums of products of 1, u, p, q, with p and q the two polynomials, and of each with the distance from the line.
     w1 = wu = wuu = wp = wup = wq = wuq = wpp = wpq = wqq = r1 = ru = rp = rq = 0.0
     for i in index:
         off, arm, var = across_line(points[i, 0], points[i, 1], line, sigmas)
         u, w = (arm - middle) / half, 1.0 / var
-        p, q = 1.5 * u * u - 0.5, (2.5 * u * u - 1.5) * u
+        p, q = 0.5 * (3 * u * u - 1), 0.5 * (5 * u * u - 3) * u
         w1, wu, wuu = w1 + w, wu + w * u, wuu + w * u * u
         wp, wup, wq, wuq = wp + w * p, wup + w * u * p, wq + w * q, wuq + w * u * q
         wpp, wpq, wqq = wpp + w * p * p, wpq + w * p * q, wqq + w * q * q

@@ -77,7 +77,7 @@ def ransac(points: Array, free: NDArray[np.bool_], threshold: float, iterations:
         x, y = points[index[a], 0], points[index[a], 1]
         dx, dy = points[index[b], 0] - x, points[index[b], 1] - y
         length = math.hypot(dx, dy)
-        if length < 1e-9:
+        if length == 0.0:
             continue
         nx, ny = dy / length, -dx / length
         d = nx * x + ny * y
@@ -102,14 +102,14 @@ def _one_line(
     """One line through the free points, as `fit_line` returns it, and the points it was fitted to."""
     if not rules.ransac:
         index = np.flatnonzero(free)
-        return fit_line(points, index, sigmas.range_m, sigmas.bearing_rad), index
+        return fit_line(points, index, sigmas), index
     line = ransac(points, free, rules.threshold_m, rules.iterations, seed)
     c, s = math.cos(line[0]), math.sin(line[0])
     near = np.abs(points[:, 0] * c + points[:, 1] * s - line[1]) <= rules.threshold_m
     index = np.flatnonzero(free & near)
     if len(index) < 2:
         return np.zeros(5), index[:0]
-    fit = fit_line(points, index, sigmas.range_m, sigmas.bearing_rad)
+    fit = fit_line(points, index, sigmas)
     if not rules.least_squares:
         fit[0], fit[1] = line[0], line[1]
     return fit, index
@@ -147,7 +147,7 @@ def fit_lines(
             for first, past in pieces:
                 own = index[first:past] if past > 0 else index
                 if len(own) < len(index):
-                    fit = fit_line(points, own, sigmas.range_m, sigmas.bearing_rad)
+                    fit = fit_line(points, own, sigmas)
                 dx, dy = points[own[-1], 0] - points[own[0], 0], points[own[-1], 1] - points[own[0], 1]
                 along = dy * math.cos(fit[0]) - dx * math.sin(fit[0])
                 if abs(along) >= rules.min_length_m:

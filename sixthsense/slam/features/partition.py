@@ -99,7 +99,7 @@ def _farthest(points: Array, first: int, last: int) -> tuple[int, float]:
     for i in range(first + 1, last):
         px, py = points[i, 0] - points[first, 0], points[i, 1] - points[first, 1]
         # Of a closed outline both ends may coincide: then the distance to the point itself decides.
-        d = abs(px * ey - py * ex) / length if length > 1e-9 else math.hypot(px, py)
+        d = abs(px * ey - py * ex) / length if length > 0.0 else math.hypot(px, py)
         if d > distance:
             index, distance = i, d
     return index, distance

@@ -13,10 +13,12 @@ from sixthsense.core.geometry import Array
 
 MAX_CELLS = 100_000_000
 """Largest grid; more cells come from a wrong pose or range, or from too small a cell."""
-MIN_GROWTH = 64
-"""The box of a grid grows by at least this many cells on a side."""
-MAX_BOX = 1_000_000_000
+MAX_BOX = 10 * MAX_CELLS
 """Cells of the largest box; more come from a wrong pose or range, or from too small a cell."""
+
+SHIFT = 6
+"""A tile is 2^6 cells on a side."""
+TILE = 1 << SHIFT
 
 Revision = tuple[int, int]
 """State of a map, to ask later what has changed since."""
@@ -82,9 +84,9 @@ def grown_box(box: Box, low: Array, high: Array) -> Box:
         old_low, old_high = (np.array(corner, dtype=np.float64) for corner in (box[:2], box[2:]))
     if (low >= old_low).all() and (high <= old_high).all():
         return box
-    # A side that must move moves by at least a quarter of the extent, so that masks are seldom drawn anew.
+    # A side that must move moves by at least a tile and a quarter of the extent, so that masks are seldom drawn anew.
     all_low, all_high = np.minimum(low, old_low), np.maximum(high, old_high)
-    step = np.maximum(MIN_GROWTH, (all_high - all_low) // 4)
+    step = np.maximum(TILE, (all_high - all_low) // 4)
     roomy_low = np.where(low < old_low, low - step, old_low)
     roomy_high = np.where(high > old_high, high + step, old_high)
     if np.prod(roomy_high - roomy_low) <= MAX_CELLS:

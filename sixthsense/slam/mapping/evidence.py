@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import GridConfig
+from sixthsense.slam.mapping.changes import SHIFT
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.tiles import ROW, SHIFT, Index, Places, slot
+from sixthsense.slam.mapping.tiles import ROW, Index, Places, slot
 
 Ints = NDArray[np.int32]
 

@@ -42,7 +42,7 @@ class Ellipse(NamedTuple):
     def rows_and_cols(self, shape: tuple[int, ...], origin: tuple[float, float], cell_m: float) -> tuple[slice, slice]:
         """The rows and columns that hold it, of cells (H, W) whose lower left corner is `origin`."""
         middle = (0.5 * (self.a + self.b) - origin) / cell_m
-        reach = 0.5 * self.length_m / cell_m + 3.0
+        reach = 0.5 * self.length_m / cell_m + 2.0
         low, high = (
             np.clip(np.nan_to_num(end), 0, shape[::-1]).astype(int) for end in (middle - reach, middle + reach)
         )

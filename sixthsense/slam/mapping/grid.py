@@ -16,12 +16,12 @@ from sixthsense.config import GridConfig
 from sixthsense.config.errors import InputError
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import MAX_CELLS, Box, Changes, Masks, box_of, cell_box, grown_box, masks_of
+from sixthsense.slam.mapping.changes import MAX_CELLS, TILE, Box, Changes, Masks, box_of, cell_box, grown_box, masks_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints, ScanCells, count_scan, touched_squares
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.inflation import check_inflation, disc, give_way, stamped
 from sixthsense.slam.mapping.submap import Submap, add_submap, erase, mark_obstacles, submap_of
-from sixthsense.slam.mapping.tiles import ROW, TILE, Places, Tiles
+from sixthsense.slam.mapping.tiles import ROW, Places, Tiles
 
 __all__ = ["FreeSpace", "Grid"]
 
@@ -270,7 +270,7 @@ class Grid:
         """(N,) the places of cells (N, 2) within the box, with tiles for them and for the inflation of those hit."""
         places = self._tiles.places(cells)
         squares = self._tiles.around(places, 0) | self._tiles.around(places[hit], self._reach)
-        self._allocate(self._tiles.lacking(squares))
+        self._allocate(self._tiles.lacking(squares, (0, 0)))
         return places
 
     def _allocate(self, new: NDArray[np.int64]) -> None:

@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box, box_of
+from sixthsense.slam.mapping.changes import TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.freespace import Bools
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.inflation import disc, disc_cells, marked
 from sixthsense.slam.mapping.submap import Submap, weakened
-from sixthsense.slam.mapping.tiles import TILE
 
 _NOTHING = np.zeros((0, 2))
 SCANS_PER_SUBMAP = 10

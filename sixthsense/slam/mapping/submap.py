@@ -8,10 +8,10 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.slam.mapping.changes import Box, box_of
+from sixthsense.slam.mapping.changes import SHIFT, TILE, Box, box_of
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules, Ints
 from sixthsense.slam.mapping.freespace import Bools
-from sixthsense.slam.mapping.tiles import ROW, SHIFT, TILE, Index, Places, Tiles, slot
+from sixthsense.slam.mapping.tiles import ROW, Index, Places, Tiles, slot
 
 _OLD_HITS = 3
 

@@ -10,11 +10,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.slam.mapping.changes import Box
+from sixthsense.slam.mapping.changes import SHIFT, TILE, Box
 
-SHIFT = 6
-"""A tile is 2^6 cells on a side."""
-TILE = 1 << SHIFT
 ROW = 1 << 32
 """A place is row * 2^32 + col, counted from the first cell of the index; offsets of places add up."""
 
@@ -51,7 +48,7 @@ class Tiles:
         index[tuple(self.squares.T)] = np.arange(len(self.squares))
         self.first, self.index = (top * TILE, left * TILE), index
 
-    def lacking(self, wanted: NDArray[np.bool_], first: tuple[int, int] = (0, 0)) -> NDArray[np.int64]:
+    def lacking(self, wanted: NDArray[np.bool_], first: tuple[int, int]) -> NDArray[np.int64]:
         """(N, 2) the squares that are wanted and have no tile; `wanted` (R, C) begins at the square `first`."""
         rows, cols = wanted.shape
         index = self.index[first[0] : first[0] + rows, first[1] : first[1] + cols]

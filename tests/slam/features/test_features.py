@@ -11,7 +11,7 @@ from sixthsense.core.landmarks import Kind, observation_innovations, predict_wal
 from sixthsense.core.laser import Scan
 from sixthsense.slam.features import extract
 from sixthsense.slam.features.endpoints import free_end, intersect
-from sixthsense.slam.features.line_fit import fit_line, parallel_line
+from sixthsense.slam.features.line_fit import LaserSigmas, fit_line, parallel_line
 from sixthsense.slam.features.lines import ransac
 from sixthsense.slam.features.partition import partition, split, split_pieces
 
@@ -123,7 +123,7 @@ def test_with_equal_noise_across_the_line_the_fit_is_the_orthogonal_one():
     """At a large distance and normal incidence all weights are equal."""
     rng = np.random.default_rng(2)
     points = np.stack([100.0 + rng.normal(0, 0.01, 50), np.linspace(-1, 1, 50)], axis=1)
-    fit = fit_line(points, np.arange(50), 0.01, 0.0)
+    fit = fit_line(points, np.arange(50), LaserSigmas(0.01, 0.0))
     alpha, d = total_least_squares(points)
     assert wrap_angle(fit[0] - alpha) == pytest.approx(0.0, abs=1e-5) and fit[1] == pytest.approx(d, abs=1e-5)
 
@@ -139,7 +139,7 @@ def test_the_covariance_of_a_line_is_that_of_its_errors(span, sigma_bearing):
         hit = bearings + rng.normal(0, sigma_bearing, len(bearings))
         ranges = d / np.cos(hit - alpha) + rng.normal(0, sigma, len(bearings))
         points = np.stack([ranges * np.cos(bearings), ranges * np.sin(bearings)], axis=1)
-        fit = fit_line(points, np.arange(len(points)), sigma, sigma_bearing)
+        fit = fit_line(points, np.arange(len(points)), LaserSigmas(sigma, sigma_bearing))
         error = np.array([wrap_angle(fit[0] - alpha), fit[1] - d])
         cov = np.array([[fit[2], fit[3]], [fit[3], fit[4]]])
         nees.append(error @ np.linalg.solve(cov, error))
@@ -304,7 +304,7 @@ def test_a_parallel_line_is_the_weighted_mean_of_its_returns():
     for _ in range(2000):
         ranges = 2.0 / np.cos(bearings - alpha) + rng.normal(0.0, 0.01, 6)
         points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-        line = parallel_line(points, np.arange(6), sure, 0.01, 0.0)
+        line = parallel_line(points, np.arange(6), sure, LaserSigmas(0.01, 0.0))
         off.append((line[1] - 2.0) / math.sqrt(line[4]))
         assert line[0] == alpha and line[2] == line[3] == 0.0
     assert abs(np.mean(off)) < 0.1 and np.std(off) == pytest.approx(1.0, abs=0.06)

@@ -39,7 +39,7 @@ def weighted(points, index, line, sigmas):
 
 
 def pieces_of(points, index, sigmas, false_alarm, least):
-    return straight_pieces(points, index, fit_line(points, index, *sigmas), sigmas, false_alarm, least)
+    return straight_pieces(points, index, fit_line(points, index, sigmas), sigmas, false_alarm, least)
 
 
 def left_over(off, columns, weights):
@@ -52,7 +52,7 @@ def left_over(off, columns, weights):
 def test_the_gain_of_a_cut_is_what_two_separate_fits_explain_more():
     points = bent(np.random.default_rng(1), 2.0)
     index = ALL[::4]
-    line = fit_line(points, index, *SIGMAS)
+    line = fit_line(points, index, SIGMAS)
     off, arm, weights = weighted(points, index, line, SIGMAS)
     columns = np.column_stack([np.ones(len(index)), arm])
     one = left_over(off, columns, weights)
@@ -112,7 +112,7 @@ def test_two_faces_five_centimetres_apart_are_two_landmarks():
 
 def test_the_shape_of_a_wall_is_the_least_squares_fit_of_two_polynomials():
     points = bent(np.random.default_rng(6), 2.0)
-    line = fit_line(points, ALL, *SIGMAS)
+    line = fit_line(points, ALL, SIGMAS)
     off, arm, weights = weighted(points, ALL, line, SIGMAS)
     u = (arm - 0.5 * (arm[0] + arm[-1])) / (0.5 * (arm[-1] - arm[0]))
     columns = np.polynomial.legendre.legvander(u, 3)
@@ -128,7 +128,7 @@ def test_the_shape_of_a_straight_wall_is_as_uncertain_as_it_says():
     found = []
     for _ in range(500):
         points = straight(rng)
-        found.append(shape(points, ALL, fit_line(points, ALL, *exact), exact))
+        found.append(shape(points, ALL, fit_line(points, ALL, exact), exact))
     values = np.array(found)
     squared = values[:, :2] ** 2 / values[:, 2:]
     assert squared.mean() == pytest.approx(1.0, abs=0.15)

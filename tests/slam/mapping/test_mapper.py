@@ -8,12 +8,12 @@ from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.loop import run
-from sixthsense.slam.mapping.changes import Box
+from sixthsense.slam.mapping.changes import TILE, Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import SCANS_PER_SUBMAP, Mapper
 from sixthsense.slam.mapping.submap import Submap, add_submap
-from sixthsense.slam.mapping.tiles import TILE, Tiles
+from sixthsense.slam.mapping.tiles import Tiles
 
 LASER = LaserConfig(beams=120)
 ROOM = box(-3, -2, 6, 4)
@@ -197,7 +197,7 @@ def test_the_kernel_adds_a_submap_as_the_plain_reference_does() -> None:
         rng = np.random.default_rng(seed)
         tiles, box = Tiles(), Box(-5, 7, 15, 37)
         tiles.cover(box)
-        tiles.allocate(tiles.lacking(np.ones(tiles.index.shape, dtype=np.bool_)))
+        tiles.allocate(tiles.lacking(np.ones(tiles.index.shape, dtype=np.bool_), (0, 0)))
         fast = Cells.empty(tiles.index.size * TILE * TILE)
         plain = Cells(*(cells.reshape(20, 30) for cells in Cells.empty(600)))
         for _ in range(6):

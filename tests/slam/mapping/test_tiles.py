@@ -6,9 +6,9 @@ import pytest
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import Box, Changes
+from sixthsense.slam.mapping.changes import TILE, Box, Changes
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.tiles import TILE, Tiles, slot
+from sixthsense.slam.mapping.tiles import Tiles, slot
 
 NO_WALLS = np.zeros((0, 2, 2))
 
@@ -21,7 +21,7 @@ def test_cells_are_found_again_in_an_index_that_grows_to_all_sides(seed: int) ->
         cells = np.unique(rng.integers(-reach, reach, size=(30, 2)), axis=0)
         tiles.cover(Box(-reach, -reach, reach, reach))
         places = tiles.places(cells)
-        tiles.allocate(tiles.lacking(tiles.around(places, 0)))
+        tiles.allocate(tiles.lacking(tiles.around(places, 0), (0, 0)))
         pool = np.concatenate([pool, np.zeros(len(tiles.squares) * TILE * TILE - len(pool), dtype=np.int32)])
         slots = tiles.slots(places)
         assert slots.tolist() == [slot(tiles.index, place) for place in places.tolist()]
