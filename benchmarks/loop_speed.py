@@ -38,6 +38,19 @@ with tempfile.TemporaryDirectory() as folder:
 print(json.dumps({"start_s": begun[1], "spent_s": spent_s, "ms": run.trace.stopwatch.keyframe_ms().tolist()}))
 """
 
+_CAMPAIGN = """
+import json, pathlib, sys, tempfile, time
+import sixthsense as ss
+
+if __name__ == "__main__":
+    count = 16
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.perf_counter()
+        ss.campaign("apartment", seeds=range(count), estimator="ekf-invariant", task="tour", max_time=200.0,
+                    out=pathlib.Path(folder) / "runs", workers=2, progress=False)
+        print(json.dumps({"hourly": 3600.0 * count / (time.perf_counter() - begun)}))
+"""
+
 
 def loop_table(revision: str) -> list[list[str]]:
     """A table of runs on this tree, on the commit `revision`, and their ratio."""
@@ -74,6 +87,8 @@ def _rows(trees: Sequence[Path]) -> list[tuple[str, float, float, str]]:
         ours, before = (float(np.percentile(each, percent)) for each in ms)
         rows.append((f"keyframe of five scenes, p{percent}, ms", ours, before, to_reach))
     rows.append(("from the start of the process to the first motion, s", *starts, "1.1 s"))
+    hourly = [max(_printed(tree, _CAMPAIGN)["hourly"] for _ in range(2)) for tree in trees]
+    rows.append(("tours of 200 s by a campaign of 16 on two cores, an hour", hourly[0], hourly[1], "ratio 2"))
     return rows
 
 
@@ -95,8 +110,13 @@ def _alternated(
 
 def _run(tree: Path, scene: str, **changes: object) -> dict[str, Any]:
     """Figures of a run of a scene in a process of its own: s of processor time, and ms of each keyframe."""
+    return _printed(tree, _RUN, scene, json.dumps({"is_kept": False} | changes))
+
+
+def _printed(tree: Path, program: str, *arguments: str) -> dict[str, Any]:
+    """What a program prints, run with the package of a tree."""
     env = os.environ | {"PYTHONPATH": str(tree), "OPENBLAS_NUM_THREADS": "1"}
-    words = [sys.executable, "-c", _RUN, scene, json.dumps({"is_kept": False} | changes)]
+    words = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(words, cwd=tree, env=env, capture_output=True, text=True, check=True)
     figures: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return figures
