@@ -31,7 +31,7 @@ HERE = Path(__file__).resolve()
 PACKAGE = HERE.parent.parent / "sixthsense"
 LOG = "fr079"
 GROUPS = {
-    "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
+    "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "partners.NORMALS_AGREE"),
     "normals": ("normals._REACH_M", "normals._GRAZING_RAD"),
     "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE"),
     "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),

@@ -13,7 +13,7 @@ from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
 from sixthsense.core.covariance import check_covariance, turned_covariance
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, translated
 from sixthsense.core.motion import STANDSTILL, Odometry
@@ -22,6 +22,7 @@ from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior
 from sixthsense.slam.estimators.ekf_algebra import (
     Parameters,
+    add,
     expected,
     new_landmark,
     propagate,
@@ -166,8 +167,7 @@ class EKF:
     def _apply_correction(self, slots: NDArray[np.int64], shift: Array) -> None:
         """Correct the pose and all landmarks by `shift` (3 + 2n,), after an update with the landmarks in `slots`."""
         self._pose = Pose.from_array(self._pose.array() + shift[:3])
-        self._means += shift[3:].reshape(-1, 2)
-        self._means[self._walls, 0] = wrap_angle(self._means[self._walls, 0])
+        add(self._means, self._walls, shift[3:])
 
     def _about_estimates(self, joint: Array, slots: NDArray[np.int64]) -> Array:
         """The covariance (3 + 2k, 3 + 2k) of pose and landmarks about their estimates, from the stored one."""

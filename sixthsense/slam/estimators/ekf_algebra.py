@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
 from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre, translated
-from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.pose_kernels import Triple, wrapped
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.slam.estimators.base import check_parameters
@@ -118,6 +118,15 @@ def _initialized(pose: Pose, observation: Observation, centre: Array) -> tuple[A
     mean, by_pose, by_z = initialize_landmark(pose, observation)
     about, by_mean = translated(mean[None], np.array([observation.is_wall]), -centre[None])
     return about[0], by_mean[0] @ by_pose, by_mean[0] @ by_z
+
+
+@numba.njit(cache=True, error_model="numpy")
+def add(means: Array, walls: NDArray[np.bool_], shift: Array) -> None:
+    """Add a correction (2n,) to the means (n, 2) of landmarks, in place; the angles of walls are wrapped."""
+    for k in range(len(means)):
+        first = means[k, 0] + shift[2 * k]
+        means[k, 0] = wrapped(first) if walls[k] else first
+        means[k, 1] += shift[2 * k + 1]
 
 
 @numba.njit(cache=True, error_model="numpy")
