@@ -27,7 +27,7 @@ QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_posit
 def exact_arc(v: float, w: float, t: float) -> Pose:
     if abs(w) < 1e-12:
         return Pose(v * t, 0.0, 0.0)
-    return Pose(v / w * math.sin(w * t), v / w * (1 - math.cos(w * t)), w * t)
+    return Pose(v / w * math.sin(w * t), 2 * v / w * math.sin(0.5 * w * t) ** 2, w * t)
 
 
 @given(st.floats(-2, 2), st.floats(-3, 3), st.floats(0.01, 0.5))
