@@ -41,18 +41,21 @@ class Innovations(NamedTuple):
 
     def pose_given(self, pose: Pose, matched: Indices) -> Pose:
         """The predicted `pose` updated with matches (m,), -1: none; report eq. 10."""
-        rows = np.flatnonzero(matched >= 0)
-        values, places = self.pairs.values[rows, matched[rows]].ravel(), _places(matched[rows])
-        S = _joint(self.pairs.predicted, places, self.pairs.noise[rows, matched[rows]])
+        values, S, places = self._together(matched)
         x, y, theta = (np.linalg.solve(S, values) @ self.with_pose[places]).tolist()
         return Pose(pose.x + x, pose.y + y, pose.theta + theta)
 
     def worth(self, matched: Indices, gate: float) -> float:
         """Of matches (m,), -1: none: the gate for each, less their squared innovation together."""
+        values, S, _ = self._together(matched)
+        return gate * np.count_nonzero(matched >= 0) - _nis(values, S)
+
+    def _together(self, matched: Indices) -> tuple[Array, Array, Indices]:
+        """Innovations (2n,) of matches (m,), -1: none, their covariance, and the places of their predictions."""
         rows = np.flatnonzero(matched >= 0)
-        cols = matched[rows]
-        joint = _joint(self.pairs.predicted, _places(cols), self.pairs.noise[rows, cols])
-        return gate * len(rows) - _nis(self.pairs.values[rows, cols], joint)
+        cols, places = matched[rows], _places(matched[rows])
+        S = _joint(self.pairs.predicted, places, self.pairs.noise[rows, cols])
+        return self.pairs.values[rows, cols].ravel(), S, places
 
     def nis(self, observations: Sequence[Observation], landmarks: Indices) -> float:
         """Normalised innovation squared of observations of the `landmarks` (n,), with the correlations between them.
