@@ -57,7 +57,7 @@ class Tree:
 def identity(case: Case) -> dict[str, Any]:
     """What else, beside the commit, a result depends on."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba", "gtsam")}
-    return {"words": list(case.words), "seed": SEED, "python": sys.version, **libraries}
+    return {"words": [list(case.words), *map(list, case.before)], "seed": SEED, "python": sys.version, **libraries}
 
 
 def perform(case: Case, tree: Tree) -> None:
@@ -70,17 +70,24 @@ def perform(case: Case, tree: Tree) -> None:
     elsewhere = tree.folder / "elsewhere"  # the module must come from PYTHONPATH
     for folder in (out.parent, elsewhere):
         folder.mkdir(parents=True, exist_ok=True)
-    words = [sys.executable, "-m", "sixthsense.cli", *case.words, "--seed", str(SEED), "--out", str(out)]
+    inputs = tree.folder / "inputs" / case.name
+    shutil.rmtree(inputs, ignore_errors=True)
     # The compiled kernels of one tree must not serve another, nor a later state of this one.
     # One BLAS thread: with two the last bits of a large covariance differ, whatever the code.
     env = os.environ | {"PYTHONPATH": str(tree.code), "NUMBA_CACHE_DIR": str(tree.folder / "numba")}
     env |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     code: int | None = None
-    try:
-        done = subprocess.run(words, cwd=elsewhere, env=env, capture_output=True, timeout=LONGEST_S)
-        code, said = done.returncode, done.stderr.decode(errors="replace")
-    except subprocess.TimeoutExpired:
-        said = f"no end within {LONGEST_S:.0f} s"
+    for words, folder in [*((given, inputs / str(k)) for k, given in enumerate(case.before)), (case.words, out)]:
+        placed = [word.format(inputs=inputs) for word in words]
+        seed = [] if "--seed" in placed else ["--seed", str(SEED)]
+        command = [sys.executable, "-m", "sixthsense.cli", *placed, *seed, "--out", str(folder)]
+        try:
+            done = subprocess.run(command, cwd=elsewhere, env=env, capture_output=True, timeout=LONGEST_S)
+            code, said = done.returncode, done.stderr.decode(errors="replace")
+        except subprocess.TimeoutExpired:
+            code, said = None, f"no end within {LONGEST_S:.0f} s"
+        if code not in (0, 1):
+            break
     for file in out.glob("*"):
         if file.is_dir():
             shutil.rmtree(file)

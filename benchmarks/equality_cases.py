@@ -14,10 +14,11 @@ import numpy as np
 SCENES = ("rectangle", "block", "apartment", "office", "loop")
 SIMULATED = ("ekf", "ekf-invariant", "isam2")
 REPLAYED = ("ekf", "ekf-fej", "ekf-oc", "ekf-invariant", "isam2")
-INTEL_SCANS = 2000
+LOG_SCANS = 2000  # of a CARMEN log, from its beginning
 VICTORIA_STEPS = 500
 MRCLAM_S = 189  # in which 500 steps have a measurement
 _INTEL = "SIXTHSENSE_DATA=FOLDER with intel/intel.clf.bz2, from ais.informatik.uni-freiburg.de/slamevaluation"
+_ACES = "SIXTHSENSE_DATA=FOLDER with aces/aces.clf.bz2, from ais.informatik.uni-freiburg.de/slamevaluation"
 _MRCLAM = "SIXTHSENSE_DATA=FOLDER with mrclam6/, set 6 of asrl.utias.utoronto.ca/datasets/mrclam"
 _VICTORIA = "gtsam/Data/victoria_park.txt, which the wheel of gtsam has"
 
@@ -31,6 +32,8 @@ class Case:
     """of the command, without seed and folder"""
     needs: str = ""
     """data that are not there, and where they come from"""
+    before: tuple[tuple[str, ...], ...] = ()
+    """commands that make its inputs, each in a folder `{inputs}/K`, K from 0; `words` may name these"""
 
 
 def write_map(folder: Path) -> Path:
@@ -50,16 +53,16 @@ def write_map(folder: Path) -> Path:
     return _write(folder / "rooms.yaml", f"image: rooms.pgm\n{fields}".encode())
 
 
-def cut_intel(log: Path, folder: Path) -> Path:
-    """The log's first scans."""
+def cut_carmen(log: Path, folder: Path) -> Path:
+    """A CARMEN log's first scans."""
     lines, scans = [], 0
     with bz2.open(log, "rb") as file:
         for line in file:
             lines.append(line)
             scans += line.startswith(b"FLASER ")
-            if scans == INTEL_SCANS:
+            if scans == LOG_SCANS:
                 break
-    return _write(folder / "intel.clf", b"".join(lines))
+    return _write(folder / log.stem, b"".join(lines))
 
 
 def cut_victoria(log: Path, folder: Path) -> Path:
@@ -94,17 +97,53 @@ def cases(folder: Path) -> list[Case]:
             words = (*start, "--estimator", estimator)
             found.append(Case(f"{name}.explore.{estimator}", words))
             found.append(Case(f"{name}.{short[1]}.{estimator}", (*words, *short, "--max-time", "60")))
+    found += _scan_matching()
     data = Path(os.environ.get("SIXTHSENSE_DATA") or "/nonexistent").resolve()
     gtsam = importlib.util.find_spec("gtsam")
     victoria = Path((gtsam and gtsam.origin) or "/nonexistent").parent / "Data" / "victoria_park.txt"
-    intel, mrclam = data / "intel" / "intel.clf.bz2", data / "mrclam6"
-    log = str(cut_intel(intel, folder)) if intel.is_file() else ""
-    found += _replays("intel", (log,), ("isam2", "ekf-invariant"), "" if log else _INTEL)
+    mrclam = data / "mrclam6"
+    for name, estimators, needs in (("intel", ("isam2", "ekf-invariant"), _INTEL), ("aces", ("isam2",), _ACES)):
+        whole = data / name / f"{name}.clf.bz2"
+        log = str(cut_carmen(whole, folder)) if whole.is_file() else ""
+        found += _replays(name, (log,), estimators, "" if log else needs)
     words = (str(mrclam), "--robot", "3", "--max-time", str(MRCLAM_S))
     found += _replays("mrclam", words, REPLAYED, "" if mrclam.is_dir() else _MRCLAM)
     log = str(cut_victoria(victoria, folder)) if victoria.is_file() else ""
     found += _replays("victoria", (log,), REPLAYED, "" if log else _VICTORIA)
     return found
+
+
+def _scan_matching() -> list[Case]:
+    """Scan matching with each kind of scan, motion and beginning, and landmarks where these differ for them."""
+    scans = ("--estimator", "isam2", "--front-end", "scan-matching")
+    tour = ("--task", "tour", "--max-time", "60")
+    mounted = ("--laser.mount", "0.12", "-0.07", "0.3", "--laser.beams", "271", "--laser.fov", "4.7")
+    office, apartment = ("run", "office", *tour), ("run", "apartment", *tour)
+    guided = ("--association.proposed-by", "scan-matching")
+    walkers = ("--people", "--world.walkers", "4")
+    other = (*office, *scans, *mounted, "--tour", "9", "3", "2", "3", "--seed", "11")
+    with_map = ("run", "office", "--max-time", "60", "--prior-map", "{inputs}/0")
+    found = {
+        "office.scans": (*office, *scans, *mounted),
+        "office.guided": (*office, *guided),
+        "office.guided.people": (*office, *guided, *walkers),
+        "office.people.scans": (*office, *scans, *walkers),
+        "office.people.ekf-invariant": (*office, *walkers),
+        "apartment.swept.scans": (*apartment, *scans, "--laser.sweep-s", "0.09"),
+        "apartment.swept.ekf-invariant": (*apartment, "--laser.sweep-s", "0.09"),
+        "apartment.no_odometry": (*apartment, *scans, "--no-odometry"),
+        "loop.explore.scans": ("run", "loop", *scans),
+    }
+    cases_of_one = [Case(name, words) for name, words in found.items()]
+    first = (*office, *scans, *mounted)
+    return [
+        *cases_of_one,
+        Case("office.bag", ("replay", "{inputs}/0/bag"), before=(first,)),
+        Case("office.merged", ("merge", "{inputs}/0", "{inputs}/1"), before=(first, other)),
+        Case("office.prior_map.ekf-invariant", with_map, before=(office,)),
+        Case("office.prior_map.scans", (*with_map, *scans, "--pose", "2.5", "3", "0.2"), before=(office,)),
+        Case("office.lost", (*with_map, "--lost"), before=(office,)),
+    ]
 
 
 def _replays(name: str, words: Sequence[str], estimators: Sequence[str], needs: str) -> list[Case]:
