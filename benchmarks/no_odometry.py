@@ -18,9 +18,9 @@ from harness import arguments, check_at_least, finish
 
 import sixthsense as ss
 from sixthsense.config import Config
+from sixthsense.core.se2 import compose
 from sixthsense.evaluation.metrics import relations_error
 from sixthsense.slam.scans.front_end import ScanFrontEnd
-from sixthsense.slam.scans.poses import compose
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.replay_input import open_recorded
 

@@ -19,6 +19,7 @@ from repetition_scenes import SCENES, log_of
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import between
 from sixthsense.slam.slam import Slam
 
 Link = tuple[int, int, Array, Array]
@@ -81,13 +82,6 @@ class Views:
             gap = np.hypot(x[:, None] - there[:, :, 0], y[:, None] - there[:, :, 1])
             gap = np.fmin(gap, np.abs(distance[:, None] - self._ranges[target, near]))
             return float(((gap < _SURFACE_M) & is_inside).any(axis=1).sum() / max(len(points), 1))
-
-
-def between(a: Array, b: Array) -> Array:
-    """`T_a_b` of `T_w_a` and `T_w_b`, (3,) or (N, 3) each."""
-    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    dx, dy = b[..., 0] - a[..., 0], b[..., 1] - a[..., 1]
-    return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(b[..., 2] - a[..., 2])], axis=-1)
 
 
 def judged(poses: Array, truths: Array, links: list[Link], views: Views) -> Figures:

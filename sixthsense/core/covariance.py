@@ -1,8 +1,7 @@
-"""Covariances of poses: their change under a motion, checks that a matrix is one, and quantiles of their distances."""
+"""Checks that a matrix is a covariance, its root information, and quantiles of distances that it whitens."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,38 +22,6 @@ def chi_square_quantile(probability: float, dof: Any) -> Any:
 
 COVARIANCE_SLACK = 1e-9
 """Tolerance of symmetry and of positive eigenvalues, relative to the largest entry."""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def transformed(cov: Array, c: float, s: float, u: float, v: float) -> Array:
-    """`J @ cov @ J.T` (3, 3) for the Jacobian J of a motion of the plane, [[c, -s, u], [s, c, v], [0, 0, 1]].
-
-    Written out: for matrices of this size a call of BLAS takes longer than the product.
-    """
-    left, out = np.empty((3, 3)), np.empty((3, 3))
-    for k in range(3):
-        left[0, k] = c * cov[0, k] - s * cov[1, k] + u * cov[2, k]
-        left[1, k] = s * cov[0, k] + c * cov[1, k] + v * cov[2, k]
-        left[2, k] = cov[2, k]
-    for k in range(3):
-        out[k, 0] = c * left[k, 0] - s * left[k, 1] + u * left[k, 2]
-        out[k, 1] = s * left[k, 0] + c * left[k, 1] + v * left[k, 2]
-        out[k, 2] = left[k, 2]
-    return out
-
-
-@numba.njit(cache=True, error_model="numpy")
-def composed_covariance(first: Array, later: Array, heading: float, x: float, y: float) -> Array:
-    """(3, 3) of a motion by (x, y) at a heading, of covariance `later`, after one of covariance `first`."""
-    c, s = math.cos(heading), math.sin(heading)
-    return transformed(first, 1.0, 0.0, -s * x - c * y, c * x - s * y) + transformed(later, c, s, 0.0, 0.0)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def turned_covariance(cov: Array, angle: float) -> Array:
-    """(3, 3) symmetric: a covariance in axes turned by an angle."""
-    turned = transformed(cov, math.cos(angle), math.sin(angle), 0.0, 0.0)
-    return 0.5 * (turned + turned.T)
 
 
 def root_information(cov: Array) -> Array:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sixthsense.core.se2 import Array, composed, inverted, wrapped
+
+__all__ = ["Array", "Pose", "interpolated", "point_segment_distance", "rotation", "wrap_angle"]
+
 _set = object.__setattr__  # of a frozen value
 
 
@@ -23,14 +25,11 @@ def wrap_angle(angle: float | Array) -> float | Array:
         is_inside = (angle >= -math.pi) & (angle < math.pi)
         if is_inside.all():
             return angle.copy()
-        wrapped = (angle + math.pi) % (2.0 * math.pi) - math.pi
+        inside = (angle + math.pi) % (2.0 * math.pi) - math.pi
         # The modulo of a tiny negative number rounds up to 2 pi itself.
-        wrapped = np.where(wrapped >= math.pi, -math.pi, wrapped)
-        return np.where(is_inside, angle, wrapped)
-    if -math.pi <= angle < math.pi:
-        return float(angle)
-    wrapped_angle = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    return -math.pi if wrapped_angle >= math.pi else float(wrapped_angle)
+        inside = np.where(inside >= math.pi, -math.pi, inside)
+        return np.where(is_inside, angle, inside)
+    return float(wrapped(float(angle)))
 
 
 def rotation(theta: float) -> Array:
@@ -68,6 +67,10 @@ class Pose:
             raise ValueError(f"pose: expected shape (3,), got {array.shape}")
         return cls(*array.tolist())
 
+    def triple(self) -> tuple[float, float, float]:
+        """x, y, theta, as kernels take a pose."""
+        return self.x, self.y, self.theta
+
     def array(self) -> Array:
         """(3,): x, y, theta."""
         return np.array([self.x, self.y, self.theta])
@@ -79,8 +82,7 @@ class Pose:
 
     def inverse(self) -> Pose:
         """`T_b_a` of `T_a_b`."""
-        c, s = math.cos(self.theta), math.sin(self.theta)
-        return Pose(-c * self.x - s * self.y, s * self.x - c * self.y, -self.theta)
+        return Pose(*inverted(self.triple()))
 
     def adjoint(self) -> Array:
         """(3, 3) adjoint of `T_a_b`: turns a small motion (x, y, theta) in the axes of b into the same in those of a.
@@ -96,11 +98,9 @@ class Pose:
     @overload
     def __matmul__(self, other: Array) -> Array: ...
     def __matmul__(self, other: Pose | Array) -> Pose | Array:
-        c, s = math.cos(self.theta), math.sin(self.theta)
         if isinstance(other, Pose):
-            return Pose(
-                self.x + c * other.x - s * other.y, self.y + s * other.x + c * other.y, self.theta + other.theta
-            )
+            return Pose(*composed(self.triple(), other.triple()))
+        c, s = math.cos(self.theta), math.sin(self.theta)
         points = np.asarray(other, dtype=np.float64)
         if points.shape[-1:] != (2,):
             raise ValueError(f"points: expected shape (N, 2) or (2,), got {points.shape}")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.core.pose_kernels import Triple, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 
 Mask = NDArray[np.bool_]
 

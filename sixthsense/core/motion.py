@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, Distribution
-from sixthsense.core.covariance import composed_covariance, turned_covariance
+from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.odometry_kernels import Folded, OdometryNoise, increment, motion_covariance, variance_divisor
-from sixthsense.core.pose_kernels import driven
+from sixthsense.core.se2 import composed_covariance, turned_covariance
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
 
 

@@ -12,9 +12,9 @@ import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
-from sixthsense.core.covariance import composed_covariance
+from sixthsense.core.arcs import arc_jacobian, arc_length
 from sixthsense.core.geometry import Array
-from sixthsense.core.pose_kernels import Triple, arc_jacobian, arc_length, composed, inverted
+from sixthsense.core.se2 import Triple, composed, composed_covariance, inverted
 from sixthsense.core.wheels import WheelErrors, Wheels, errors_of, true_motion
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
-from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.se2 import Triple
 
 _JOIN = 1e-9
 """share of its length by which a wall is extended, so that two walls that join leave no gap"""

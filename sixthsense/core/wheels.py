@@ -11,8 +11,9 @@ import numba
 import numpy as np
 
 from sixthsense.config import AssumedConfig
+from sixthsense.core.arcs import arc, arc_length
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.pose_kernels import Triple, arc, arc_length, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 
 PARAMETERS = 5
 """number of the wheels' parameters"""

@@ -13,8 +13,8 @@ from scipy import ndimage
 
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import beam_bearings
-from sixthsense.core.pose_kernels import Triple
 from sixthsense.core.ray_casting import Beams, NearWalls, beams_of, cast_among
+from sixthsense.core.se2 import Triple
 from sixthsense.sources.walking_space import mark_distances
 
 if TYPE_CHECKING:

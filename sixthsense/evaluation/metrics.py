@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import observation_innovations
+from sixthsense.core.se2 import between
 from sixthsense.sources.logs.log import scan_rows
 
 
@@ -51,7 +52,7 @@ def relative_pose_errors(estimate: Array, truth: Array, length_m: float) -> tupl
     off = np.abs(along[[short_of, beyond]] - along[:-1] - length_m)
     last, off = np.where(off[0] <= off[1], short_of, beyond), off.min(axis=0)
     first, last = first[off <= _RPE_TOLERANCE * length_m], last[off <= _RPE_TOLERANCE * length_m]
-    error = _between(_between(truth[first], truth[last]), _between(estimate[first], estimate[last]))
+    error = between(between(truth[first], truth[last]), between(estimate[first], estimate[last]))
     return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 
 
@@ -156,15 +157,8 @@ def relations_error(
     27(4), 2009: the error is inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
     """
     first, second = poses[scan_rows(stamps_s, relations_stamps)].transpose(1, 0, 2)
-    error = _between(relations_poses, _between(first, second))
+    error = between(relations_poses, between(first, second))
     return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
-
-
-def _between(a: Array, b: Array) -> Array:
-    """inverse(a) ∘ b of (N, 3) poses, row by row."""
-    c, s = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = (b[:, :2] - a[:, :2]).T
-    return np.stack([c * dx + s * dy, c * dy - s * dx, wrap_angle(b[:, 2] - a[:, 2])], axis=1)
 
 
 def scan_times(ms: Array) -> dict[str, float]:

@@ -12,9 +12,9 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import compose_jacobians
+from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.source import Command, Tick
 from sixthsense.live.network import LARGEST_MESSAGE_BYTES, Node
 from sixthsense.live.reading import TWIST, TWIST_STAMPED

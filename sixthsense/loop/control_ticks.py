@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.odometry_kernels import Folded, OdometryNoise, folded
-from sixthsense.core.pose_kernels import composed
+from sixthsense.core.se2 import composed
 from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.navigation.pilot import Pilot, PilotLimits, Steering, commanded
 from sixthsense.record.trace import Stopwatch, Trace

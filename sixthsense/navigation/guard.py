@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.se2 import Triple
 from sixthsense.core.source import Command
 
 _NOTHING = np.zeros((0, 2))

@@ -13,7 +13,7 @@ import numpy as np
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.pose_kernels import Triple, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.source import Command
 from sixthsense.navigation.path_planner import DrivingMap, PathPlanner
 from sixthsense.navigation.planners.shortcut import path_is_free

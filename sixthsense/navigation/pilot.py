@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numba
 
 from sixthsense.core.geometry import Pose
-from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.se2 import Triple
 from sixthsense.core.source import Command
 from sixthsense.navigation.guard import Guard, GuardLimits, Returns, checked
 from sixthsense.navigation.navigator import Navigator

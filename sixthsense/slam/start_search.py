@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.config import GridConfig
-from sixthsense.core.covariance import transformed
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
+from sixthsense.core.se2 import transformed_covariance
 from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
@@ -63,7 +63,7 @@ def located(scan: Scan, prior: PriorMap, pose: Pose, cov: Array, config: GridCon
         return pose
     c, s = math.cos(pose.theta), math.sin(pose.theta)
     x, y = scan.T_robot_laser.position
-    places = _places(views, key, laser.array(), transformed(cov, 1.0, 0.0, -s * x - c * y, c * x - s * y))
+    places = _places(views, key, laser.array(), transformed_covariance(cov, 1.0, 0.0, -s * x - c * y, c * x - s * y))
     _check_share(max((_share(place.both.agreement) for place in places), default=0.0), prior)
     best = max(places, key=lambda place: place.quality)
     if any(other.quality >= _AS_GOOD * best.quality and not other.is_same(best) for other in places):

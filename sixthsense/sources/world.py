@@ -12,12 +12,13 @@ import numba
 import numpy as np
 
 from sixthsense.config import Config
+from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.laser import Scan, beam_bearings, sweep_times, time_increment
 from sixthsense.core.motion import draw
 from sixthsense.core.odometry_kernels import Slip, slipped
-from sixthsense.core.pose_kernels import Triple, composed, driven, wrapped
 from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, beams_of, cast_among, cast_sweep
+from sixthsense.core.se2 import Triple, compose, composed, wrapped
 from sixthsense.core.source import Command, ControlTicks, Tick
 from sixthsense.sources.walkers import Walkers
 
@@ -283,6 +284,4 @@ class World:
         """(N, 3) true pose of the laser at each beam's time, interpolated linearly between control ticks."""
         stamps_s = 1e-9 * self.drive.period_ns * np.arange(1 - len(self._past), 1, dtype=np.float64)
         poses = interpolated(stamps_s, np.array(self._past), self._times_s)
-        x, y, theta = self._config.laser.mount
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        return np.column_stack([poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + theta])
+        return compose(poses, np.array(self._config.laser.mount))

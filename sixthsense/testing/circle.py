@@ -15,10 +15,10 @@ from time import perf_counter
 import numpy as np
 
 from sixthsense.config import ISAM2Config
+from sixthsense.core.arcs import arc_jacobian
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, LandmarkId, Observation, predict_points
 from sixthsense.core.motion import STANDSTILL, Odometry, rk4
-from sixthsense.core.pose_kernels import arc_jacobian
 from sixthsense.evaluation.metrics import full_rank_from, nees_invariant, nees_world
 from sixthsense.slam.estimators import make_estimator
 

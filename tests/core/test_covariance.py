@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from sixthsense.config import AssumedConfig, MotionNoise
-from sixthsense.core.covariance import composed_covariance, root_information, transformed, turned_covariance
+from sixthsense.core.arcs import arc, arc_jacobian
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, variance
 from sixthsense.core.odometry_kernels import Slip, slipped
-from sixthsense.core.pose_kernels import arc, arc_jacobian
+from sixthsense.core.se2 import composed_covariance, transformed_covariance, turned_covariance
 
 RNG = np.random.default_rng(0)
 
@@ -36,7 +37,7 @@ def test_a_covariance_is_transformed_by_the_jacobian():
         cov, angle, (u, v) = covariance(), RNG.uniform(-4, 4), RNG.normal(size=2)
         c, s = math.cos(angle), math.sin(angle)
         jacobian = np.array([[c, -s, u], [s, c, v], [0.0, 0.0, 1.0]])
-        assert np.allclose(transformed(cov, c, s, u, v), jacobian @ cov @ jacobian.T)
+        assert np.allclose(transformed_covariance(cov, c, s, u, v), jacobian @ cov @ jacobian.T)
         turned = turned_covariance(cov, angle)
         assert np.array_equal(turned, turned.T)
         turn = Pose(theta=angle).adjoint()

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sixthsense.config import AssumedConfig, MotionNoise, preset
+from sixthsense.core.arcs import arc
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import (
     STANDSTILL,
@@ -17,7 +18,6 @@ from sixthsense.core.motion import (
     rk4,
     variance,
 )
-from sixthsense.core.pose_kernels import arc
 from sixthsense.core.wheels import PARAMETERS, Wheels, corrected_with_terms, errors_of, true_motion
 
 QUIET = MotionNoise(speed=0, turn_rate=0, slip_position_per_sqrt_m=0, slip_position_per_sqrt_rad=0,

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sixthsense.config import ISAM2Config
+from sixthsense.core.arcs import arc, arc_jacobian
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.motion import rk4
-from sixthsense.core.pose_kernels import arc, arc_jacobian
 from sixthsense.evaluation.metrics import nees_band
 from sixthsense.slam.estimators import ESTIMATORS
 from sixthsense.testing.circle import ODOMETRY_COV, RADIUS, follow, landmarks, simulate

@@ -13,7 +13,7 @@ from sixthsense.config import AssociationConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import innovation, innovations_of, predictions
 from sixthsense.core.landmarks import LandmarkId, Observation
-from sixthsense.core.pose_kernels import Triple
+from sixthsense.core.se2 import Triple
 from sixthsense.slam.association.joint_assignment import Indices, Pairs, best_matches, squared_given
 from sixthsense.slam.association.observed import Distances, Mask, Observed
 from sixthsense.slam.association.records import Record, unit_cov

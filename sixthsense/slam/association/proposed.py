@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.landmarks import LandmarkId, Observation
+from sixthsense.core.se2 import move_points
 from sixthsense.slam.association.records import Record
 from sixthsense.slam.estimators.base import Estimate
 
@@ -80,7 +81,7 @@ class ProposedLandmarks:
         last = [self._last[i] for i in ids.tolist()]
         poses = proposal.relative[keys]
         landmarks = moved(poses, np.array([known.landmark for known in last]).reshape(-1, 2), walls)
-        self.extents = moved_points(poses, np.array([known.extent for known in last]).reshape(-1, 2, 2))
+        self.extents = move_points(poses, np.array([known.extent for known in last]).reshape(-1, 2, 2))
         pose_cov = np.diag([_SIGMA_M**2, _SIGMA_M**2, _SIGMA_RAD**2])
         self._here = Estimate(Pose(), pose_cov, ids, landmarks, walls)
         covs = np.array([known.cov for known in last]).reshape(-1, 2, 2)
@@ -102,7 +103,7 @@ class ProposedLandmarks:
             if i in rows:
                 row = slice(rows[i], rows[i] + 1)
                 local = moved(T_robot_world, estimate.landmarks[row], estimate.walls[row])[0]
-                extent = moved_points(T_robot_world, records[i].extent[None])[0]
+                extent = move_points(T_robot_world, records[i].extent[None])[0]
                 self._last[i] = _Last(key, local, extent, observation.cov)
         for i in set(self._last).difference(rows):
             del self._last[i]
@@ -110,17 +111,10 @@ class ProposedLandmarks:
 
 def moved(poses: Array, landmarks: Array, walls: NDArray[np.bool_]) -> Array:
     """(n, 2) landmarks in frame a, of those in frames b at `T_a_b` (n, 3), or (1, 3) for all."""
-    points = moved_points(poses, landmarks[:, None, :])[:, 0]
+    points = move_points(poses, landmarks[:, None, :])[:, 0]
     alpha = wrap_angle(landmarks[:, 0] + poses[:, 2])
     offset = landmarks[:, 1] + np.cos(alpha) * poses[:, 0] + np.sin(alpha) * poses[:, 1]
     return np.where(walls[:, None], np.column_stack([alpha, offset]), points)
-
-
-def moved_points(poses: Array, points: Array) -> Array:
-    """(n, k, 2) points in frame a, of those in frames b at `T_a_b` (n, 3), or (1, 3) for all."""
-    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = points[..., 0], points[..., 1]
-    return np.stack([poses[:, :1] + c * x - s * y, poses[:, 1:2] + s * x + c * y], axis=-1)
 
 
 def _placed_covs(poses: Array, covs: Array, walls: NDArray[np.bool_], landmarks: Array, sigmas: Array) -> Array:

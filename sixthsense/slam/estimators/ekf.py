@@ -12,11 +12,12 @@ from scipy.linalg import block_diag
 from scipy.linalg.blas import dsyrk, dtrsm
 from scipy.linalg.lapack import dpotrf
 
-from sixthsense.core.covariance import check_covariance, turned_covariance
+from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import LandmarkId, Observation, observation_innovations, translated
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.estimators.base import Estimate, LandmarkPrior, check_observations, check_prior

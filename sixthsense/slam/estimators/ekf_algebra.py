@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, rotation
 from sixthsense.core.landmark_kernels import predictions, translations
 from sixthsense.core.landmarks import LandmarkId, Observation, initialize_landmark, observed_centre, translated
-from sixthsense.core.pose_kernels import Triple, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import WheelEstimate, Wheels
 from sixthsense.slam.estimators.base import check_parameters

@@ -12,7 +12,7 @@ from scipy.linalg.blas import dsyr2k
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import rotation_generator
-from sixthsense.core.pose_kernels import wrapped
+from sixthsense.core.se2 import wrapped
 from sixthsense.slam.estimators.base import Estimate
 from sixthsense.slam.estimators.ekf import EKF
 

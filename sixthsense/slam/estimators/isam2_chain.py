@@ -18,10 +18,11 @@ from gtsam.symbol_shorthand import X
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmark_kernels import stacked
 from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.se2 import compose
 from sixthsense.slam.estimators.base import Link
 from sixthsense.slam.estimators.isam2_calibration import motion_factor
 from sixthsense.slam.estimators.isam2_solver import NONE
@@ -135,13 +136,7 @@ class Chain:
         is_kept = np.ones(len(poses), dtype=np.bool_)
         is_kept[gone] = False
         poses[is_kept] = kept
-        at = poses[anchors]
-        c, s = np.cos(at[:, 2]), np.sin(at[:, 2])
-        poses[gone] = np.column_stack([
-            at[:, 0] + c * relative[:, 0] - s * relative[:, 1],
-            at[:, 1] + s * relative[:, 0] + c * relative[:, 1],
-            wrap_angle(at[:, 2] + relative[:, 2]),
-        ])  # fmt: skip
+        poses[gone] = compose(poses[anchors], relative)
         return poses
 
 

@@ -10,10 +10,10 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 from scipy.linalg import block_diag
 
-from sixthsense.core.covariance import composed_covariance, turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
+from sixthsense.core.se2 import composed_covariance, turned_covariance
 from sixthsense.core.sensor import Sensor, SensorEstimate
 from sixthsense.core.wheels import PARAMETERS, WheelEstimate, Wheels
 from sixthsense.slam.estimators.base import check_parameters

@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import Kind, Observation, WallShape
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import variance
-from sixthsense.core.pose_kernels import Triple, wrapped
+from sixthsense.core.se2 import Triple, wrapped
 from sixthsense.slam.features.deskew import add_sweep_noise
 from sixthsense.slam.features.endpoints import EndpointRules, RolledScan
 from sixthsense.slam.features.landmarks import find_points, find_walls

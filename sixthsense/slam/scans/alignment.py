@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import inverse
 from sixthsense.slam.scans.partners import partners_of
 from sixthsense.slam.scans.scan_store import Returns
 
@@ -104,13 +105,6 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
     found = (xx, xy, xt, yy, yt, tt, gx, gy, gt, weights, hits, squares, fxx, fxy, fxt, fyy, fyt, ftt)
     for i in range(SUMS):
         sums[i] += found[i]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def inverse(pose: Array) -> Array:
-    """(3,) `T_b_a` of `T_a_b`; the angle is not wrapped."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    return np.array([-c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]])
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import HITS, inverse
+from sixthsense.core.se2 import between, compose, inverse
+from sixthsense.slam.scans.alignment import HITS
 from sixthsense.slam.scans.graph import REACH_M, ScanGraph
 from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, align_pairs
-from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.visibility import explained
 

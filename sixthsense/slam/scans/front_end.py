@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.config import Config
-from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, are_carried, fold_from, since_keyframe
 from sixthsense.core.odometry_kernels import Folded
+from sixthsense.core.se2 import between, compose, turned_covariance
 from sixthsense.core.source import ControlTicks, Tick
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
@@ -31,7 +31,6 @@ from sixthsense.slam.scans.odometry_prior import (
     weakened,
     with_wheel_errors,
 )
-from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, search, track
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.motion import Odometry
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.estimators import Link, Smoother
 from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.alignment import SUMS
 from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 

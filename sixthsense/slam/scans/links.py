@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import inverse
 from sixthsense.slam.scans.alignment import (
     HESSIAN,
     HITS,
@@ -21,7 +22,6 @@ from sixthsense.slam.scans.alignment import (
     Prior,
     Views,
     align,
-    inverse,
 )
 from sixthsense.slam.scans.scan_store import Returns
 from sixthsense.slam.scans.visibility import compare_views

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 
-from sixthsense.core.covariance import transformed
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
-from sixthsense.slam.scans.poses import compose
+from sixthsense.core.se2 import compose, transformed_covariance
 
 _ORIGIN = Pose()
 
@@ -23,7 +22,7 @@ def seen_from(T_a_b: Pose, motion: Odometry) -> Odometry:
     c, s = math.cos(heading), math.sin(heading)
     # What the motion's turn moves: a, as seen from b, in the axes before the motion.
     lever_x, lever_y = c * T_b_a.x - s * T_b_a.y, s * T_b_a.x + c * T_b_a.y
-    cov = transformed(motion.cov, math.cos(T_a_b.theta), math.sin(T_a_b.theta), -lever_y, lever_x)
+    cov = transformed_covariance(motion.cov, math.cos(T_a_b.theta), math.sin(T_a_b.theta), -lever_y, lever_x)
     return Odometry(T_a_b @ motion.motion @ T_b_a, cov)
 
 

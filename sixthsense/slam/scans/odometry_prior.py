@@ -7,9 +7,9 @@ import math
 import numba
 import numpy as np
 
-from sixthsense.core.covariance import turned_covariance
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
+from sixthsense.core.se2 import turned_covariance
 from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.scans.alignment import Prior
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix
 from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
-from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.submap import VOXEL_M, pyramid, submap_points
 from sixthsense.slam.scans.visibility import Agreement, judged
 

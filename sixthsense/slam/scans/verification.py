@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array, wrap_angle
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.graph import AGREEMENT
 from sixthsense.slam.scans.links import WIDE_GATE_M, Alignments, align_pairs
 from sixthsense.slam.scans.place_search import Hypothesis, of_last_metres
-from sixthsense.slam.scans.poses import between, compose
 from sixthsense.slam.scans.tracking import NEAREST
 from sixthsense.slam.scans.votes import NEAR, Vote
 

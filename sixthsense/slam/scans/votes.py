@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from sixthsense.core.geometry import Array
+from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.branch_and_bound import Apart
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.links import Alignments
-from sixthsense.slam.scans.poses import between, compose
 
 NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
 _LASTS_M = 10.0  # travel after which a vote is dropped

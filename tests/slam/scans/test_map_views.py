@@ -6,10 +6,10 @@ from rooms import HALF, ROOM, ROUND, scan_at
 from sixthsense.config import GridConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.se2 import compose
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.scans.links import WIDE_GATE_M, align_pairs
 from sixthsense.slam.scans.map_views import MapViews
-from sixthsense.slam.scans.poses import compose
 
 CELL_M = 0.05
 

@@ -9,13 +9,13 @@ from test_front_end import drive, ticks
 
 from sixthsense.config import LaserConfig, preset
 from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.se2 import between
 from sixthsense.slam.scans import verification
 from sixthsense.slam.scans.evidence import Evidence, OldPass, evidence_of, followed_back
 from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import align_pairs
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
-from sixthsense.slam.scans.poses import between
 from sixthsense.slam.scans.verification import verified
 from sixthsense.slam.scans.visibility import explained
 from sixthsense.slam.slam import Slam

@@ -1,4 +1,4 @@
-"""Poses in kernels, as triples x, y, theta in m and rad: bit for bit what `Pose` computes; and circular arcs."""
+"""Circular arcs, the paths of a differential drive at constant speed and turn rate."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.se2 import Triple, wrapped
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -41,33 +42,6 @@ def arc_jacobian(distance: float, turn: float) -> Array:
             [0.0, 1.0],
         ]
     )
-
-
-Triple = tuple[float, float, float]
-
-
-@numba.njit(cache=True, error_model="numpy")
-def wrapped(angle: float) -> float:
-    """The angle in [-pi, pi), as `wrap_angle` has it."""
-    if -math.pi <= angle < math.pi:
-        return angle
-    inside = (angle + math.pi) % (2.0 * math.pi) - math.pi
-    # The modulo of a tiny negative number rounds up to 2 pi itself.
-    return -math.pi if inside >= math.pi else inside
-
-
-@numba.njit(cache=True, error_model="numpy")
-def composed(a: Triple, b: Triple) -> Triple:
-    """`T_a_c` of `T_a_b` and `T_b_c`."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    return a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], wrapped(a[2] + b[2])
-
-
-@numba.njit(cache=True, error_model="numpy")
-def inverted(a: Triple) -> Triple:
-    """`T_b_a` of `T_a_b`."""
-    c, s = math.cos(a[2]), math.sin(a[2])
-    return -c * a[0] - s * a[1], s * a[0] - c * a[1], wrapped(-a[2])
 
 
 @numba.njit(cache=True, error_model="numpy")

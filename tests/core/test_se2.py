@@ -1,0 +1,101 @@
+"""SE(2) by triples, rows and `Pose`: the same as homogeneous matrices; covariances by numerical Jacobians."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.core.arcs import driven
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.se2 import (
+    Triple,
+    between,
+    compose,
+    composed,
+    inverse,
+    inverted,
+    move_points,
+    relative,
+    wrapped,
+)
+
+RNG = np.random.default_rng(5)
+ONE, MANY = RNG.uniform(-4, 4, size=3), RNG.uniform(-4, 4, size=(7, 3))
+
+
+def random_triple() -> Triple:
+    x, y = RNG.uniform(-50.0, 50.0, 2)
+    return float(x), float(y), float(RNG.uniform(-math.pi, math.pi))
+
+
+def matrix(pose: Triple) -> np.ndarray:
+    """(3, 3) homogeneous."""
+    x, y, theta = pose
+    return np.array([[math.cos(theta), -math.sin(theta), x], [math.sin(theta), math.cos(theta), y], [0.0, 0.0, 1.0]])
+
+
+def assert_is(found: Triple, expected: np.ndarray) -> None:
+    assert np.allclose(matrix(found), expected, rtol=0.0, atol=1e-12)
+    assert -math.pi <= found[2] < math.pi
+
+
+def test_triples_are_composed_inverted_and_compared_as_matrices() -> None:
+    for _ in range(200):
+        a, b = random_triple(), random_triple()
+        assert_is(composed(a, b), matrix(a) @ matrix(b))
+        assert_is(inverted(a), np.linalg.inv(matrix(a)))
+        assert_is(relative(a, b), np.linalg.inv(matrix(a)) @ matrix(b))
+        assert tuple(inverse(np.array(a))) == inverted(a)
+
+
+def test_poses_of_users_compute_as_the_triples() -> None:
+    for _ in range(50):
+        a, b = random_triple(), random_triple()
+        assert (Pose(*a) @ Pose(*b)).triple() == composed(a, b)
+        assert Pose(*a).inverse().triple() == inverted(a)
+
+
+@pytest.mark.parametrize(("a", "b"), [(ONE, MANY), (MANY, ONE), (MANY, MANY[::-1]), (ONE, MANY[0]), (ONE, MANY[:0])])
+def test_rows_of_poses_are_composed_as_matrices(a: np.ndarray, b: np.ndarray) -> None:
+    rows = np.broadcast_shapes(a.shape, b.shape)
+    pairs = list(zip(np.broadcast_to(a, rows).reshape(-1, 3), np.broadcast_to(b, rows).reshape(-1, 3), strict=True))
+    for found, expected in (
+        (compose(a, b), [matrix(tuple(x)) @ matrix(tuple(y)) for x, y in pairs]),
+        (between(a, b), [np.linalg.inv(matrix(tuple(x))) @ matrix(tuple(y)) for x, y in pairs]),
+    ):
+        assert found.shape == rows
+        for row, pose in zip(found.reshape(-1, 3), expected, strict=True):
+            assert_is(tuple(row), pose)
+
+
+def test_points_are_moved_as_by_matrices() -> None:
+    points = RNG.uniform(-6.0, 6.0, size=(7, 4, 2))
+    found = move_points(MANY, points)
+    for pose, before, after in zip(MANY, points, found, strict=True):
+        assert np.allclose(after, (matrix(tuple(pose)) @ np.column_stack([before, np.ones(4)]).T).T[:, :2], atol=1e-12)
+    assert np.allclose(move_points(MANY[:1], points)[3], Pose.from_array(MANY[0]) @ points[3], atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.3, -3.2, 7.0, np.pi, -np.pi, 3 * np.pi, -np.pi - 1e-17, np.nextafter(-np.pi, -4)])
+def test_an_angle_keeps_its_direction_and_comes_into_half_a_turn_on_either_side(angle: float) -> None:
+    found = wrapped(angle)
+    assert -math.pi <= found < math.pi
+    assert abs(math.remainder(found - angle, 2.0 * math.pi)) < 1e-12
+    assert found == wrap_angle(angle) == wrap_angle(np.array([angle, 1.0]))[0]
+
+
+def driven_in_python(pose: Triple, speed: float, turn_rate: float, step_s: float, steps: int) -> Triple:
+    x, y, theta = pose
+    for _ in range(steps):
+        middle, end = theta + 0.5 * step_s * turn_rate, theta + step_s * turn_rate
+        x += step_s / 6.0 * speed * (math.cos(theta) + 4.0 * math.cos(middle) + math.cos(end))
+        y += step_s / 6.0 * speed * (math.sin(theta) + 4.0 * math.sin(middle) + math.sin(end))
+        theta = end
+    return Pose(x, y, theta).triple()
+
+
+def test_driven_is_the_integration_in_plain_python() -> None:
+    for _ in range(200):
+        pose, (speed, turn_rate), steps = random_triple(), RNG.uniform(-3.0, 3.0, 2), int(RNG.integers(1, 5))
+        expected = driven_in_python(pose, float(speed), float(turn_rate), 0.01, steps)
+        assert driven(pose, float(speed), float(turn_rate), 0.01, steps) == expected
