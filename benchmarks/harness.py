@@ -32,7 +32,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.evaluation.metrics import relations_error
 from sixthsense.evaluation.tables import text_table
 from sixthsense.figures.run import Run, load
-from sixthsense.loop import OnTick
+from sixthsense.loop.run import OnTick
 from sixthsense.running.runs import Watch, replay_log, simulate
 from sixthsense.sources.logs.log import Log, Relations
 from sixthsense.sources.replay_input import Recorded

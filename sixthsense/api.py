@@ -16,7 +16,7 @@ from sixthsense.running.runs import Watch, replay_log, reserved, simulate
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
-    from sixthsense.loop import OnTick
+    from sixthsense.loop.run import OnTick
     from sixthsense.slam.prior_map import PriorStart
     from sixthsense.sources.logs.log import Log, Relations
     from sixthsense.sources.replay_input import Chosen, Recorded

@@ -22,7 +22,7 @@ from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
-    from sixthsense.loop import OnTick
+    from sixthsense.loop.run import OnTick
     from sixthsense.navigation.unseen_places import UnseenPlace
     from sixthsense.record.folder import RunFolder
     from sixthsense.slam.prior_map import PriorStart

@@ -7,12 +7,11 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import AssumedConfig, Distribution
 from sixthsense.core.arcs import driven
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
-from sixthsense.core.odometry_kernels import Folded, OdometryNoise, increment, motion_covariance, variance_divisor
+from sixthsense.core.odometry_kernels import OdometryNoise, increment, motion_covariance, variance_divisor
 from sixthsense.core.se2 import composed_covariance, turned_covariance
 from sixthsense.core.wheels import Wheels, WheelTerms, corrected_with_terms
 
@@ -71,7 +70,7 @@ class Odometry:
 
     def is_carried(self) -> bool:
         """Whether no wheel has measured the motion: its position is known to some decimetres only."""
-        return bool(are_carried(self.cov))
+        return bool(max(self.cov[0, 0], self.cov[1, 1]) > _CARRIED_M**2)
 
     def cov_after(self) -> Array:
         """(3, 3) of the same error in the axes of the frame after, the convention of factor graphs."""
@@ -119,30 +118,8 @@ def _composed_terms(
     return WheelTerms(later.values, by_first @ first.jacobian + by_later @ later.jacobian)
 
 
-def are_carried(covs: Array) -> NDArray[np.bool_]:
-    """Whether no wheel has measured motions of these (..., 3, 3) covariances, as of `Odometry.is_carried`."""
-    return np.asarray(np.maximum(covs[..., 0, 0], covs[..., 1, 1]) > _CARRIED_M**2)
-
-
 STANDSTILL = Odometry(Pose(), np.zeros((3, 3)))
 STANDSTILL.cov.flags.writeable = False
-
-
-def fold_from(odometry: Pose, pose: Pose, since: Odometry) -> Folded:
-    """What kernels add ticks to: the last pose by the wheels, the pose, and the motion since the last keyframe."""
-    motion = since.motion
-    return Folded(
-        (odometry.x, odometry.y, odometry.theta),
-        (pose.x, pose.y, pose.theta),
-        (motion.x, motion.y, motion.theta),
-        np.array(since.cov),
-        since is not STANDSTILL,
-    )
-
-
-def since_keyframe(folded: Folded) -> Odometry:
-    """The motion since the last keyframe, as kernels have summed it up."""
-    return Odometry(Pose(*folded.since), folded.cov) if folded.has_moved else STANDSTILL
 
 
 def odometry(before: Pose, after: Pose, assumed: AssumedConfig) -> Odometry:

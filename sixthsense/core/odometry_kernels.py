@@ -1,7 +1,4 @@
-"""Odometry in kernels: the increment of a control tick with its covariance, and the sum of increments.
-
-The same functions serve single ticks in Python and all ticks of a scan in one call, so that both agree to the bit.
-"""
+"""The increment of odometry in a control tick, with its covariance by the assumed noise, in kernels."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ import numpy as np
 from sixthsense.config import AssumedConfig, Distribution, MotionNoise
 from sixthsense.core.arcs import arc_jacobian, arc_length
 from sixthsense.core.geometry import Array
-from sixthsense.core.se2 import Triple, composed, composed_covariance, inverted
+from sixthsense.core.se2 import Triple, composed, inverted
 from sixthsense.core.wheels import WheelErrors, Wheels, errors_of, true_motion
 
 _FLOOR_PER_M, _FLOOR_PER_RAD = 0.25, 0.15  # distance and turn per floor, those between two keyframes
@@ -80,21 +77,6 @@ class OdometryNoise(NamedTuple):
         )
 
 
-class Folded(NamedTuple):
-    """Odometry that has been summed up."""
-
-    odometry: Triple
-    """the last pose by the wheels, `T_odom_robot`"""
-    pose: Triple
-    """`T_world_robot`"""
-    since: Triple
-    """motion since the last keyframe"""
-    cov: Array
-    """(3, 3) of its error, axes of the keyframe"""
-    has_moved: bool
-    """whether there was any since"""
-
-
 @numba.njit(cache=True, error_model="numpy")
 def slipped(slip: Slip, distance: float, turn: float) -> tuple[float, float]:
     """Variances of position (m^2, each axis) and heading (rad^2) that slip adds over a distance and a turn."""
@@ -131,19 +113,3 @@ def increment(before: Triple, after: Triple, noise: OdometryNoise) -> tuple[Trip
     """The motion between two different poses by the wheels, and (3, 3) of its error."""
     motion = true_motion(composed(inverted(before), after), noise.wheels)
     return motion, motion_covariance(motion, noise)
-
-
-@numba.njit(cache=True, error_model="numpy")
-def folded(before: Folded, odometry: Triple, noise: OdometryNoise) -> tuple[Folded, Triple, Array]:
-    """What is summed up after another pose by the wheels, with the increment and (3, 3) of its error.
-
-    A pose that is the one before adds nothing, not even rounding errors.
-    """
-    if odometry == before.odometry:
-        return before, (0.0, 0.0, 0.0), np.zeros((3, 3))
-    motion, cov = increment(before.odometry, odometry, noise)
-    since, whole = motion, cov
-    if before.has_moved:
-        since = composed(before.since, motion)
-        whole = composed_covariance(before.cov, cov, before.since[2], motion[0], motion[1])
-    return Folded(odometry, composed(before.pose, motion), since, whole, True), motion, cov

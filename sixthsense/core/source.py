@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
@@ -51,27 +48,6 @@ class Tick:
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
     sightings = OldName("sightings", "observations")
-
-
-@dataclass(frozen=True, slots=True)
-class ControlTicks:
-    """Ticks without a scan, one after the other, as arrays."""
-
-    stamps_ns: NDArray[np.int64]
-    """(n,) of each tick"""
-    odometry: Array
-    """(n, 3) pose by wheel odometry alone, `T_odom_robot`"""
-    truths: Array
-    """(n, 3) `T_world_robot`, for the record only"""
-    motions: Array
-    """(n, 3) increment of odometry since the tick before"""
-    covs: Array
-    """(n, 3, 3) of its error, axes of the robot before"""
-    are_still: NDArray[np.bool_]
-    """(n,) whether odometry is that of the tick before"""
-
-    def __len__(self) -> int:
-        return len(self.stamps_ns)
 
 
 class Source(Protocol):

@@ -131,7 +131,7 @@ class InnovationObserver:
         """one for each keyframe"""
 
     def attach(self, tick: Tick, trace: Trace) -> None:
-        """Observe a run; it is the `on_tick` of `sixthsense.loop.run`.
+        """Observe a run; it is the `on_tick` of `sixthsense.loop.run.run`.
 
         The first tick is over when it is called, so its keyframe is added without landmarks: there were none.
         """

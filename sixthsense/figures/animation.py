@@ -36,7 +36,7 @@ from sixthsense.figures.plot import (
     new_figure,
     walker_outlines,
 )
-from sixthsense.loop import replay
+from sixthsense.loop.run import replay
 from sixthsense.navigation.frontier import frontier_points
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import whole

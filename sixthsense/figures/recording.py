@@ -11,7 +11,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import true_landmarks
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam.features import Features, extract
 from sixthsense.slam.mapping.grid import Grid

@@ -14,10 +14,10 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.core.laser import sweep_ns
 from sixthsense.core.source import Command, Tick
+from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.joining import LONG_SILENT_NS, SILENT_NS, Anew, Presence, Publishers, ScanJoiner
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
-from sixthsense.navigation.pilot import AheadPilot
 from sixthsense.record.trace import Trace
 from sixthsense.slam.relocalization import MOST_DRIVEN_M, Relocalizer
 

@@ -19,16 +19,17 @@ from sixthsense.core.interrupt import is_command_ended, is_ended_by_ctrl_c
 from sixthsense.core.laser import Scan
 from sixthsense.core.random_streams import random_streams
 from sixthsense.core.source import Tick
+from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.network import Network, Node, Reader
 from sixthsense.live.publishing import Commands, Publisher, Stamped
 from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices, RobotPose
 from sixthsense.live.robot import LiveRobot, Received, Steering
 from sixthsense.live.topics import FAST_SENSOR, LATCHED, RELIABLE, SENSOR, NetworkError, Topic, checked_topic
-from sixthsense.loop import OnTick, recorded_drive
+from sixthsense.loop.run import OnTick, recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.navigation.pilot import AheadPilot, Pilot, Steersman
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Trace
 from sixthsense.slam.prior_map import PriorStart
 from sixthsense.sources.logs.log import found_turns
@@ -130,11 +131,11 @@ class Session:
         guard = Guard(config, radius_m)
         trace = Trace(config, None, radius_m, name="live")
         with contextlib.ExitStack() as stack:
-            pilot: Steersman = Pilot(_listening(), guard)
+            pilot = Pilot(_listening(), guard)
             steering = None
             if drive:
                 believed = self._robot.T_odom_robot if prior is None or prior.pose is None else prior.pose
-                pilot = ahead = AheadPilot(Pilot(_navigator(config, believed, radius_m), guard))
+                pilot = ahead = AheadPilot(_navigator(config, believed, radius_m), guard)
                 kind = self._commands or TWIST
                 writer = self._node.writer(Topic(self._topics.cmd_vel, kind, RELIABLE))
                 clock = Stamped(lambda: robot.joiner.clock.now(time.monotonic_ns()), self._robot.robot)

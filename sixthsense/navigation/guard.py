@@ -192,19 +192,6 @@ class Guard:
         self._returns = Returns(_NOTHING, np.ascontiguousarray(moving_robot))
 
     @property
-    def since(self) -> Pose:
-        """Motion since the latest scan."""
-        return self._since
-
-    def moved_to(self, since: Triple) -> None:
-        """Take in the motion since the latest scan."""
-        self._since = Pose(*since)
-
-    def passed(self, waits_for_moving: bool) -> None:
-        """Take in that a kernel has checked commands and stopped none."""
-        self.waits_for_moving, self._stopped = waits_for_moving, False
-
-    @property
     def stopped(self) -> bool:
         """Whether the latest command was stopped."""
         return self._stopped

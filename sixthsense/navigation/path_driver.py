@@ -155,22 +155,8 @@ class GoalDrive(NamedTuple):
     """stamp (ns) and that place"""
 
 
-_STEERED, _ARRIVED, _STUCK, _TURNED = range(4)
+_STEERED, _STUCK, _TURNED = range(3)
 """what a control tick has come to"""
-
-
-@numba.njit(cache=True, error_model="numpy")
-def steered(
-    drive: GoalDrive, pose: Triple, stamp_ns: int, limits: DriverLimits
-) -> tuple[GoalDrive, float, float, bool]:
-    """The drive after a control tick, speed and turn rate, and whether that is all that the tick needs.
-
-    It is not where the mission has to be asked: the robot is at the goal, is stuck or has completed a turn.
-    """
-    if _is_there(drive, pose, limits):
-        return drive, 0.0, 0.0, False
-    after, speed, turn_rate, event = _advanced(drive, pose, stamp_ns, limits)
-    return after, speed, turn_rate, event == _STEERED
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -16,7 +16,7 @@ import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.source import Tick
 from sixthsense.record.messages import LASER, ROBOT, MessageForm, Messages, pose_numbers
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import naming
@@ -113,18 +113,6 @@ class BagWriter:
         with self._failing():
             self._record(tick, trace)
             self._record_new(tick.stamp_ns, trace)
-
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        """Record ticks between two scans, and the new plans, which are made in the last of them."""
-        stamps_ns, mount = ticks.stamps_ns.tolist(), trace.config.laser.mount
-        with self._failing():
-            self._begin(stamps_ns[0], mount)
-            for stamp_ns, by_wheels, truth in zip(
-                stamps_ns, ticks.odometry.tolist(), ticks.truths.tolist(), strict=True
-            ):
-                self._write_pose("/odom", stamp_ns, by_wheels)
-                self._write_pose("/truth", stamp_ns, truth)
-            self._record_new(stamps_ns[-1], trace)
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,8 +16,8 @@ from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import Odometry, are_carried
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
 from sixthsense.navigation.unseen_places import UnseenPlace
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association, Record
@@ -223,19 +223,9 @@ class Trace:
         `odometry` is the dead-reckoned pose in the world frame.
         """
         here = tick.truth or odometry
-        self._add_way([(here.x, here.y)], [is_carried])
-
-    def add_ticks(self, ticks: ControlTicks) -> None:
-        """The same for ticks between two scans."""
-        self._add_way(ticks.truths[:, :2].tolist(), are_carried(ticks.covs).tolist())
-
-    def _add_way(self, places: Sequence[Sequence[float]], are_carried: Sequence[bool]) -> None:
-        x, y = places[0] if self.last_position is None else self.last_position.tolist()
-        for here, is_carried in zip(places, are_carried, strict=True):
-            if not is_carried:
-                self.path_length_m += math.hypot(here[0] - x, here[1] - y)
-            x, y = here
-        self.last_position = np.array([x, y])
+        if self.last_position is not None and not is_carried:
+            self.path_length_m += math.hypot(here.x - self.last_position[0], here.y - self.last_position[1])
+        self.last_position = here.position
 
     def add_scan(self, tick: Tick, step: Step) -> None:
         """Record a scan after it was processed."""

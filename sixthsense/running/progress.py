@@ -6,49 +6,28 @@ import os
 import sys
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from sixthsense.core.source import ControlTicks, Tick
-    from sixthsense.loop import OnTick
-    from sixthsense.loop.control_ticks import TicksHook
+    from sixthsense.core.source import Tick
+    from sixthsense.loop.run import OnTick
     from sixthsense.record.trace import Trace
 
 _BAR_FORMAT = "{desc}: {percentage:3.0f}% |{bar}| {n:.0f} of {total:.0f} s{postfix}, {elapsed} so far, {remaining} left"
 _ENDLESS_FORMAT = "{desc}: {n:.0f} s{postfix}, {elapsed} so far"
 
 
-def each(*hooks: OnTick) -> OnTick:
-    """Combine several hooks of the loop into one, which takes ticks as arrays if all of them do."""
-    from sixthsense.loop.control_ticks import TicksHook
-
-    whole = [hook for hook in hooks if isinstance(hook, TicksHook)]
-    if len(whole) == len(hooks):
-        return _EachTicks(whole)
+def combined_hooks(*hooks: OnTick) -> OnTick:
+    """Combine several hooks of the loop into one."""
 
     def call(tick: Tick, trace: Trace) -> None:
         for hook in hooks:
             hook(tick, trace)
 
     return call
-
-
-class _EachTicks:
-    """Several hooks that take ticks as arrays, as one."""
-
-    def __init__(self, hooks: Sequence[TicksHook]) -> None:
-        self._hooks = hooks
-
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        for hook in self._hooks:
-            hook(tick, trace)
-
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        for hook in self._hooks:
-            hook.passed(ticks, trace)
 
 
 def in_notebook() -> bool:
@@ -114,14 +93,7 @@ class Progress:
 
     def __call__(self, tick: Tick, trace: Trace) -> None:
         """Advance the bar to a tick's stamp."""
-        self._advance(tick.stamp_ns, trace)
-
-    def passed(self, ticks: ControlTicks, trace: Trace) -> None:
-        """Advance the bar to the last of ticks without a scan."""
-        self._advance(int(ticks.stamps_ns[-1]), trace)
-
-    def _advance(self, stamp_ns: int, trace: Trace) -> None:
-        now = time.monotonic()
+        now, stamp_ns = time.monotonic(), tick.stamp_ns
         if self._first_ns is None:
             self._first_ns, self._start = stamp_ns, now
         now_s = 1e-9 * (stamp_ns - self._first_ns)

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from sixthsense.config import Config
 from sixthsense.core.interrupt import deferred_interrupt
-from sixthsense.running.progress import LiveStatus, Progress, each, seen_area
+from sixthsense.running.progress import LiveStatus, Progress, combined_hooks, seen_area
 
 if TYPE_CHECKING:
     from sixthsense.figures.run import Run
     from sixthsense.live.session import Session
-    from sixthsense.loop import OnTick
+    from sixthsense.loop.run import OnTick
     from sixthsense.record.folder import RunFolder
     from sixthsense.record.trace import Trace
     from sixthsense.slam.prior_map import PriorStart
@@ -76,7 +76,7 @@ def simulate(
     not do; ConfigError and PriorMapError for a prior map that will not; OSError, naming the file, for one that cannot
     be written.
     """
-    from sixthsense import loop
+    from sixthsense.loop import run as loop
     from sixthsense.sources.mission import Mission, mission_of
 
     task = scene
@@ -91,7 +91,7 @@ def replay_log(
     recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET, prior: PriorStart | None = None
 ) -> Run:
     """Replay a log that has been opened, and keep the run in `folder`, if there is one; errors as of `simulate`."""
-    from sixthsense import loop
+    from sixthsense.loop import run as loop
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)
@@ -135,7 +135,7 @@ def _watched(
             record = open_hooks.enter_context(RecordWriter(folder.partial))
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
             hooks = [bag, *hooks]
-        trace = go(each(*hooks))
+        trace = go(combined_hooks(*hooks))
     from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end
 
     trace.name = name

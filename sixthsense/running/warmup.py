@@ -16,7 +16,7 @@ from sixthsense.core import kernel_cache
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import STANDSTILL
 from sixthsense.core.source import Command
-from sixthsense.loop import recorded_drive
+from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation import make_navigator
 from sixthsense.navigation.gridsearch import cheapest_way, costs_from
 from sixthsense.navigation.guard import Guard

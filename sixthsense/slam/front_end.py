@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.core.odometry_kernels import Folded
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.source import Tick
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.features import NO_FEATURES, Features
@@ -80,14 +79,6 @@ class FrontEnd(Protocol):
 
     def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
         """Process a tick with its de-skewed scan and the motion since the tick before; its keyframe, if it is one."""
-        ...
-
-    def between_scans(self, odometry: Pose) -> Folded | None:
-        """What ticks without a scan are added to, at the last pose by the wheels; None if they need `take`."""
-        ...
-
-    def passed(self, folded: Folded, ticks: ControlTicks) -> None:
-        """Take in ticks that have been added to it."""
         ...
 
     @property

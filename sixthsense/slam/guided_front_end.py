@@ -12,7 +12,6 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.core.odometry_kernels import Folded
 from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.proposed import ProposedLandmarks
@@ -56,10 +55,6 @@ class GuidedFrontEnd(LandmarkFrontEnd):
             seen, records = found.association.observations, self._associator.records
             self._proposed.remember(self._guide.newest, found.estimate, seen, records)
         return found
-
-    def between_scans(self, odometry: Pose) -> Folded | None:
-        """None: the guide sums up the same ticks on its own."""
-        return None
 
     def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         keyframe = self._guide.take(tick, scan, increment)

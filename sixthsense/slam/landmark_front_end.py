@@ -7,9 +7,8 @@ import numpy as np
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import Odometry, fold_from, since_keyframe
-from sixthsense.core.odometry_kernels import Folded
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import Tick
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator
@@ -72,14 +71,6 @@ class LandmarkFrontEnd:
         estimate = self._update(association)
         self._pose = estimate.pose
         return Keyframe(motion, predicted, estimate, association, features)
-
-    def between_scans(self, odometry: Pose) -> Folded | None:
-        """What ticks without a scan are added to, at the last pose by the wheels."""
-        return fold_from(odometry, self._pose, self._keyframes.since)
-
-    def passed(self, folded: Folded, ticks: ControlTicks) -> None:
-        """Take in ticks that have been added to it."""
-        self._pose, self._keyframes.since = Pose(*folded.pose), since_keyframe(folded)
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:

@@ -20,9 +20,8 @@ from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
-from sixthsense.core.odometry_kernels import Folded
 from sixthsense.core.sensor import SensorEstimate
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import Estimate, Filter, make_estimator
@@ -129,21 +128,6 @@ class Slam:
         if still is not None and keyframe is not None:
             self._map(still, keyframe, moving)
         return self._step(tick, increment, scan, keyframe, moving)
-
-    def between_scans(self) -> Folded | None:
-        """What ticks without a scan are added to; None if the loop has to `take` them.
-
-        That is before the first tick, and where odometry is missing or its parameters are estimated.
-        """
-        if self._odometry is None or self._velocity is not None or self._wheels is not None:
-            return None
-        return self._front_end.between_scans(self._odometry)
-
-    def passed(self, folded: Folded, ticks: ControlTicks) -> None:
-        """Take in ticks without a scan that have been added to what `between_scans` has returned."""
-        self._front_end.passed(folded, ticks)
-        self._deskew.passed(ticks)
-        self._odometry, self._stamp_ns = Pose(*folded.odometry), int(ticks.stamps_ns[-1])
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.

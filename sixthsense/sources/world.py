@@ -19,7 +19,7 @@ from sixthsense.core.motion import draw
 from sixthsense.core.odometry_kernels import Slip, slipped
 from sixthsense.core.ray_casting import NO_LEGS, Moving, NearWalls, beams_of, cast_among, cast_sweep
 from sixthsense.core.se2 import Triple, compose, composed, wrapped
-from sixthsense.core.source import Command, ControlTicks, Tick
+from sixthsense.core.source import Command, Tick
 from sixthsense.sources.walkers import Walkers
 
 DRAWS = 5
@@ -69,19 +69,6 @@ class Drive(NamedTuple):
             Slip.of(world.motion),
             float(radius_m),
         )
-
-
-class Driving(NamedTuple):
-    """Where the robot is, and what it meets until the next scan."""
-
-    truth: Triple
-    """`T_world_robot`"""
-    odometry: Triple
-    """`T_odom_robot`"""
-    draws: Array
-    """(K, DRAWS) of the noise of the next ticks"""
-    solid: Array
-    """(M, 4) all segments that the robot can come to, which it cannot pass"""
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -220,25 +207,6 @@ class World:
             tick = replace(tick, walkers=self._walkers.poses, touches=(by_robot, by_walkers))
         self._ticks += 1
         return tick
-
-    def between_scans(self) -> Driving | None:
-        """What a kernel needs for the ticks before the next scan; None where people walk, who move in each tick."""
-        left = -self._ticks % self._config.laser.period_ticks
-        if self._walkers is not None or self._collided or not left:
-            return None
-        return Driving(
-            (self._truth.x, self._truth.y, self._truth.theta),
-            (self._odometry.x, self._odometry.y, self._odometry.theta),
-            self._noise()[:left],
-            self._solid.at(self._truth.x, self._truth.y),
-        )
-
-    def moved(self, passed: ControlTicks, collided: bool) -> None:
-        """Take in ticks that a kernel has driven."""
-        self._truth, self._odometry = Pose(*passed.truths[-1].tolist()), Pose(*passed.odometry[-1].tolist())
-        self._draws, self._collided = self._draws[len(passed) :], collided
-        self._past.extend(passed.truths.tolist())
-        self._ticks += len(passed)
 
     def _move(self, command: Command) -> None:
         truth, odometry = self._truth, self._odometry

@@ -19,7 +19,7 @@ def test_importing_the_package_imports_nothing_heavy():
 
 
 def test_a_run_is_a_function_whoever_imported_the_loop_first():
-    code = "import sixthsense.loop, sixthsense as ss; assert callable(ss.run) and callable(ss.replay)"
+    code = "import sixthsense.loop.run, sixthsense as ss; assert callable(ss.run) and callable(ss.replay)"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

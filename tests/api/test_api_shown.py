@@ -8,7 +8,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.evaluation.results import QUANTITIES, Metrics
-from sixthsense.loop import run as simulated
+from sixthsense.loop.run import run as simulated
 
 
 @pytest.fixture

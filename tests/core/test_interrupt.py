@@ -11,7 +11,7 @@ from sixthsense.config import preset
 from sixthsense.core import interrupt
 from sixthsense.core.interrupt import deferred_interrupt
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 
 
 @pytest.fixture(autouse=True)

@@ -19,7 +19,7 @@ from PIL import Image
 
 from sixthsense.config import preset
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.bag import TOPICS, BagWriter
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace

@@ -15,7 +15,7 @@ from scipy.stats import norm
 
 from sixthsense.config import preset
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 
 ESTIMATORS = ("ekf-invariant", "isam2")
 SEEDS = range(1000, 1012)

@@ -12,7 +12,7 @@ from sixthsense.evaluation.matches import landmark_identities
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import landmark_covariances, nees_band, nees_landmarks
 from sixthsense.evaluation.true_identities import TrueLaser, true_identities
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.testing.estimation import joint_state, make
 from sixthsense.testing.posterior import BOTH, MOTION, START, START_COV
 

@@ -16,7 +16,7 @@ from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.matches import InnovationObserver, judge_matches, true_pair_nis
 from sixthsense.evaluation.true_identities import TrueLaser, identify, true_identities
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.estimators import make_estimator
 from sixthsense.slam.features import extract

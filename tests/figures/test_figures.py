@@ -17,7 +17,7 @@ from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures import slider
 from sixthsense.figures.plot import ellipse, save_map
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)

@@ -31,7 +31,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry, compose_jacobians
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.metrics import full_rank_from, nees_world
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam import landmark_front_end
 from sixthsense.slam import slam as pipeline

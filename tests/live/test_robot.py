@@ -11,14 +11,15 @@ from sixthsense.config import merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command
+from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.live.joining import SILENT_NS
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
-from sixthsense.loop import recorded_drive
+from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.navigation.pilot import AheadPilot, Pilot
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.messages import Messages
 from sixthsense.record.trace import Trace
 from sixthsense.slam.slam import Slam
@@ -53,7 +54,7 @@ class Bench:
         self.lines: list[str] = []
         self.sent: list[tuple[int, Command]] = []
         reader = MessageReader()
-        self.pilot = AheadPilot(Pilot(Forward(), Guard(preset(), 0.2)))
+        self.pilot = AheadPilot(Forward(), Guard(preset(), 0.2))
         send = lambda command: self.sent.append((self.now_ms, command))  # noqa: E731
         steering = Steering(self.pilot, send, lambda: self.subscribers)
         laser = LaserReader(reader, None, Pose())
@@ -230,7 +231,7 @@ def test_a_driven_robot_that_is_elsewhere_stands_and_the_run_ends():
     driver, sent = Driver(ELSEWHERE, Pose(40.0, -7.0, 1.0)), []
 
     def steering(guard: Guard) -> Steering:
-        return Steering(AheadPilot(Pilot(Navigator(), guard)), sent.append, lambda: 1)
+        return Steering(AheadPilot(Navigator(), guard), sent.append, lambda: 1)
 
     trace, robot, lines = run(driver, 45.0, steering)
     assert robot.outcome == "lost" and sent[-1] == Command()

@@ -12,7 +12,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import recorded_drive
+from sixthsense.loop.run import recorded_drive
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard, _limits, latency_s, stopping_distance
 from sixthsense.navigation.navigator import Navigator

@@ -8,7 +8,7 @@ from test_planners import CELL, WORLDS, assert_without_path, random_free_point, 
 from sixthsense.config import RRTStarConfig, preset
 from sixthsense.core.geometry import Array
 from sixthsense.core.random_streams import random_streams
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.navigation.planners import make_planner
 from sixthsense.navigation.planners.base import Plan
 from sixthsense.navigation.planners.rrtstar import RRTStar, _FreeMotions, _point_with_free_exit

@@ -8,7 +8,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import replay, run
+from sixthsense.loop.run import replay, run
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.trace import Trace
 from sixthsense.sources.logs.log import Log

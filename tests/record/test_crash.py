@@ -16,7 +16,7 @@ from sixthsense import cli
 from sixthsense.config import preset
 from sixthsense.figures.plot import save_map
 from sixthsense.figures.run import load
-from sixthsense.loop import replay, run
+from sixthsense.loop.run import replay, run
 from sixthsense.record import bag, ending, folder
 from sixthsense.sources.logs.runfolder import read_run
 

@@ -12,7 +12,7 @@ from sixthsense.config import Config, load_config, preset
 from sixthsense.core.geometry import Array, point_segment_distance, wrap_angle
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import FolderError

@@ -87,7 +87,7 @@ def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
 
 def test_the_map_read_back_takes_further_scans_as_the_runs_own(folder):
     from sixthsense.figures.recording import Recording
-    from sixthsense.loop import run
+    from sixthsense.loop.run import run
 
     kept = Recording()
     trace = run(ss.load_config(folder / "config.toml"), kept.on_tick)
@@ -128,7 +128,7 @@ def test_a_killed_run_has_what_was_streamed_and_says_what_is_missing(folder, tmp
 
 
 def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_left(tmp_path):
-    from sixthsense.loop import run
+    from sixthsense.loop.run import run
 
     def scans() -> int:
         return sum(line.startswith(b'{"scan"') for line in (tmp_path / FILE).read_bytes().splitlines())

@@ -1,6 +1,5 @@
 import dataclasses
 import itertools
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 from sixthsense.slam.keyframes import Keyframes
 from sixthsense.sources.world import World
@@ -46,31 +45,6 @@ def ticks(source: World, commands: list[Command]) -> list[Tick]:
 def test_one_configuration_gives_one_run_bit_for_bit(name: str) -> None:
     config = dataclasses.replace(preset(name), scene="rectangle", task="tour", max_time=10.0)
     assert same(run(config), run(config))
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"scene": "block", "task": "goal"},
-        {"scene": "apartment", "task": "explore"},
-        {"laser": {"sweep_s": 0.05}},
-        {"world": {"drift_rad_per_m": 1.0}, "laser": {"max_range": 0.3}},
-        {"estimator": "isam2", "front_end": "scan-matching"},
-    ],
-    ids=str,
-)
-def test_ticks_between_scans_in_one_call_are_those_one_by_one_to_the_bit(changes: dict[str, Any]) -> None:
-    config = merge(SHORT, changes)
-    stamps_ns = []
-
-    def each_tick(tick: Tick, trace: Trace) -> None:  # a hook of every tick has the loop take them one by one
-        stamps_ns.append(tick.stamp_ns)
-
-    at_once, one_by_one = run(config), run(config, each_tick)
-    assert same(at_once, one_by_one)
-    assert at_once.path_length_m == one_by_one.path_length_m
-    assert at_once.guard_stops == one_by_one.guard_stops
-    assert len(stamps_ns) > len(one_by_one.stamps_ns)
 
 
 @pytest.mark.parametrize("scene", ["rectangle", "block"])

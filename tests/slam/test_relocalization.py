@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scanned import box, look, outline
 
-from sixthsense import loop
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
+from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.load import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior

@@ -11,7 +11,7 @@ import pytest
 from sixthsense import cli
 from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
 from sixthsense.core.geometry import Pose, rotation
-from sixthsense.loop import replay
+from sixthsense.loop.run import replay
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import dijkstra
 from sixthsense.config import preset
 from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.source import Command
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.sources.scene import Scene, load_scene
 from sixthsense.sources.walkers import LEG_M, Walkers, walkers_of
 from sixthsense.sources.walking_space import BODY_M, ScriptedWalk, WalkingSpace

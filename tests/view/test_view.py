@@ -15,7 +15,7 @@ import pytest
 import sixthsense as ss
 from sixthsense.cli import main
 from sixthsense.config import preset
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 
 pytest.importorskip("rerun")
 

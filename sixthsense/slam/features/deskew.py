@@ -16,7 +16,7 @@ import dataclasses
 import itertools
 import math
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numba
 import numpy as np
@@ -26,7 +26,6 @@ from sixthsense.core.geometry import Array, Pose, interpolated
 from sixthsense.core.landmarks import Observation, initialize_landmark, line_point
 from sixthsense.core.laser import Scan, Sweep
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.core.source import ControlTicks
 
 LONGEST_SWEEP_NS = 1_000_000_000
 """Longest duration of a sweep."""
@@ -38,33 +37,15 @@ class Deskewer:
     def __init__(self, enabled: bool = True) -> None:
         """With `enabled` off scans are returned unchanged."""
         self._enabled = enabled
-        self._ticks: deque[tuple[int, Odometry | ControlTicks]] = deque()
-        """first stamps, and the motion since the tick before, or more ticks with theirs"""
+        self._ticks: deque[tuple[int, Odometry]] = deque()
+        """stamps, and the motion since the tick before"""
 
     def moved(self, stamp_ns: int, increment: Odometry) -> None:
         """Add a tick with the motion since the one before; stamps ascend."""
-        self._add(stamp_ns, increment)
-
-    def passed(self, ticks: ControlTicks) -> None:
-        """Add ticks that have no scan."""
-        if len(ticks):
-            self._add(int(ticks.stamps_ns[0]), ticks)
-
-    def _add(self, stamp_ns: int, moved: Odometry | ControlTicks) -> None:
-        self._ticks.append((stamp_ns, moved))
+        self._ticks.append((stamp_ns, increment))
         # One tick at or before the begin of the longest sweep is enough.
         while len(self._ticks) > 2 and self._ticks[1][0] <= stamp_ns - LONGEST_SWEEP_NS:
             self._ticks.popleft()
-
-    def _backwards(self) -> Iterator[tuple[int, Odometry]]:
-        """Stamps and motions of the ticks, the latest first."""
-        for stamp_ns, moved in reversed(self._ticks):
-            if isinstance(moved, Odometry):
-                yield stamp_ns, moved
-                continue
-            for k in reversed(range(len(moved))):
-                motion = STANDSTILL if moved.are_still[k] else Odometry(Pose(*moved.motions[k]), moved.covs[k])
-                yield int(moved.stamps_ns[k]), motion
 
     def __call__(self, scan: Scan) -> Scan:
         """The scan as if taken at the latest tick; a scan without duration is returned unchanged."""
@@ -82,9 +63,9 @@ class Deskewer:
 
     def _track(self, begin_s: float) -> tuple[Array, Array, Odometry]:
         """Stamps (K,), 0 at the latest tick, back to `begin_s`; the robot's poses (K, 3) then; the whole motion."""
-        end_ns, _ = next(self._backwards())
+        end_ns, _ = self._ticks[-1]
         stamps_s, poses, whole = [0.0], [Pose().array()], STANDSTILL
-        for (_, increment), (stamp_ns, _) in itertools.pairwise(self._backwards()):
+        for (_, increment), (stamp_ns, _) in itertools.pairwise(reversed(self._ticks)):
             whole = increment.then(whole)
             stamps_s.append(1e-9 * (stamp_ns - end_ns))
             poses.append(whole.motion.inverse().array())

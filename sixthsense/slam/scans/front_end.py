@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import STANDSTILL, Odometry, are_carried, fold_from, since_keyframe
-from sixthsense.core.odometry_kernels import Folded
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.se2 import between, compose, turned_covariance
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.source import Tick
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
 from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
@@ -129,15 +128,6 @@ class ScanFrontEnd:
         self._close_loops(key)
         estimate = self._stand_at_keyframe()
         return Keyframe(motion, predicted, estimate)
-
-    def between_scans(self, odometry: Pose) -> Folded | None:
-        """What ticks without a scan are added to, at the last pose by the wheels; None where motion is a guess."""
-        return None if self._increments.is_guess else fold_from(odometry, self._pose, self._since)
-
-    def passed(self, folded: Folded, ticks: ControlTicks) -> None:
-        """Take in ticks that have been added to it."""
-        self._pose, self._since = Pose(*folded.pose), since_keyframe(folded)
-        self._is_carried |= bool(are_carried(ticks.covs).any())
 
     @property
     def loop_closure_counts(self) -> LoopClosureCounts | None:

@@ -13,7 +13,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation, predict_walls
 from sixthsense.core.motion import Odometry
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.observed import Distances, ends, fused, joined
 from sixthsense.slam.estimators import ESTIMATORS, make_estimator

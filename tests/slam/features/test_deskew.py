@@ -13,7 +13,7 @@ from sixthsense.core.motion import STANDSTILL, Odometry, odometry
 from sixthsense.core.source import Command
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import nees_world
-from sixthsense.loop import replay, run
+from sixthsense.loop.run import replay, run
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace

@@ -7,7 +7,7 @@ from scanned import box, look
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.loop import run
+from sixthsense.loop.run import run
 from sixthsense.slam.mapping.changes import TILE, Box
 from sixthsense.slam.mapping.evidence import Cells, EvidenceRules
 from sixthsense.slam.mapping.grid import Grid

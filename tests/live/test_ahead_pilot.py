@@ -8,10 +8,11 @@ import pytest
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
+from sixthsense.live.ahead_pilot import AheadPilot
 from sixthsense.navigation.goal_navigator import goal_navigator
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.navigation.pilot import AheadPilot, Pilot
+from sixthsense.navigation.pilot import Pilot
 from sixthsense.navigation.planners import make_planner
 from sixthsense.slam.slam import Slam
 from sixthsense.sources.world import World
@@ -29,8 +30,8 @@ def to_goal() -> Navigator:
 def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_tick():
     """Slam of the one takes odometry at once, that of the other only with the next scan."""
     world = World(HALL, Pose(), 0.2, CONFIG, np.random.default_rng(0))
-    punctual, asked = (Pilot(to_goal(), Guard(CONFIG, 0.2)) for _ in range(2))
-    ahead = AheadPilot(asked)
+    punctual = Pilot(to_goal(), Guard(CONFIG, 0.2))
+    ahead = AheadPilot(to_goal(), Guard(CONFIG, 0.2))
     command, other, held = Command(), Command(), []
     moved = 0
     with Slam(CONFIG) as slam, Slam(CONFIG) as late_slam:
@@ -52,7 +53,7 @@ def test_commands_ahead_of_the_last_scan_are_those_of_a_pilot_that_takes_every_t
 
 
 def test_a_pilot_without_a_step_stands():
-    assert AheadPilot(Pilot(to_goal(), Guard(CONFIG, 0.2))).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
+    assert AheadPilot(to_goal(), Guard(CONFIG, 0.2)).ahead(Pose(1.0, 0.0, 0.0), 0) == Command()
 
 
 class Forward(Navigator):
@@ -61,7 +62,7 @@ class Forward(Navigator):
 
 
 def test_the_guard_knows_the_motion_since_the_scan_even_if_no_step_has_brought_it():
-    pilot = AheadPilot(Pilot(Forward(), Guard(CONFIG, 0.2)))
+    pilot = AheadPilot(Forward(), Guard(CONFIG, 0.2))
     walls = np.array([[[2.0, -1.0], [2.0, 1.0]]])
     tick = World(walls, Pose(), 0.2, CONFIG, np.random.default_rng(0)).step(Command())
     assert tick is not None

@@ -1,0 +1,258 @@
+"""The loop, from sensor data to command: a simulated world and a log drive the same `Slam`."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from sixthsense.config import Config
+from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
+from sixthsense.core.geometry import Pose
+from sixthsense.core.interrupt import deferred_interrupt
+from sixthsense.core.random_streams import random_streams
+from sixthsense.core.source import Command, Source, Tick
+from sixthsense.navigation import make_navigator
+from sixthsense.navigation.guard import Guard
+from sixthsense.navigation.navigator import Navigator
+from sixthsense.navigation.pilot import Pilot
+from sixthsense.record.trace import Live, Stopwatch, Trace
+from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
+from sixthsense.slam.slam import Slam, Step
+from sixthsense.sources.logs.log import Log, Relations, RewindableSource
+from sixthsense.sources.mission import Mission, mission_of
+from sixthsense.sources.replay_input import recorded_scene
+from sixthsense.sources.scene import Scene
+
+OnTick = Callable[[Tick, Trace], None]
+"""Hook of a caller: called after every tick with it and the record so far."""
+
+NOWHERE = "nowhere"
+"""outcome of a search for the start that has driven far enough"""
+
+Watcher = Callable[[Tick, Step, Command], str | None]
+"""Called after every tick; an outcome that it returns ends the run."""
+
+
+def drive(
+    source: Source,
+    slam: Slam,
+    pilot: Pilot,
+    watchers: Sequence[Watcher],
+    clock: Stopwatch,
+) -> str:
+    """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
+    sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
+    command = Command()
+    while (tick := sense(command)) is not None:
+        step = slam.take(tick)
+        command = steer(step)
+        outcome: str | None = "collided" if tick.collided else pilot.navigator.outcome
+        for watch in watchers:
+            ended = watch(tick, step, command)
+            outcome = outcome or ended
+        if outcome is not None:
+            return outcome
+    return "log ended"
+
+
+class Deadline:
+    """A watcher that ends a run when `max_time_s` of source time has passed."""
+
+    def __init__(self, max_time_s: float, outcome: str) -> None:
+        self._max_ns, self._outcome = round(max_time_s * 1e9), outcome
+        self._first_ns: int | None = None
+
+    def __call__(self, tick: Tick, step: Step, command: Command) -> str | None:
+        """The outcome, if the time has passed."""
+        if self._first_ns is None:
+            self._first_ns = tick.stamp_ns
+        return self._outcome if tick.stamp_ns >= self._first_ns + self._max_ns else None
+
+
+class Recorder:
+    """Appends what each tick brought to a trace."""
+
+    def __init__(self, trace: Trace, slam: Slam, pilot: Pilot) -> None:
+        """Record into `trace`, which shows the plans and the map from now on."""
+        self._trace, self._slam, self._pilot = trace, slam, pilot
+        trace.plans, trace.tours, trace.grid = pilot.navigator.plans, pilot.navigator.tours, slam.grid
+        trace.live = Live(slam.estimator, slam.associator.records, slam.associator)
+        self._began = time.perf_counter()
+
+    def __call__(self, tick: Tick, step: Step, command: Command) -> None:
+        """Record one tick."""
+        trace, keyframe = self._trace, step.keyframe
+        trace.stopwatch.end_tick(keyframe is not None)
+        assert trace.live is not None
+        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since_cov
+        if keyframe is not None:
+            trace.live.features = keyframe.features
+            trace.add_keyframe(tick, keyframe)
+        trace.add_tick(tick, step.dead_reckoned, step.increment is not None and step.increment.is_carried())
+        if tick.scan is not None or tick.observations is not None:
+            trace.add_scan(tick, step)
+
+    def finish(self, outcome: str) -> None:
+        """Record how the run ended, and what is known then."""
+        trace, navigator = self._trace, self._pilot.navigator
+        trace.outcome = outcome
+        trace.wall_time_s = time.perf_counter() - self._began
+        trace.live = None
+        trace.left = navigator.left
+        if navigator.plans_below_margin is not None:
+            trace.guard_stops, trace.plans_below_margin = self._pilot.guard.stops, navigator.plans_below_margin
+            trace.plans_by_astar = navigator.plans_by_astar
+        result = self._slam.finish()
+        trace.final, trace.joint_cov, trace.trajectory = result.estimate, result.joint_cov, result.trajectory
+        trace.records = dict(result.landmark_records)
+        trace.culled, trace.walls_merged, trace.rebuilds = result.culled, result.walls_merged, result.rebuilds
+        trace.loop_closures, trace.links = result.loop_closures, result.links
+        if result.wheels is not None:
+            trace.wheels = result.wheels.with_sigmas()
+        if result.sensor is not None:
+            trace.sensor = result.sensor.with_sigmas()
+        if result.since_key is not None:
+            trace.since_key = list(result.since_key)
+
+
+def run(
+    config: Config,
+    on_tick: OnTick | None = None,
+    scene: Scene | Mission | None = None,
+    prior: PriorStart | None = None,
+) -> Trace:
+    """Simulate `config.scene` and drive its task.
+
+    `scene` is that scene where it is loaded already, or the mission there where it has been checked, which is that of
+    one run alone. `on_tick` is called after every tick with it and the trace so far.
+    With `prior` the robot begins with the map of an earlier run; the true start is that of scene and configuration.
+    Ctrl-C ends the run in order, as "interrupted". Raises SceneError for an invalid scene, start or goal, ConfigError
+    and PriorMapError for a prior map that cannot be used.
+    """
+    if not isinstance(scene, Mission):
+        config, scene = mission_of(config, scene)
+    source: Source = scene.world(config)
+    scene, start, goals, radius_m, _ = scene
+    streams = random_streams(config.seed)
+    region = config.region or scene.region
+    believed = start if prior is None or prior.pose is None else prior.pose
+    if prior is not None and prior.is_lost:
+        source, prior, believed = find_start(source, config, radius_m, prior, searching_navigator(config, radius_m))
+    navigator = make_navigator(config, believed, goals, region, radius_m, streams.planner, streams.exploration)
+    pilot = Pilot(navigator, Guard(config, radius_m))
+    return recorded_drive(source, start, pilot, Trace(config, scene, radius_m, name=scene.name), on_tick, prior)
+
+
+def replay(
+    log: Log,
+    config: Config,
+    relations: Relations | None = None,
+    on_tick: OnTick | None = None,
+    prior: PriorStart | None = None,
+) -> Trace:
+    """Process a recorded log with the same loop; no command is used.
+
+    With `relations` the metrics compare the trajectory with them. A recorded run has its truth in the log, and its
+    scene, if that still loads, in `config`. `prior` is as of `run`.
+    """
+    log.rewind()
+    scene = recorded_scene(log, config)
+    radius_m = config.robot.radius or (DEFAULT_ROBOT_RADIUS_M if scene is None else scene.radius)
+    trace = Trace(config, scene, radius_m, relations=relations, name="log" if scene is None else scene.name)
+    source: Source = log
+    if prior is not None and prior.is_lost:
+        source, prior, _ = find_start(log, config, radius_m, prior, Navigator())
+    pilot = Pilot(Navigator(), Guard(config, radius_m))
+    return recorded_drive(source, log.start, pilot, trace, on_tick, prior)
+
+
+def find_start(
+    source: Source, config: Config, radius_m: float, prior: PriorStart, navigator: Navigator
+) -> tuple[Source, PriorStart, Pose]:
+    """Drive without the map until the robot's place in it is certain: the source from its begin, and the start.
+
+    Raises PriorMapError if nothing has become certain when the drive ends, at the latest after `config.max_time`.
+    """
+    from sixthsense.slam.relocalization import FOUND_SIGMA, MOST_DRIVEN_M, Relocalizer  # only lost robots need it
+
+    check_usable(prior.map, config)
+    first, relocalizer = RewindableSource(source), Relocalizer(prior.map.evidence, config.grid)
+    start: Pose | None = None
+
+    def search(tick: Tick, step: Step, command: Command) -> str | None:
+        nonlocal start
+        if step.scan is not None:
+            start = relocalizer.take(step.scan, step.pose)
+        return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
+
+    pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
+    with Slam(config, Pose(), radius_m=radius_m, timed=clock.timed) as slam, deferred_interrupt() as interrupted:
+        watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
+        if config.max_time is not None:
+            watchers.append(Deadline(config.max_time, "out of time"))
+        outcome = drive(first, slam, pilot, watchers, clock)
+    if outcome == "interrupted":
+        raise KeyboardInterrupt
+    if outcome in ("explored", "explored in part", "log ended"):  # no more will be seen
+        start = relocalizer.place
+    if start is None:
+        found = (
+            f"lost: found no place of {prior.map.name} that alone fits what was seen on {relocalizer.driven_m:.0f} m"
+        )
+        ended = "" if outcome == NOWHERE else f" ({outcome})"
+        raise PriorMapError(f"{found}{ended}, allowed: a map of this building, in which places differ")
+    first.rewind()
+    return first, prior._replace(pose=start, sigma=FOUND_SIGMA), start
+
+
+def searching_navigator(config: Config, radius_m: float) -> Navigator:
+    """The navigator of a robot that explores, since goals and a region mean nothing to it while it is lost."""
+    from sixthsense.slam.relocalization import MOST_DRIVEN_M
+
+    streams, reach_m = random_streams(config.seed), 2.0 * MOST_DRIVEN_M
+    task = dataclasses.replace(config, task="explore", goal=None, tour=None)
+    region = (-reach_m, -reach_m, reach_m, reach_m)
+    return make_navigator(task, Pose(), np.zeros((0, 2)), region, radius_m, streams.planner, streams.exploration)
+
+
+def recorded_drive(
+    source: Source,
+    start: Pose,
+    pilot: Pilot,
+    trace: Trace,
+    on_tick: OnTick | None = None,
+    prior: PriorStart | None = None,
+) -> Trace:
+    """Run the loop with recorder, hook, deadline and interrupt as watchers, and return the record."""
+    config, clock = trace.config, trace.stopwatch
+    with _slam(start, trace, clock, prior) as slam:
+        recorder = Recorder(trace, slam, pilot)
+        with deferred_interrupt() as interrupted:
+            watchers: list[Watcher] = [recorder]
+            if on_tick is not None:
+                watchers.append(lambda tick, step, command: on_tick(tick, trace))
+            if config.max_time is not None:
+                watchers.append(Deadline(config.max_time, pilot.navigator.timeout_outcome))
+            watchers.append(lambda tick, step, command: "interrupted" if interrupted() else None)
+            outcome = drive(source, slam, pilot, watchers, clock)
+            # A robot that sends nothing brings no tick after which a watcher could end the run.
+            recorder.finish("interrupted" if outcome == "log ended" and interrupted() else outcome)
+    return trace
+
+
+def _slam(start: Pose, trace: Trace, clock: Stopwatch, prior: PriorStart | None) -> Slam:
+    """SLAM from `start`, or from a prior map and the start in it."""
+    if prior is None:
+        return Slam(trace.config, start, radius_m=trace.radius_m, timed=clock.timed)
+    trace.prior_map = prior.note()
+    return Slam(
+        trace.config,
+        prior.pose or start,
+        start_cov=prior.cov,
+        radius_m=trace.radius_m,
+        timed=clock.timed,
+        prior_map=prior.map,
+    )
