@@ -38,7 +38,9 @@ def submap_points(returns: Returns, keys: NDArray[np.int64], at: Array, voxel_m:
 
 
 def pyramid(points: Array) -> Pyramid:
-    """The pyramid of points (N, 2)."""
+    """The pyramid of points (N, 2); where there are none, no point fits."""
+    if not len(points):
+        return Pyramid(np.zeros((BLOCK, BLOCK), np.uint8), np.zeros((BLOCK, BLOCK, 1, 1), np.uint8), 0.0, 0.0)
     # Around the points there is room for a block: one that is not wholly inside the cells holds no point.
     low = points.min(axis=0) - CELL_M * (BLOCK + 1)
     cells = BLOCK * (((points.max(axis=0) + CELL_M - low) / CELL_M).astype(np.int64) // BLOCK + 2)

@@ -73,6 +73,12 @@ def brute_force(cells, points, window):
     return scores
 
 
+def test_no_place_is_found_where_no_return_is_near_enough():
+    points = np.array([[1.3, -0.4], [2.1, 0.7], [-1.9, 3.2]])
+    window = Window(np.array([0.4, -0.7, 0.3]), 2.5, 0.3)
+    assert len(peaks(pyramid(points[:0]), points, window, 0.3, Apart(0.7, 0.2))) == 0
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_branch_and_bound_finds_what_brute_force_finds(room, seed):
     rng = np.random.default_rng(seed)
