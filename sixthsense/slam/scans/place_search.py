@@ -28,7 +28,7 @@ _ANCHORS_APART_M, _HALF_M = 3.0, 5.0  # travel between the anchors of old submap
 _CANDIDATES, _CANDIDATES_APART_M = 8, 4.0
 SIGMAS = 2.0  # of the window that is searched
 _MARGIN_M, _MARGIN_RAD = 1.5, 0.12  # beyond these
-_MOST_SIGMA_M, _MOST_RAD = 20.0, 0.6
+_MOST_RAD = 0.6
 _AS_GOOD = 0.7  # a place with at least this part of the best score is compared with it
 _MOST_COMPARED = 16  # with more places, all are taken to be alike
 
@@ -178,7 +178,7 @@ class PlaceSearch:
         off = self._graph.poses[anchors, :2] - self._graph.poses[key, :2]
         distance, sigma = np.hypot(off[:, 0], off[:, 1]), sigma_m[anchors]
         reach = np.minimum(SIGMAS * sigma, self._config.search_radius_m) + REACH_M
-        possible = np.flatnonzero((distance < reach) & (sigma < _MOST_SIGMA_M))
+        possible = np.flatnonzero(distance < reach)
         order = possible[np.argsort(distance[possible] / np.maximum(sigma[possible], 0.5), kind="stable")]
         chosen: list[int] = []
         for anchor in anchors[order].tolist():
