@@ -29,7 +29,7 @@ from sixthsense.figures.plot import (
     WALL,
     draw_segments,
     ellipse,
-    known_cells,
+    known_blocks,
     label_plane,
     landmarks_of,
     map_height,
@@ -234,19 +234,12 @@ class _MapDrawing:
 
     def _show_cells(self, trace: Trace) -> None:
         """Show the known cells, in blocks where they are more than the pixels of a frame."""
-        known, cell_m = known_cells(trace), self._config.grid.cell_m
+        known = known_blocks(trace, _MOST_CELLS)
         if known is None:
             return
-        part, (left, _, bottom, _) = known
-        shades, side = np.select([part == 100, part == 0], [2, 1], 0), -(-max(part.shape) // _MOST_CELLS)
-        # Blocks begin at multiples of their side, so that they stay where they are when the map grows.
-        row, col = (round(edge / cell_m) % side for edge in (bottom, left))
-        for axis, before in enumerate((row, col)):
-            begins = np.maximum(np.arange(-before, shades.shape[axis], side), 0)
-            shades = np.maximum.reduceat(shades, begins, axis=axis)
-        (height, width), left, bottom = shades.shape, left - col * cell_m, bottom - row * cell_m
-        self._image.set_data(shades)
-        self._image.set_extent((left, left + width * side * cell_m, bottom, bottom + height * side * cell_m))
+        blocks, extent = known
+        self._image.set_data(np.select([blocks == 100, blocks == 0], [2, 1], 0))
+        self._image.set_extent(extent)
 
 
 def _latest(paths: Sequence[tuple[int, Array]], stamp_ns: int) -> Array:

@@ -38,6 +38,7 @@ CHI2_95 = 5.991  # 2 degrees of freedom
 _WIDTH_IN, _LEAST_HEIGHT_IN, _MOST_HEIGHT_IN = 11.0, 1.5, 11.0
 _DPI = 130  # of a bitmap
 _FRAME_IN = 1.0  # height of title, axis label and legend
+_MOST_BLOCKS = round(_WIDTH_IN * _DPI)  # along a side of the drawn grid: pixels of a bitmap
 _MOST_MARKS, _MOST_CORNERS = 500, 20_000  # of a vector layer, and of a vector line
 
 
@@ -63,9 +64,29 @@ def known_cells(trace: Trace) -> tuple[NDArray[np.int8], tuple[float, float, flo
     return occupancy[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1], extent
 
 
+def known_blocks(trace: Trace, most: int) -> tuple[NDArray[np.int8], tuple[float, float, float, float]] | None:
+    """As `known_cells`, in square blocks of cells where they are more than `most` along a side.
+
+    A block with an obstacle is one, and one with a free cell is free. Blocks begin at multiples of their side, so that
+    they stay where they are when the map grows.
+    """
+    known = known_cells(trace)
+    if known is None or max(known[0].shape) <= most:
+        return known
+    blocks, (left, _, bottom, _) = known
+    cell_m, side = trace.config.grid.cell_m, -(-max(blocks.shape) // most)
+    row, col = (round(edge / cell_m) % side for edge in (bottom, left))
+    for axis, before in enumerate((row, col)):
+        begins = np.maximum(np.arange(-before, blocks.shape[axis], side), 0)
+        blocks = np.maximum.reduceat(blocks, begins, axis=axis)
+    (height, width), left, bottom = blocks.shape, left - col * cell_m, bottom - row * cell_m
+    return blocks, (left, left + width * side * cell_m, bottom, bottom + height * side * cell_m)
+
+
 def draw_grid(ax: Any, trace: Trace, obstacle_shade: float) -> None:
     """Draw the grid, if the trace has one: seen cells light, obstacles in `obstacle_shade`, 0 black to 1 white."""
-    known = known_cells(trace)
+    # Matplotlib takes some 60 bytes for each cell that it is given, and shows no more than there are pixels.
+    known = known_blocks(trace, _MOST_BLOCKS)
     if known is not None:
         shade = np.select([known[0] == 100, known[0] == 0], [obstacle_shade, 0.94], 1.0)
         style = {"origin": "lower", "interpolation": "nearest", "zorder": 0}

@@ -123,7 +123,8 @@ def write_map(folder: Path, occupancy: NDArray[np.int8], origin: tuple[float, fl
         return
     r0, c0 = int(rows[0]), int(cols[0])
     part = occupancy[r0 : rows[-1] + 1, c0 : cols[-1] + 1]
-    grey = np.select([part == 100, part == 0], [0, 254], 205).astype(np.uint8)
+    grey = np.full(part.shape, 205, dtype=np.uint8)
+    grey[part == 0], grey[part == 100] = 254, 0
     with whole(folder / "map.pgm") as file:
         Image.fromarray(np.flipud(grey)).save(file)  # the first row of an image is the top of the map
     meta = {

@@ -16,7 +16,7 @@ from sixthsense.core.laser import LaserConfig, Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures import slider
-from sixthsense.figures.plot import ellipse, save_map
+from sixthsense.figures.plot import ellipse, known_blocks, known_cells, save_map
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
 
@@ -103,6 +103,17 @@ def test_a_map_is_written_as_a_png_with_its_folder(trace: Trace, tmp_path: Path)
         assert image.format == "PNG"
         assert image.size[0] > 1000
         assert len(image.convert("RGB").getcolors(1 << 24) or []) > 20
+
+
+def test_blocks_of_cells_lie_where_the_cells_do_and_keep_every_obstacle(trace: Trace) -> None:
+    (cells, (left, right, bottom, top)), (blocks, extent) = known_cells(trace), known_blocks(trace, 37)
+    cell_m, side_m = trace.config.grid.cell_m, (extent[1] - extent[0]) / blocks.shape[1]
+    assert max(blocks.shape) <= 38 and extent[0] <= left + 1e-9 and extent[1] >= right - 1e-9
+    assert extent[2] <= bottom + 1e-9 and extent[3] >= top - 1e-9
+    rows, cols = np.nonzero(cells == 100)
+    at = np.floor((bottom + (rows + 0.5) * cell_m - extent[2]) / side_m).astype(int)
+    across = np.floor((left + (cols + 0.5) * cell_m - extent[0]) / side_m).astype(int)
+    assert set(zip(at.tolist(), across.tolist(), strict=True)) == set(zip(*np.nonzero(blocks == 100), strict=True))
 
 
 def test_a_run_without_returns_can_be_drawn(tmp_path: Path) -> None:

@@ -247,7 +247,9 @@ class Grid:
 
     def occupancy(self) -> NDArray[np.int8]:
         """(H, W) as a map server has it: 0 seen and free, 100 obstacle, -1 unknown."""
-        return np.where(self.obstacles, 100, np.where(self.seen, 0, -1)).astype(np.int8)
+        occupancy = self.seen.astype(np.int8) - np.int8(1)
+        occupancy[self.obstacles] = 100
+        return occupancy
 
     def _draw_masks(self) -> Masks:
         """Seen cells and inflation of the whole map; kept, and drawn again where it has changed."""
