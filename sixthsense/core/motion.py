@@ -77,11 +77,11 @@ class Odometry:
         return np.asarray(turned_covariance(self.cov, -self.motion.theta))
 
     def then(self, later: Odometry) -> Odometry:
-        """Compose two increments with independent errors: `self` first, then `later`."""
+        """Compose two increments with independent errors: `self` first, then `later`, whose arrays may change after."""
         if later is STANDSTILL:
             return self
         if self is STANDSTILL:
-            return later
+            return Odometry(later.motion, np.array(later.cov), later.wheels)
         first = self if later.wheels is None else self.with_wheels(later.wheels.values)
         motion = later.motion
         cov = composed_covariance(first.cov, later.cov, first.motion.theta, motion.x, motion.y)
