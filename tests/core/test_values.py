@@ -1,0 +1,191 @@
+"""What the formulae of the core give for general values: by hand, by quadrature, by finite differences."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import AssumedConfig, LaserConfig, MotionNoise, preset
+from sixthsense.core.covariance import are_covariances, covariance_fault
+from sixthsense.core.geometry import Pose, interpolated, rotation, wrap_angle
+from sixthsense.core.landmark_kernels import line_ends
+from sixthsense.core.landmarks import (
+    Kind,
+    Observation,
+    line_point,
+    observed_centre,
+    polar_observation,
+    rotation_generator,
+)
+from sixthsense.core.laser import Scan, sweep_ns, sweep_times
+from sixthsense.core.motion import STANDSTILL, Odometry, fold_from, odometry, since_keyframe
+from sixthsense.core.odometry_kernels import OdometryNoise, Slip, folded
+from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
+from sixthsense.core.sensor import Sensor, sensor_prior
+from sixthsense.core.wheels import wheel_prior
+
+
+def normal_nodes(mean, cov):
+    """Points (49, 2) and weights (49,) that integrate polynomials of two normal variables exactly, to degree 13."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
+    grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return mean + grid @ np.linalg.cholesky(cov).T, np.outer(weights, weights).ravel() / (2.0 * math.pi)
+
+
+def test_a_point_in_polar_coordinates_has_the_true_bearing_and_range_on_average():
+    point, cov = np.array([-1.9, 2.3]), np.array([[0.05, 0.018], [0.018, 0.03]])
+    seen, weights = normal_nodes(point, cov)
+    polar = [Observation(Kind.END, z, cov).bearing_range() for z in seen]
+    bearings, ranges = (np.array([one[k] for one in polar]) for k in (0, 1))
+    raw = weights @ np.hypot(*seen.T) - math.hypot(*point)
+    assert abs(weights @ ranges - math.hypot(*point)) < 0.05 * abs(raw)
+    raw = weights @ np.arctan2(*seen.T[::-1]) - math.atan2(point[1], point[0])
+    assert abs(weights @ bearings - math.atan2(point[1], point[0])) < 0.1 * abs(raw)
+    expected = np.cov(np.arctan2(*seen.T[::-1]), np.hypot(*seen.T), aweights=weights, ddof=0)
+    assert np.allclose(Observation(Kind.END, point, cov).bearing_range()[2], expected, rtol=0.05)
+
+
+def test_a_point_nearer_than_its_error_has_a_sigma_of_half_a_turn_and_a_range_above_zero():
+    _, distance, cov = Observation(Kind.END, np.array([0.03, 0.0]), np.diag([0.2, 0.9]) ** 2).bearing_range()
+    assert math.sqrt(cov[0, 0]) == pytest.approx(math.pi)
+    assert distance == pytest.approx(0.5 * 0.9 / math.pi) and cov[1, 1] == pytest.approx(0.04)
+
+
+def test_a_polar_observation_is_the_point_that_explains_it_on_average():
+    found = polar_observation(3.2, 0.7, (0.04, 0.09), floor_m=0.05)
+    bearing, weights = np.polynomial.hermite_e.hermegauss(9)
+    mean = weights @ np.column_stack([np.cos(0.7 + 0.3 * bearing), np.sin(0.7 + 0.3 * bearing)]) / weights.sum()
+    assert mean * np.linalg.norm(found.z) == pytest.approx(3.2 * np.array([math.cos(0.7), math.sin(0.7)]))
+    axes = rotation(0.7)
+    expected = np.diag([0.04 + 0.05**2, (3.2 * 0.3) ** 2 + 0.05**2])
+    assert axes.T @ found.cov @ axes == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_point_that_is_corrected_for_the_sensor_has_its_error_carried_along():
+    sensor, cov = Sensor(0.3, 0.12, 0.2), np.array([[0.09, 0.02], [0.02, 0.01]])
+    z = np.array([1.4, 1.1])
+    found = Observation(Kind.CORNER, z, cov).with_sensor(sensor)
+    jacobian = np.column_stack([(sensor.corrected(z + h)[0] - sensor.corrected(z - h)[0]) / 2e-6
+                                for h in 1e-6 * np.eye(2)])  # fmt: skip
+    assert found.cov == pytest.approx(jacobian @ cov @ jacobian.T, rel=1e-6)
+    assert np.array_equal(found.sensor.z, z) and np.array_equal(found.sensor.cov, cov)
+    assert found.with_sensor(sensor) is found
+
+
+def test_the_centre_and_the_ends_of_a_wall_lie_on_it():
+    alpha, offset, lever = 2.2, 1.7, -0.8
+    to_foot = np.array([[1.0, 0.0], [lever, 1.0]])
+    wall = Observation(Kind.WALL, np.array([alpha, offset]), to_foot @ np.diag([0.02**2, 0.01**2]) @ to_foot.T)
+    foot, along = offset * np.array([math.cos(alpha), math.sin(alpha)]), np.array([-math.sin(alpha), math.cos(alpha)])
+    assert observed_centre(wall) == pytest.approx(foot + lever * along)
+    assert line_point(wall.z, 1.3) == pytest.approx(foot + 1.3 * along)
+    assert line_ends(wall.z, -0.6, 1.9) == pytest.approx(np.array([foot - 0.6 * along, foot + 1.9 * along]))
+
+
+def test_a_rotation_of_the_world_moves_points_around_and_turns_walls():
+    landmarks, walls = np.array([[1.2, -0.7], [0.4, 2.5]]), np.array([False, True])
+    moved = (rotation(1e-6) - rotation(-1e-6)) @ landmarks[0] / 2e-6
+    assert rotation_generator(landmarks, walls) == pytest.approx(np.array([moved, [1.0, 0.0]]))
+    assert rotation_generator(landmarks[0]) == pytest.approx(moved)
+
+
+def test_priors_have_the_variances_that_are_configured():
+    assumed = preset(assumed={"wheels": {"scale_sigma": 0.03, "track_sigma": 0.05, "drift_sigma_rad_per_m": 0.07,
+                                         "latency_sigma_s": 0.011, "curve_loss_sigma_m_per_rad": 0.013},
+                              "sensor": {"yaw_sigma_rad": 0.02, "forward_sigma_m": 0.06,
+                                         "bearing_scale_sigma": 0.04}}).assumed  # fmt: skip
+    wheels = wheel_prior(assumed).cov
+    # The forward scale, and the same error of the turn beside one of its own by the track.
+    expected = np.diag([0.0009, 0.0034, 0.0049, 0.000121, 0.000169])
+    expected[0, 1] = expected[1, 0] = 0.0009
+    assert wheels == pytest.approx(expected)
+    assert wheel_prior(assumed).with_sigmas()[1] == pytest.approx(np.sqrt(np.diag(expected)))
+    assert sensor_prior(assumed).with_sigmas().tolist() == [[0.0] * 3, pytest.approx([0.02, 0.06, 0.04])]
+
+
+@pytest.mark.parametrize("distribution, divisor", [("gaussian", 1.0), ("uniform", 3.0)])
+def test_the_noise_of_odometry_is_that_of_a_straight_drive_by_hand(distribution, divisor):
+    noise = MotionNoise(speed=0.06, turn_rate=0.2, distribution=distribution, slip_position_per_sqrt_m=0.02,
+                        slip_position_per_sqrt_rad=0.03, slip_heading_per_sqrt_m=0.04,
+                        slip_heading_per_sqrt_rad=0.05)  # fmt: skip
+    assert Slip.of(noise) == pytest.approx((0.0004, 0.0009, 0.0016, 0.0025))
+    assumed = AssumedConfig(motion=noise, floor_m=0.01, floor_rad=0.007)
+    straight = odometry(Pose(2.0, 3.0, 0.4), Pose(2.0, 3.0, 0.4) @ Pose(0.6, 0.0, 0.0), assumed).cov
+    floors = 0.6 / 0.25  # keyframes that far apart
+    along, across = 0.0004 * 0.6 + 0.0001 * floors + 0.036**2 / divisor, 0.0004 * 0.6 + 0.0001 * floors
+    expected = np.diag([along, across, 0.0016 * 0.6 + 4.9e-5 * floors])
+    assert straight == pytest.approx(expected, abs=1e-12)
+    spot = odometry(Pose(2.0, 3.0, 0.4), Pose(2.0, 3.0, 0.1), assumed).cov  # by -0.3 rad: two floors
+    across, heading = 0.0009 * 0.3 + 0.0002, 0.0025 * 0.3 + 9.8e-5 + 0.06**2 / divisor
+    assert spot == pytest.approx(np.diag([across, across, heading]), abs=1e-12)
+
+
+def test_ticks_that_a_kernel_sums_up_are_those_that_are_composed_one_by_one():
+    rng, assumed = np.random.default_rng(8), AssumedConfig(wheel_scale_error=0.03, drift_rad_per_m=0.02)
+    pose, at, whole = Pose(-3.0, 1.5, 2.9), Pose(4.0, -2.0, 0.6), STANDSTILL
+    sums = fold_from(at, pose, STANDSTILL)
+    for k in range(6):
+        after = at if k == 2 else at @ Pose(*rng.normal(size=3) * [0.1, 0.01, 0.2])
+        one = odometry(at, after, assumed)
+        sums, motion, cov = folded(sums, (after.x, after.y, after.theta), OdometryNoise.of(assumed))
+        assert motion == pytest.approx(one.motion.array()) and cov == pytest.approx(one.cov)
+        whole, pose, at = whole.then(one), pose @ one.motion, after
+        sums = fold_from(Pose(*sums.odometry), Pose(*sums.pose), since_keyframe(sums)) if k == 3 else sums
+    assert sums.pose == pytest.approx(pose.array()) and sums.odometry == pytest.approx(at.array())
+    assert since_keyframe(sums).motion.array() == pytest.approx(whole.motion.array())
+    assert since_keyframe(sums).cov == pytest.approx(whole.cov)
+
+
+def test_a_motion_is_carried_if_its_position_is_known_to_a_quarter_of_a_metre_only():
+    for k in (0, 1):
+        sigmas = np.array([0.1, 0.1, 0.9])
+        assert not Odometry(Pose(0.1, 0.2, 0.3), np.diag(sigmas) ** 2).is_carried()
+        sigmas[k] = 0.26
+        assert Odometry(Pose(0.1, 0.2, 0.3), np.diag(sigmas) ** 2).is_carried()
+
+
+def test_a_pose_between_two_is_interpolated_along_the_shorter_arc():
+    stamps, poses = np.array([1.0, 3.0, 7.0]), np.array([[0.5, 2.0, 3.0], [1.5, -2.0, -3.0], [2.0, 4.0, -2.0]])
+    found = interpolated(stamps, poses, np.array([0.2, 1.5, 6.0, 9.0]))
+    quarter = 3.0 + 0.25 * (2.0 * math.pi - 6.0)
+    expected = np.array([[0.5, 2.0, 3.0], [0.75, 1.0, quarter], [1.875, 2.5, -2.25], [2.0, 4.0, -2.0]])
+    assert found[:, :2] == pytest.approx(expected[:, :2])
+    assert wrap_angle(found[:, 2] - expected[:, 2]) == pytest.approx(np.zeros(4), abs=1e-12)
+    assert interpolated(stamps[1:2], poses[1:2], stamps).tolist() == [poses[1].tolist()] * 3
+
+
+def test_matrices_that_are_no_covariances_are_told_from_those_that_are():
+    good = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, 0.003], [0.002, 0.003, 0.01]])
+    flat, negative, skew, unknown = (good.copy() for _ in range(4))
+    flat[2], flat[:, 2], negative[2, 2], skew[0, 1], unknown[1, 1] = 0.0, 0.0, -0.001, 0.011, np.nan
+    assert are_covariances([good, flat])
+    assert not are_covariances([]) and not are_covariances([good, good[:2, :2]])
+    for wrong in (negative, skew, unknown):
+        assert not are_covariances([good, wrong]) and covariance_fault(wrong, lowest=-1e-9)
+    assert covariance_fault(good, lowest=0.0) == "" and covariance_fault(good, lowest=0.2)
+
+
+def test_a_beam_of_a_sweep_is_cast_from_where_the_laser_is_then():
+    rng = np.random.default_rng(6)
+    walls, poses = rng.uniform(-6, 6, (9, 2, 2)), np.column_stack([rng.uniform(-2, 2, (60, 2)), rng.uniform(-3, 3, 60)])
+    bearings = rng.uniform(-3, 3, 60)
+    one_by_one = [
+        cast_rays(Pose(*pose), [bearing], walls, 4.0)[0] for pose, bearing in zip(poses, bearings, strict=True)
+    ]
+    assert cast_sweep(poses, bearings, walls, 4.0) == pytest.approx(np.array(one_by_one), abs=1e-9)
+    near = NearWalls(walls, 3.0)
+    for x, y, _ in poses:
+        from_end = np.hypot(walls[..., 0] - x, walls[..., 1] - y).min(axis=1) < 3.0
+        assert {tuple(wall) for wall in walls[from_end].reshape(-1, 4)} <= {tuple(wall) for wall in near.at(x, y)}
+
+
+def test_beams_have_their_times_before_the_latest_and_their_points_in_the_frame_of_the_robot():
+    assert sweep_times(4, np.float32(0.25)).tolist() == [-0.75, -0.5, -0.25, 0.0]
+    assert sweep_times(4, np.float32(-0.25)).tolist() == [0.0, -0.25, -0.5, -0.75]
+    assert sweep_ns(4, np.float32(-0.25)) == -750_000_000 and sweep_ns(4, np.float32(0.0)) == 0
+    config = LaserConfig(beams=5, fov=2.0, max_range=9.0, mount=(0.2, -0.3, 0.5), sweep_s=0.1)
+    scan = Scan.from_config(np.array([1.5, 2.5, 3.0, 2.0, 8.5]), config)
+    expected = [[0.2 + r * math.cos(0.5 + b), -0.3 + r * math.sin(0.5 + b)]
+                for r, b in zip(scan.ranges, (-1.0, -0.5, 0.0, 0.5, 1.0), strict=True)]  # fmt: skip
+    assert scan.points_robot == pytest.approx(np.array(expected))
+    assert scan.times_s == pytest.approx(np.array([-0.08, -0.06, -0.04, -0.02, 0.0]), abs=1e-8)
