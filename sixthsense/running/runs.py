@@ -76,7 +76,7 @@ def simulate(
     not do; ConfigError and PriorMapError for a prior map that will not; OSError, naming the file, for one that cannot
     be written.
     """
-    from sixthsense.loop.run import run as loop
+    from sixthsense.loop import run as loop
     from sixthsense.sources.mission import Mission, mission_of
 
     task = scene
@@ -91,7 +91,7 @@ def replay_log(
     recorded: Recorded, folder: RunFolder | None = None, watch: Watch = QUIET, prior: PriorStart | None = None
 ) -> Run:
     """Replay a log that has been opened, and keep the run in `folder`, if there is one; errors as of `simulate`."""
-    from sixthsense.loop.run import run as loop
+    from sixthsense.loop import run as loop
 
     log, config, relations = recorded.log, recorded.config, recorded.relations
     bar = Progress(recorded.name, log.duration_s, watch.realtime, watch.progress)

@@ -10,7 +10,7 @@ from sixthsense.config import RobotConfig
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.live.joining import CONFIRMED, WAIT_NS, RobotClock, ScanJoiner
+from sixthsense.live.joining import Presence, Publishers, RobotClock, ScanJoiner
 
 MS, S = 1_000_000, 1_000_000_000
 BEGAN = 1_700_000_000_000 * MS
@@ -68,16 +68,24 @@ def test_a_scan_takes_odometry_interpolated_at_its_stamp():
 
 
 def test_a_scan_waits_for_the_odometry_after_it_and_no_longer_than_its_time():
-    wait_ms = WAIT_NS // MS
-    in_time = Driver().odometry(0).scan(30, arrival_ms=30).at(30 + wait_ms).odometry(40, arrival_ms=30 + wait_ms)
+    in_time = Driver().odometry(0).scan(30, arrival_ms=30).at(230).odometry(40, arrival_ms=230)
     assert in_time.scans_ms == [30]
-    too_late = Driver().odometry(0).scan(30).at(31 + wait_ms).odometry(40, arrival_ms=31 + wait_ms)
+    too_late = Driver().odometry(0).scan(30).at(231).odometry(40, arrival_ms=231)
     assert too_late.scans_ms == [] and too_late.dropped == {"scan without odometry": 1}
 
 
-def test_no_pose_is_interpolated_in_a_long_gap_of_odometry():
-    driver = Driver().odometry(0, 20).scan(1000).odometry(1100)
-    assert driver.scans_ms == [] and driver.dropped == {"scan without odometry": 1}
+@pytest.mark.parametrize(("gap_ms", "is_used"), [(500, True), (520, False)])
+def test_no_pose_is_interpolated_in_a_long_gap_of_odometry(gap_ms, is_used):
+    driver = Driver().odometry(20).scan(400).odometry(20 + gap_ms)
+    assert driver.scans_ms == [400] * is_used
+    assert driver.dropped == ({} if is_used else {"scan without odometry": 1})
+
+
+def test_odometry_is_held_for_a_second_for_scans_that_are_late():
+    driver = Driver().odometry(*range(20, 1520, 20))
+    assert [(tick.stamp_ns - BEGAN) // MS for tick in driver.ticks] == list(range(20, 500, 20))
+    assert driver.scan(510, arrival_ms=1500).scan(470, arrival_ms=1500).scans_ms == [510]
+    assert driver.scan(510, arrival_ms=1500).dropped == {"scan late": 1, "scan twice": 1}
 
 
 def test_a_scan_that_took_time_has_the_time_of_its_last_beam():
@@ -117,13 +125,30 @@ def test_odometry_that_begins_anew_elsewhere_goes_on_from_where_it_was():
     np.testing.assert_allclose(T.array(), (shift @ pose_at(1980)).array(), atol=1e-9)
 
 
+def test_odometry_that_begins_anew_twice_says_how_far_it_has_jumped_and_the_robot_may_have_driven():
+    joiner, way = ScanJoiner(RobotConfig(speed=0.7)), [Pose(2.0, 3.0, 0.4), Pose(9.0, -4.0, 2.0), Pose(5.0, 6.0, -2.5)]
+    for ms, pose in zip((20, 40, 2040), way, strict=True):
+        assert joiner.add_odometry(BEGAN + ms * MS, pose, ms * MS)
+    went = way[0] @ way[1].inverse() @ way[2]
+    assert joiner.anew is not None
+    assert (joiner.anew.time_ns, joiner.anew.pause_s) == (BEGAN + 2040 * MS, pytest.approx(2.0))
+    assert joiner.anew.reach_m == pytest.approx(1.2 * 0.7 * 2.0)
+    assert joiner.anew.jump_m == pytest.approx(math.dist(went.position, way[0].position))
+    assert joiner.anew.T_stood_went.array() == pytest.approx((went @ way[0].inverse()).array())
+
+
 @pytest.mark.parametrize(
-    ("pause_s", "off_m", "speed", "is_anew"),
-    [(7, 5.0, 0.5, True), (7, 5.0, 1.0, False), (0.02, 0.4, 0.5, False), (0.02, 0.6, 0.5, True)],
-)
-def test_odometry_that_moves_faster_than_the_robot_can_has_begun_anew(pause_s, off_m, speed, is_anew):
-    joiner = ScanJoiner(RobotConfig(speed=speed))
-    for stamp_ns, pose in ((BEGAN, Pose()), (BEGAN + round(pause_s * 1e9), Pose(off_m))):
+    ("pause_s", "off", "is_anew"),
+    [
+        (7.0, Pose(0.0, 4.6), False), (7.0, Pose(0.0, 4.8), True), (7.0, Pose(-4.8), True),
+        (0.02, Pose(0.3, -0.3), False), (0.02, Pose(0.4, -0.4), True),
+        (0.02, Pose(theta=-0.5), False), (0.02, Pose(theta=0.55), True), (0.5, Pose(theta=0.95), False),
+    ],
+)  # fmt: skip
+def test_odometry_that_moves_or_turns_faster_than_the_robot_can_has_begun_anew(pause_s, off, is_anew):
+    joiner, before = ScanJoiner(RobotConfig(speed=0.5, turn_rate=0.8)), Pose(2.0, 3.0, -3.1)
+    after = Pose(before.x + off.x, before.y + off.y, before.theta + off.theta)
+    for stamp_ns, pose in ((BEGAN, before), (BEGAN + round(pause_s * 1e9), after)):
         assert joiner.add_odometry(stamp_ns, pose, stamp_ns)
     assert (joiner.anew is not None) == is_anew
 
@@ -169,10 +194,11 @@ def test_time_goes_on_when_the_clock_jumps(by_s):
     accepted = []
     for k in range(1, 6):
         accepted.append(clock.accepts(stamp + round((by_s + 0.02 * k) * S), arrival + round(0.02 * k * S)))
-    assert accepted == [False] * (CONFIRMED - 1) + [True] * (6 - CONFIRMED)
+    assert accepted == [False, False, True, True, True]
     assert clock.jumps == 1
     assert clock.time(stamp + round((by_s + 0.1) * S)) == before + round(0.1 * S)
     assert clock.stamp(before + round(0.1 * S)) == stamp + round((by_s + 0.1) * S)
+    assert clock.now(arrival + round(0.17 * S)) == stamp + round((by_s + 0.17) * S)
 
 
 def test_single_stamps_of_another_time_are_no_jump():
@@ -190,3 +216,25 @@ def test_a_pause_and_messages_that_arrive_at_once_after_it_are_no_jump():
     for k in range(1, 51):
         assert clock.accepts(stamp + 60 * S + round(0.02 * k * S), arrival + 65 * S + k)
     assert clock.jumps == 0
+
+
+def test_a_sensor_is_silent_after_its_time_once_and_says_for_how_long_it_was():
+    laser = Presence("laser", 5 * S, 400 * MS)
+    assert [laser.falls_silent(5 * S + ms * MS) for ms in (390, 400, 401, 900)] == [False, False, True, False]
+    assert laser.heard(5 * S + 1500 * MS) == pytest.approx(1.5) and not laser.is_silent
+    assert laser.heard(5 * S + 1600 * MS) is None and not laser.falls_silent(5 * S + 1900 * MS)
+
+
+@pytest.mark.parametrize(
+    ("messages", "said"),
+    [
+        ([("a", 0), ("a", 900), ("a", 2000)], ["known"] * 3),
+        ([("a", 7), ("b", 300), ("a", 320)], ["known", "unknown", "second"]),
+        ([("a", 7), ("b", 300), ("c", 320)], ["known", "unknown", "second"]),
+        ([("a", 7), ("b", 300), ("b", 406), ("b", 407), ("b", 420)], ["known", "unknown", "unknown", "new", "known"]),
+        ([("a", 7), ("b", 900), ("b", 920), ("a", 3000)], ["known", "new", "known", "second"]),
+    ],
+)
+def test_a_publisher_beside_another_is_told_from_one_that_takes_its_place(messages, said):
+    publishers = Publishers()
+    assert [publishers.heard(name, ms * MS) for name, ms in messages] == said

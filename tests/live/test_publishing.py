@@ -1,54 +1,55 @@
-"""What a live run publishes: the covariance of its pose between keyframes, and commands."""
+"""Commands to the robot, and what stops it if they stay away; the rest is in test_round_trips.py."""
 
 import time
 
-import numpy as np
+import pytest
 from processes import wait_until
 
 import sixthsense as ss
-from sixthsense.core.source import Command, Tick
-from sixthsense.live.publishing import TIMEOUT_S, Commands, pose_covariance
-from sixthsense.live.reading import MessageReader
+from sixthsense.core.source import Command
+from sixthsense.live.publishing import Commands, Stamped, pose_covariance
+from sixthsense.live.reading import TWIST_STAMPED, MessageReader
 from sixthsense.record.trace import Trace
-
-
-def test_the_covariance_is_that_of_the_keyframe_and_grows_until_the_next():
-    seen: list[tuple[bool, np.ndarray, np.ndarray]] = []
-
-    def look(tick: Tick, trace: Trace) -> None:
-        if tick.scan is not None and trace.key_estimates:
-            is_key = trace.key_stamps_ns[-1] == tick.stamp_ns
-            seen.append((is_key, pose_covariance(trace), trace.key_estimates[-1].pose_cov))
-
-    ss.run("rectangle", task="tour", max_time=10.0, on_tick=look, progress=False)
-    assert any(is_key for is_key, _, _ in seen) and not all(is_key for is_key, _, _ in seen)
-    for is_key, cov, key_cov in seen:
-        if is_key:
-            np.testing.assert_allclose(cov, key_cov, atol=1e-6)
-        assert np.linalg.eigvalsh(cov).min() > -1e-12
-        assert np.trace(cov) >= np.trace(key_cov) - 1e-9
+from sixthsense.sources.logs.ros_messages import stamp_ns
 
 
 def test_before_the_first_keyframe_nothing_is_known():
     assert not pose_covariance(Trace(ss.preset(), None, 0.2)).any()
 
 
-class Sent:
-    """Keeps what is sent, with the time."""
+class Clock:
+    """Stands in for the module `time`."""
 
-    def __init__(self) -> None:
-        self.commands: list[tuple[float, float]] = []
+    now = 7.0
 
-    def send(self, data: bytes) -> None:
-        self.commands.append((time.monotonic(), MessageReader().command(data).speed))
+    def monotonic(self) -> float:
+        return self.now
+
+    def sleep(self, _: float) -> None:
+        pass
 
 
-def test_a_loop_that_stalls_stops_the_robot_and_the_end_does():
-    sent = Sent()
-    with Commands(sent.send) as commands:
-        commands.send(Command(0.5, 0.0))
-        wait_until(lambda: len(sent.commands) == 2)
-        assert sent.commands[1][1] == 0.0 and commands.stalls == 1
-        assert sent.commands[1][0] - sent.commands[0][0] > TIMEOUT_S
-        commands.send(Command(0.5, 0.0))
-    assert [speed for _, speed in sent.commands[3:]] == [0.0, 0.0, 0.0]
+@pytest.mark.parametrize("command", [Command(0.37, 0.0), Command(0.0, -0.62), Command(-0.37, 0.62)])
+def test_a_loop_that_stalls_stops_a_moving_robot_once_and_the_end_does(command, monkeypatch):
+    clock, sent = Clock(), []
+    monkeypatch.setattr("sixthsense.live.publishing.time", clock)
+    with Commands(lambda data: sent.append(MessageReader().command(data))) as commands:
+        commands.send(command)
+        clock.now += 0.29
+        time.sleep(0.15)  # the thread has looked meanwhile
+        assert sent == [command] and commands.stalls == 0
+        clock.now += 0.02
+        wait_until(lambda: len(sent) == 2)
+        clock.now += 9.0
+        time.sleep(0.15)
+        assert sent == [command, Command()] and commands.stalls == 1
+        commands.send(command)
+    assert sent[2:] == [command, Command(), Command(), Command()]
+
+
+def test_a_stamped_command_has_the_time_of_the_robots_clock_and_its_frame():
+    sent = []
+    Commands(sent.append, Stamped(lambda: 1_700_000_000_123_456_789, "chassis")).send(Command(0.37, -0.62))
+    message = MessageReader().read(sent[0], TWIST_STAMPED)
+    assert (stamp_ns(message), message.header.frame_id) == (1_700_000_000_123_456_789, "chassis")
+    assert MessageReader().command(sent[0], TWIST_STAMPED) == Command(0.37, -0.62)

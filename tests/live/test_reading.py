@@ -8,13 +8,20 @@ import pytest
 
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.live.reading import TRANSFORMS, TWIST, LaserReader, MessageReader
+from sixthsense.core.source import Command
+from sixthsense.live.reading import TRANSFORMS, TWIST, TWIST_STAMPED, LaserReader, MessageReader, Notices
 from sixthsense.record.messages import Messages
 from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY
 from sixthsense.sources.logs.transforms import FramePair, TransformTree
 
 MAKE = Messages()
 STAMP = 1_700_000_000_123_456_789
+
+
+def ill_stamped() -> Any:
+    header = MAKE.header(STAMP, "laser")
+    header.stamp.nanosec = 1_000_000_000
+    return header
 
 
 def scan_of(beams: int = 360, max_range: float = 10.0) -> Scan:
@@ -31,7 +38,7 @@ def scan_message(beams: int = 360, **changes: Any) -> bytes:
 
 
 def laser(max_range: float | None = None) -> LaserReader:
-    return LaserReader(MessageReader(), max_range, Pose(0.1, 0.0, 0.0))
+    return LaserReader(MessageReader(), max_range, Pose(0.2, -0.3, 0.4))
 
 
 def odometry_message(**changes: Any) -> bytes:
@@ -41,16 +48,84 @@ def odometry_message(**changes: Any) -> bytes:
     return MAKE.serialized(message, ODOMETRY)
 
 
-def test_a_scan_is_read_with_its_stamp_and_the_mount():
-    stamp_ns, scan = laser().scan(scan_message())
-    assert stamp_ns == STAMP and scan.T_robot_laser == Pose(0.1, 0.0, 0.0)
-    np.testing.assert_array_equal(scan.ranges, scan_of().ranges)
+def twist(stamped: bool, speed: float, turn_rate: float) -> tuple[bytes, str]:
+    message = MAKE.twist_stamped(STAMP, "base_link", 7.0, 8.0) if stamped else MAKE.twist(7.0, 8.0)
+    parts = message.twist if stamped else message
+    parts.linear, parts.angular = (
+        MAKE.store.types["geometry_msgs/msg/Vector3"](*xyz) for xyz in ((speed, 0.4, 0.5), (0.6, 0.7, turn_rate))
+    )
+    name = TWIST_STAMPED if stamped else TWIST
+    return MAKE.serialized(message, name), name
 
 
-def test_odometry_is_read_with_its_frames():
-    found = MessageReader().odometry(odometry_message())
-    assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
-    np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
+@pytest.mark.parametrize("stamped", [False, True])
+def test_a_command_is_speed_ahead_and_turn_rate_about_the_vertical_each_up_to_a_bound(stamped):
+    reader = MessageReader()
+    assert reader.command(*twist(stamped, 0.37, -0.62)) == Command(0.37, -0.62)
+    assert reader.command(*twist(stamped, -99.5, 99.5)) == Command(-99.5, 99.5)
+    for speed, turn_rate in (
+        (100.5, 0.3),
+        (-100.5, 0.3),
+        (0.3, 100.5),
+        (0.3, -100.5),
+        (math.nan, 0.3),
+        (0.3, math.nan),
+    ):
+        with pytest.raises(ValueError, match=r"found a command of .*, allowed: up to 100"):
+            reader.command(*twist(stamped, speed, turn_rate))
+
+
+def test_a_message_that_is_larger_than_its_kind_may_be_is_not_read():
+    with pytest.raises(ValueError, match="found a message of 8193 bytes, allowed: 8192"):
+        MessageReader().odometry(odometry_message().ljust(8193, b"\0"))
+
+
+def test_a_tree_takes_a_thousand_frames():
+    tree, reader = TransformTree(), MessageReader()
+    links = [MAKE.transform(STAMP, "base_link", f"laser{k}", Pose(0.2)).transforms[0] for k in range(1005)]
+    reader.add_static(MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS), tree)
+    assert len(tree.links) == 1000
+
+
+def test_the_laser_is_that_of_the_first_scan_and_has_the_range_that_was_stated():
+    found = laser(1.7)
+    _, first = found.scan(scan_message(range_max=2000.0))
+    assert first.max_range == 1.7 and first.T_robot_laser == Pose(0.2, -0.3, 0.4)
+    expected = scan_of().ranges
+    np.testing.assert_array_equal(first.ranges, np.where(expected <= np.float32(1.7), expected, np.inf))
+    found = laser()
+    assert found.scan(scan_message())[1].max_range == 10.0 and found.frame == "laser"
+    found.scan(scan_message(350, angle_increment=2.0 * math.pi / 360))  # a few beams less
+    found.scan(scan_message(angle_min=-math.pi + 0.02))
+    for other, said in (
+        (scan_message(header=MAKE.header(STAMP, "back")), "found a scan of back, allowed: of laser"),
+        (scan_message(300, angle_increment=2.0 * math.pi / 360), "found a laser of 300 beams"),
+        (scan_message(angle_increment=0.012), "steps of 0.688, 10 m"),
+        (scan_message(angle_min=-math.pi + 0.1), "beams from -174.3 degrees"),
+        (scan_message(range_max=9.0), ", 9 m, allowed: as in the first scan, 360 beams"),
+        (scan_message(range_max=1001.0), "found range_max 1001.0, allowed: up to 1000 m"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            found.scan(other)
+    found.forget()
+    assert found.scan(scan_message(range_max=9.0, header=MAKE.header(STAMP, "back")))[1].max_range == 9.0
+
+
+def test_what_happens_is_counted_and_said_again_after_ten_seconds():
+    lines: list[str] = []
+    notices = Notices(lines.append)
+    for s in (0, 9.9, 10, 15):
+        notices.event("jump", f"jumped at {s} s", 5 + round(s * 1e9))
+    notices.event("silence", "silent", 5)
+    for fault in ("found 7, allowed: 5", "found 8, allowed: 5", "found x, allowed: a number"):
+        notices.unusable("/scan", ValueError(fault))
+    notices.take({"scan late": 2})
+    notices.take({"scan late": 3})
+    assert lines == [
+        "jumped at 0 s", "jumped at 10 s", "silent",
+        "/scan: found 7, allowed: 5; dropped", "/scan: found x, allowed: a number; dropped", "dropped: scan late",
+    ]  # fmt: skip
+    assert notices.summary() == ["dropped: /scan unusable 3, scan late 3", "events: jump 4, silence 1"]
 
 
 def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transforms_are_none():
@@ -64,8 +139,10 @@ def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transf
     found = reader.odometry(own)
     assert (found.stamp_ns, found.frame, found.robot) == (STAMP, "odom", "base_link")
     np.testing.assert_allclose(found.T_odom_robot.array(), [1.0, 2.0, 0.5])
-    with pytest.raises(ValueError, match=r"found no transform odom -> base_link, allowed: one"):
-        reader.odometry(other)
+    unstamped = MAKE.serialized(MAKE.transform(0, "odom", "base_link", Pose(1.0, 2.0, 0.5)), TRANSFORMS)
+    for data, said in ((other, "no transform odom -> base_link, allowed: one"), (unstamped, "the stamp 0 s 0 ns")):
+        with pytest.raises(ValueError, match=f"found {said}"):
+            reader.odometry(data)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +155,7 @@ def test_odometry_is_read_from_the_transform_between_two_frames_and_other_transf
         {"ranges": np.zeros(1, np.float32)},
         {"ranges": np.zeros(100_001, np.float32), "angle_increment": 1e-5},
         {"header": MAKE.header(0, "laser")},
+        {"header": ill_stamped()},
         {"header": MAKE.header(STAMP, "x" * 257)},
     ],
 )
@@ -112,13 +190,3 @@ def test_damaged_bytes_are_a_value_error(name, seed):
             read(bytes(data))
         except ValueError as error:
             assert "\n" not in str(error)
-
-
-def test_the_mount_follows_the_chain_of_static_transforms():
-    reader, frames = MessageReader(), TransformTree()
-    assert frames.mount("base_link", "laser") is None
-    for parent, child, pose in (("base_link", "plate", Pose(0.1, 0.0, 0.0)), ("plate", "laser", Pose(0.0, 0.2, 1.0))):
-        reader.add_static(MAKE.serialized(MAKE.transform(STAMP, parent, child, pose), TRANSFORMS), frames)
-    found = frames.mount("base_link", "laser")
-    assert found is not None and not found[1]
-    np.testing.assert_allclose(found[0].array(), [0.1, 0.2, 1.0])

@@ -1,6 +1,7 @@
 """A live robot without a network and without a clock: what it makes of messages, when it stops, and how it is found."""
 
 import gc
+import math
 import tracemalloc
 from collections.abc import Callable
 
@@ -10,9 +11,8 @@ import pytest
 from sixthsense.config import merge, preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.source import Command
+from sixthsense.core.source import Command, Tick
 from sixthsense.live.ahead_pilot import AheadPilot
-from sixthsense.live.joining import SILENT_NS
 from sixthsense.live.network import Message
 from sixthsense.live.reading import LaserReader, MessageReader, Notices
 from sixthsense.live.robot import LiveRobot, Steering
@@ -44,36 +44,51 @@ class Forward(Navigator):
 
 
 class Bench:
-    """A robot that stands, and whose sensors can be switched off; time passes while it waits."""
+    """A robot on an arc, and whose sensors can be switched off; time passes while it waits."""
 
-    def __init__(self) -> None:
+    def __init__(self, drives: bool = True, **config: object) -> None:
         self.now_ms = 0
         self.has_scans = self.has_odometry = True
         self.subscribers = 1
         self.publishers = ["robot"]
+        self.began, self.off = BEGAN, Pose()
         self.lines: list[str] = []
         self.sent: list[tuple[int, Command]] = []
+        self.asked: list[tuple[Tick | None, Pose, int]] = []
+        self.last: Tick | None = None
         reader = MessageReader()
         self.pilot = AheadPilot(Forward(), Guard(preset(), 0.2))
-        send = lambda command: self.sent.append((self.now_ms, command))  # noqa: E731
-        steering = Steering(self.pilot, send, lambda: self.subscribers)
-        laser = LaserReader(reader, None, Pose())
+        steering = Steering(self, lambda command: self.sent.append((self.now_ms, command)), lambda: self.subscribers)
+        laser = LaserReader(reader, None, Pose(0.2, -0.3, 0.4))
         notices = Notices(self.lines.append)
-        trace = Trace(preset(), None, 0.2)
-        self.robot = LiveRobot(self._receive, reader, laser, notices, trace, steering, lambda: self.now_ms * MS)
+        receive, now_ns = self._receive, lambda: self.now_ms * MS
+        trace = Trace(preset(**config), None, 0.2)
+        self.robot = LiveRobot(receive, reader, laser, notices, trace, steering if drives else None, now_ns)
         self.slam = Slam(preset(front_end="scan-matching", estimator="isam2"))
+
+    def ahead(self, motion: Pose, stamp_ns: int) -> Command:
+        """In place of the pilot, which is asked."""
+        self.asked.append((self.last, motion, stamp_ns))
+        return self.pilot.ahead(motion, stamp_ns)
+
+    @staticmethod
+    def pose_at(ms: float) -> Pose:
+        return Pose(2.0, 3.0, 0.7) @ Pose(0.5 * math.sin(4e-4 * ms), 0.5 * (1.0 - math.cos(4e-4 * ms)), 4e-4 * ms)
 
     def _receive(self, timeout_s: float):
         self.now_ms += 20
-        stamp_ns = BEGAN + self.now_ms * MS
+        stamp_ns = self.began + self.now_ms * MS
         found = []
         if self.has_odometry:
+            odometry = MAKE.odometry(stamp_ns, self.off @ self.pose_at(self.now_ms), None)
+            odometry.header.frame_id = "wheels"
             for name in self.publishers:
-                found.append((False, MAKE.serialized(MAKE.odometry(stamp_ns, Pose(), None), ODOMETRY), name))
+                found.append((False, MAKE.serialized(odometry, ODOMETRY), name))
         if self.has_scans and self.now_ms % 100 == 0:
             ranges = np.full(360, 3.0, dtype=np.float32)
-            scan = Scan(ranges, np.float32(-np.pi), np.float32(2 * np.pi / 360), 10.0)
-            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns, scan), LASER_SCAN), "robot"))
+            lag = np.float32(0.05 / 359)
+            scan = Scan(ranges, np.float32(-np.pi), np.float32(2 * np.pi / 360), 10.0, time_increment=lag)
+            found.append((True, MAKE.serialized(MAKE.scan(stamp_ns - 50 * MS, scan), LASER_SCAN), "robot"))
         return [(is_scan, Message(data, name)) for is_scan, data, name in found]
 
     def run(self, until_ms: int) -> None:
@@ -81,7 +96,16 @@ class Bench:
         while self.now_ms < until_ms:
             tick = self.robot.step(Command())
             assert tick is not None
+            self.last = tick
             self.pilot.steer(self.slam.take(tick))
+
+    def turn(self, until_ms: int) -> None:
+        """Take what arrives, but wait for no tick: none follows without odometry."""
+        while self.now_ms < until_ms:
+            self.robot._turn()
+
+    def commands(self, since_ms: int) -> set[Command]:
+        return {command for ms, command in self.sent if ms > since_ms}
 
 
 @pytest.fixture
@@ -91,19 +115,60 @@ def bench():
     found.slam.close()
 
 
-@pytest.mark.parametrize("sensor", ["has_scans", "has_odometry"])
-def test_a_sensor_that_stops_stops_the_robot_within_half_a_second(bench, sensor):
+FORWARD = Command(0.2, 0.0)
+
+
+def test_a_robot_is_steered_once_by_each_odometry_from_where_the_last_tick_was(bench):
+    bench.run(2000)
+    assert bench.commands(200) == {FORWARD} and not bench.lines and bench.robot.odom_frame == "wheels"
+    stamps = [stamp_ns for *_, stamp_ns in bench.asked]
+    assert stamps == sorted(set(stamps)) and max(np.diff(stamps)) <= 40 * MS
+    for last, motion, stamp_ns in bench.asked:
+        assert last is not None and 0 < stamp_ns - last.stamp_ns <= 100 * MS
+        expected = last.odometry.inverse() @ bench.pose_at((stamp_ns - BEGAN) / MS)
+        assert motion.array() == pytest.approx(expected.array(), abs=1e-5)
+
+
+@pytest.mark.parametrize(("sensor", "name"), [("has_scans", "laser"), ("has_odometry", "odometry")])
+def test_a_sensor_that_is_silent_for_400_ms_stops_the_robot_and_a_shorter_pause_does_not(bench, sensor, name):
     bench.run(1000)
     setattr(bench, sensor, False)
-    off_ms = bench.now_ms
-    name = "laser" if sensor == "has_scans" else "odometry"
-    said = f"{name} is silent; the robot is stopped"
-    while said not in bench.lines:  # not by `step`, which waits for a tick: none follows without odometry
-        bench.robot._turn()
-        assert bench.now_ms < off_ms + 1000
-    assert bench.sent[-1][1] == Command()
-    stopped_ms = max(ms for ms, command in bench.sent if command != Command()) - off_ms
-    assert stopped_ms <= 500 and SILENT_NS < 500 * MS
+    bench.turn(1380)
+    setattr(bench, sensor, True)
+    bench.run(2000)
+    assert bench.commands(200) == {FORWARD}
+    bench.lines.clear()
+    setattr(bench, sensor, False)
+    last_ms = bench.now_ms - bench.now_ms % (100 if name == "laser" else 20)
+    bench.turn(2600)
+    assert bench.lines == [f"{name} is silent; the robot is stopped"] and bench.sent[-1][1] == Command()
+    assert min(ms for ms, command in bench.sent if command == Command() and ms > 200) == last_ms + 420
+    assert bench.commands(last_ms + 400) == {Command()}
+    setattr(bench, sensor, True)
+    bench.run(3000)
+    assert bench.lines[1].startswith(f"{name} sends again, after 0.") and bench.sent[-1][1] == FORWARD
+
+
+def test_a_robot_that_is_listened_to_is_silent_after_two_seconds():
+    bench = Bench(drives=False)
+    bench.run(1000)
+    bench.has_scans = False
+    bench.turn(3000)
+    assert not bench.lines
+    bench.turn(3040)
+    assert bench.lines == ["laser is silent"]
+    bench.slam.close()
+
+
+def test_without_odometry_the_laser_alone_is_waited_for_and_the_robot_stands_at_each_scan():
+    bench, ticks = Bench(drives=False, no_odometry=True), []
+    bench.has_odometry = False
+    while bench.now_ms < 4000:
+        ticks.append(bench.robot.step(Command()))
+    stamps_ms = [(tick.stamp_ns - BEGAN) / MS for tick in ticks if tick.scan is not None]
+    assert stamps_ms == pytest.approx(range(100, 4001, 100), abs=1e-5)
+    assert not bench.lines and {tick.odometry for tick in ticks} == {Pose()}
+    bench.slam.close()
 
 
 def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
@@ -113,23 +178,48 @@ def test_a_second_publisher_stops_the_robot_and_ends_the_run(bench):
         assert bench.now_ms < 1200
     assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
     assert bench.lines == ["odometry: a second publisher sends beside the first; the robot is stopped"]
-    sent = len(bench.sent)
-    bench.robot._turn()
-    assert not any(command != Command() for _, command in bench.sent[sent:])
+    bench.turn(1400)
+    assert bench.commands(1040) == {Command()}
+
+
+def test_a_publisher_that_takes_the_place_of_another_is_used_once_the_first_is_silent(bench):
+    bench.run(1000)
+    bench.publishers, bench.off = ["again"], Pose(5.0, -4.0, 2.0)
+    bench.run(2000)
+    assert bench.robot.outcome is None and bench.sent[-1][1] == FORWARD
+    why = "after 0.4 s, its driver was started again; the robot is taken to stand where it was"
+    assert any(line.startswith("odometry has jumped by ") and line.endswith(why) for line in bench.lines)
+
+
+def test_odometry_that_jumps_within_a_moment_leaves_the_robot_where_it_was(bench):
+    bench.run(1000)
+    bench.off = Pose(5.0, -4.0, 2.0)
+    bench.run(1500)
+    (line,) = bench.lines
+    assert line.endswith("faster than --robot.speed and --robot.turn-rate; the robot is taken to stand where it was")
+    assert bench.commands(200) == {FORWARD}
+
+
+def test_a_clock_that_jumps_is_told(bench):
+    bench.run(1000)
+    bench.began -= 3_600_000 * MS
+    bench.run(2000)
+    assert "the robot's clock has jumped; the map goes on" in bench.lines
+    assert bench.robot.joiner.clock.jumps == 1
 
 
 def test_a_second_subscriber_of_the_commands_stops_the_robot_and_ends_the_run_if_it_stays(bench):
     bench.run(1000)
     bench.subscribers = 2
-    bench.run(6000)
-    assert not any(command != Command() for ms, command in bench.sent if ms > 1100)
+    bench.run(12_900)
+    assert bench.commands(1100) == {Command()} and bench.robot.outcome is None
     bench.subscribers = 1
-    bench.run(7000)
-    assert bench.sent[-1][1] == Command(0.2, 0.0) and bench.robot.outcome is None
+    bench.run(13_500)
+    assert bench.sent[-1][1] == FORWARD
     bench.subscribers = 2
     while bench.robot.step(Command()) is not None:
-        assert bench.now_ms < 30_000
-    assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command()
+        assert bench.now_ms < 26_000
+    assert bench.robot.outcome == "another robot" and bench.sent[-1][1] == Command() and bench.now_ms > 25_500
 
 
 def test_the_source_keeps_nothing_of_what_has_passed(bench):
@@ -139,13 +229,14 @@ def test_the_source_keeps_nothing_of_what_has_passed(bench):
         while bench.now_ms < until_ms:
             bench.robot.step(Command())
         bench.sent.clear()
+        bench.asked.clear()
         gc.collect()
         return tracemalloc.get_traced_memory()[0]
 
     tracemalloc.start()
     try:
-        before = memory_after(30_000)
-        assert memory_after(120_000) - before < 100_000
+        before = memory_after(15_000)
+        assert memory_after(50_000) - before < 50_000
     finally:
         tracemalloc.stop()
 

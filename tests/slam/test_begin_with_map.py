@@ -10,7 +10,7 @@ from laws.nees import assert_consistent, error_of, normalised
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.evaluation.measure import measure
-from sixthsense.loop.run import run as loop
+from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.load import read_prior_map
 from sixthsense.slam.prior_map import PriorMapError, PriorStart

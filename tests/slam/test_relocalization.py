@@ -11,7 +11,7 @@ from scanned import box, look, outline
 from sixthsense.config import GridConfig, LaserConfig, preset
 from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.source import Command, Tick
-from sixthsense.loop.run import run as loop
+from sixthsense.loop import run as loop
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.load import read_prior_map
 from sixthsense.slam.estimators import LandmarkPrior

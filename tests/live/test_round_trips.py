@@ -1,0 +1,224 @@
+"""Messages out and in again: poses, covariances, maps, frames, stamps, and how odometry and scans are joined."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from general import covariances, matrix, numbers, poses, stamps_ns, tilts, turned
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from sixthsense.config import preset
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.laser import Scan
+from sixthsense.core.source import Tick
+from sixthsense.live.joining import ScanJoiner
+from sixthsense.live.publishing import MAP, POSE, TF, Publisher
+from sixthsense.live.reading import TRANSFORMS, LaserReader, MessageReader, Notices
+from sixthsense.live.robot import LiveRobot
+from sixthsense.record.messages import Messages
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs.ros_messages import LASER_SCAN, ODOMETRY, stamp_ns
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
+
+MAKE = Messages()
+MS, HOUR = 1_000_000, 3_600_000_000_000
+RANGES = np.array([2.5, 3.5, 0.7, 4.5, 6.5], dtype=np.float32)
+
+
+def a_scan(increment_s: float = 0.0) -> Scan:
+    return Scan(RANGES, np.float32(-0.7), np.float32(0.3), 9.0, time_increment=np.float32(increment_s))
+
+
+def tilt(orientation: Any, quaternion: list[float]) -> None:
+    orientation.x, orientation.y, orientation.z, orientation.w = quaternion
+
+
+@settings(max_examples=25)
+@given(stamps_ns, poses, tilts, st.floats(0.3, 3.0))
+def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilted_quaternion(
+    stamp, pose, tilted, size
+):
+    message = MAKE.odometry(stamp, pose, None)
+    found = MessageReader().odometry(MAKE.serialized(message, ODOMETRY))
+    assert found == (stamp, pose, "odom", "base_link")
+    tilt(message.pose.pose.orientation, turned(pose.theta, tilted, size))
+    found = MessageReader().odometry(MAKE.serialized(message, ODOMETRY))
+    assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
+
+
+@settings(max_examples=25)
+@given(stamps_ns, poses, poses, tilts)
+def test_odometry_in_tf_is_the_last_transform_of_its_frames(stamp, pose, other, tilted):
+    links = [
+        MAKE.transform(at, parent, child, place).transforms[0]
+        for at, parent, child, place in (
+            (stamp - 1, "/wheels", "base", other), (stamp, "wheels", "base", pose), (stamp, "base", "wheels", other)
+        )
+    ]  # fmt: skip
+    tilt(links[1].transform.rotation, turned(pose.theta, tilted))
+    data = MAKE.serialized(MAKE.store.types[TRANSFORMS](links), TRANSFORMS)
+    found = MessageReader(FramePair("wheels", "base")).odometry(data)
+    assert (found.stamp_ns, found.frame, found.robot) == (stamp, "wheels", "base")
+    assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
+
+
+@settings(max_examples=25)
+@given(poses, poses, tilts, st.booleans())
+def test_a_mount_is_the_product_of_tilted_static_transforms(plate, mount, tilted, is_upside_down):
+    level = turned(mount.theta, (0.0, math.pi if is_upside_down else 0.0))
+    T_robot_plate = matrix(plate.x, plate.y, 0.4, turned(plate.theta, tilted))
+    T_plate_laser = np.linalg.inv(T_robot_plate) @ matrix(mount.x, mount.y, 0.7, level)
+    reader, tree = MessageReader(), TransformTree()
+    for parent, child, T in (("base", "plate", T_robot_plate), ("plate", "laser", T_plate_laser)):
+        message = MAKE.transform(7, parent, child, Pose(*T[:2, 3]))
+        message.transforms[0].transform.translation.z = float(T[2, 3])
+        tilt(message.transforms[0].transform.rotation, Rotation.from_matrix(T[:3, :3]).as_quat().tolist())
+        reader.add_static(MAKE.serialized(message, TRANSFORMS), tree)
+    place, upside_down = tree.mount("base", "laser")
+    assert upside_down == is_upside_down and place.array() == pytest.approx(mount.array(), abs=1e-9)
+    laser = LaserReader(reader, None, place)
+    laser.upside_down = upside_down
+    stamp, found = laser.scan(MAKE.serialized(MAKE.scan(1_700_000_000_123_456_789, a_scan()), LASER_SCAN))
+    assert stamp == 1_700_000_000_123_456_789
+    side = -1.0 if is_upside_down else 1.0
+    bearings = -0.7 + 0.3 * np.arange(5)
+    points_laser = RANGES[:, None] * np.stack([np.cos(bearings), side * np.sin(bearings)], axis=1)
+    points = found.points_robot[::-1] if is_upside_down else found.points_robot
+    np.testing.assert_allclose(points, mount @ points_laser, atol=1e-5)
+
+
+class Sink:
+    """A node that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[Any]] = {topic.name: [] for topic in (POSE, TF, MAP)}
+
+    def writer(self, topic: Any) -> Any:
+        keep = self.sent[topic.name].append
+        return SimpleNamespace(send=lambda data: keep(MAKE.store.deserialize_cdr(data, topic.type)))
+
+
+def robot_whose_clock_was_set_back_an_hour(T_old_odom: Pose) -> LiveRobot:
+    reader = MessageReader()
+    laser, notices = LaserReader(reader, None, Pose()), Notices(print)
+    robot = LiveRobot(lambda _: (), reader, laser, notices, Trace(preset("log"), None, 0.2))
+    robot.joiner.T_old_odom, robot.odom_frame = T_old_odom, "wheels"
+    accepts = robot.joiner.clock.accepts
+    accepts(2 * HOUR, 5)
+    assert [accepts(HOUR + k * MS, 5 + k * MS) for k in (1, 2, 3)] == [False, False, True]
+    return robot
+
+
+def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_cov: np.ndarray) -> Any:
+    cells = np.random.default_rng(4).choice(np.array([-1, 0, 100], np.int8), (3, 5))
+    return SimpleNamespace(
+        estimates=[(7.0, 8.0, 2.0), estimate.array()],
+        key_estimates=[None, SimpleNamespace(pose=key, pose_cov=key_cov)],
+        since_key=[(7.0, 8.0, 2.0), since.array()],
+        live=SimpleNamespace(since_cov=since_cov),
+        grid=SimpleNamespace(occupancy=lambda: cells, origin=(-2.5, 4.5)),
+        key_stamps_ns=[3, 4],
+        config=SimpleNamespace(grid=SimpleNamespace(cell_m=0.15)),
+    )
+
+
+@settings(max_examples=30)
+@given(poses, poses, covariances, poses, covariances, poses)
+def test_what_is_published_is_the_pose_its_covariance_the_frame_of_odometry_and_the_map(
+    T_old_odom, key, key_cov, since, since_cov, odometry
+):
+    robot, sink, estimate = robot_whose_clock_was_set_back_an_hour(T_old_odom), Sink(), key @ since
+    trace, time_ns = a_trace(estimate, key, key_cov, since, since_cov), 2 * HOUR + 123_456_789
+    publish = Publisher(sink, robot)
+    publish(Tick(time_ns, odometry), trace)
+    assert not any(sink.sent.values())
+    publish(Tick(time_ns, odometry, a_scan()), trace)
+    (pose,), ((link,),) = sink.sent["/pose"], (message.transforms for message in sink.sent["/tf"])
+    (world,) = sink.sent["/map"]
+    assert {stamp_ns(message) for message in (pose, link, world)} == {time_ns - HOUR}
+    assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (estimate.x, estimate.y)
+    assert 2.0 * math.atan2(pose.pose.pose.orientation.z, pose.pose.pose.orientation.w) == estimate.theta
+    # Against adjoints: the error in the axes of the keyframe, brought to those of the robot and of the world.
+    cov, moved = pose.pose.covariance.reshape(6, 6), since.inverse().adjoint()
+    in_key = Pose(theta=key.theta).adjoint().T @ key_cov @ Pose(theta=key.theta).adjoint()
+    turn = Pose(theta=-since.theta).adjoint()
+    in_robot = moved @ in_key @ moved.T + turn @ since_cov @ turn.T
+    to_world = Pose(theta=estimate.theta).adjoint()
+    plane = np.ix_((0, 1, 5), (0, 1, 5))
+    np.testing.assert_allclose(cov[plane], to_world @ in_robot @ to_world.T, rtol=1e-9, atol=1e-9)
+    assert np.count_nonzero(cov) == 9
+    # The robot's own message of odometry, in the frame that is published.
+    T_map_odom = Pose(link.transform.translation.x, link.transform.translation.y,
+                      2.0 * math.atan2(link.transform.rotation.z, link.transform.rotation.w))  # fmt: skip
+    assert (link.header.frame_id, link.child_frame_id) == ("map", "wheels")
+    at = T_map_odom @ (T_old_odom.inverse() @ odometry)
+    assert at.position == pytest.approx(estimate.position, abs=1e-9)
+    assert wrap_angle(at.theta - estimate.theta) == pytest.approx(0.0, abs=1e-9)
+    info, cells = world.info, trace.grid.occupancy()
+    assert (info.width, info.height, round(info.resolution, 6)) == (5, 3, 0.15)
+    assert (info.origin.position.x, info.origin.position.y, info.origin.orientation.w) == (-2.5, 4.5, 1.0)
+    assert [world.data[row * info.width + col] for row in range(3) for col in range(5)] == cells.ravel().tolist()
+
+
+def test_a_map_is_sent_again_with_a_new_keyframe_after_two_seconds_unless_it_is_too_large(monkeypatch):
+    clock = SimpleNamespace(monotonic=lambda: clock.now, now=50.0)
+    monkeypatch.setattr("sixthsense.live.publishing.time", clock)
+    robot, sink = robot_whose_clock_was_set_back_an_hour(Pose(0.3, 0.4, 0.5)), Sink()
+    trace = a_trace(Pose(2, 3, 0.4), Pose(2, 3, 0.4), np.eye(3), Pose(0.1, 0.2, 0.3), np.eye(3))
+    publish, count = Publisher(sink, robot), []
+    for now_s, keyframes in ((50.0, 2), (53.0, 2), (53.1, 3), (54.9, 4), (55.2, 4)):
+        clock.now, trace.key_stamps_ns = now_s, [0] * keyframes
+        publish(Tick(2 * HOUR, Pose(), a_scan()), trace)
+        count.append(len(sink.sent["/map"]))
+    assert count == [1, 1, 2, 2, 3]
+    clock.now, trace.key_stamps_ns = 70.0, [0] * 9
+    trace.grid.occupancy = lambda: np.broadcast_to(np.int8(0), (1 << 13, 1 << 13))
+    publish(Tick(2 * HOUR, Pose(), a_scan()), trace)
+    assert len(sink.sent["/map"]) == 3 and len(sink.sent["/pose"]) == 6
+
+
+@settings(max_examples=25)
+@given(stamps_ns.map(lambda ns: ns + HOUR), poses, numbers(0.1, 0.4), numbers(0.1, 0.9), poses, st.integers(1, 9))
+def test_scans_are_joined_to_the_line_that_odometry_draws_also_after_it_has_begun_anew(began, start, v, w, jump, part):
+    def pose_at(ns: int) -> Pose:
+        return Pose(start.x + 1e-9 * v * ns, start.y - 2e-9 * v * ns, start.theta + 1e-9 * w * ns)
+
+    joiner, ticks = ScanJoiner(), []
+    for k in range(40):
+        ns = 20 * MS * k
+        joiner.add_odometry(began + ns, pose_at(ns) if k < 20 else jump @ pose_at(ns), ns, is_restarted=k == 20)
+        if k % 4 == 3:
+            scan = a_scan(0.0025 if k % 8 == 3 else 0.0)
+            taken_ns = 10 * MS if k % 8 == 3 else 0
+            joiner.add_scan(began + ns - 2 * MS * part - taken_ns, scan, ns)
+        ticks += joiner.ticks(ns)
+    scans = [tick for tick in ticks if tick.scan is not None]
+    assert len(scans) == 10 and not joiner.dropped
+    # It has stood from one message of odometry to the next.
+    T_old_jump = pose_at(380 * MS) @ (jump @ pose_at(400 * MS)).inverse()
+    for k, tick in enumerate(scans):
+        ns = 20 * MS * (4 * k + 3) - 2 * MS * part
+        assert tick.stamp_ns == pytest.approx(began + ns, abs=2)  # increments are in float32
+        assert tick.log_stamp_s == (began + ns - (10 * MS if k % 2 == 0 else 0)) / 1e9
+        expected = pose_at(ns) if ns < 400 * MS else T_old_jump @ jump @ pose_at(ns)
+        assert tick.odometry.position == pytest.approx(expected.position, abs=1e-7)
+        assert wrap_angle(tick.odometry.theta - expected.theta) == pytest.approx(0.0, abs=1e-7)
+    assert joiner.T_old_odom.array() == pytest.approx(T_old_jump.array(), abs=1e-7)
+
+
+def test_the_place_that_is_found_moves_the_odometry_since_it_began_anew_and_all_that_follows():
+    joiner, T = ScanJoiner(), Pose(3.0, -2.0, 0.7)
+    way = [Pose(0.5, 0.4, 0.3), Pose(0.51, 0.42, 0.32), Pose(9.0, 8.0, 2.0), Pose(9.01, 8.03, 2.05)]
+    for k, pose in enumerate(way):
+        joiner.add_odometry((50 + k) * MS, pose, k)
+    moved, odometry = T @ (way[1] @ way[2].inverse()), way[3] @ Pose(0.02, 0.01, 0.04)
+    joiner.place(T)
+    assert joiner.anew is not None and joiner.anew.time_ns == 52 * MS
+    joiner.add_scan(53 * MS, a_scan(), 4)
+    assert [tick.stamp_ns for tick in joiner.ticks(4)] == [52 * MS, 53 * MS]
+    joiner.add_odometry(54 * MS, odometry, 5)
+    assert joiner.newest is not None and joiner.newest[1].array() == pytest.approx((moved @ odometry).array())

@@ -1,0 +1,175 @@
+"""A simulated robot and who listens to it, on this machine's network: what each takes of the other."""
+
+import dataclasses
+import itertools
+import math
+import os
+import threading
+
+import numpy as np
+import pytest
+from processes import wait_until
+
+from sixthsense.config import ConfigError, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.source import Command
+from sixthsense.live import session as session_module
+from sixthsense.live import simulated
+from sixthsense.live.network import Endpoint, Network, Node
+from sixthsense.live.reading import TRANSFORMS, TWIST_STAMPED, MessageReader
+from sixthsense.live.session import Session, Topics, check_drive
+from sixthsense.live.simulated import Disturbance, SimulatedRobot, check_alone, cmd_vel, drive_by_commands
+from sixthsense.live.topics import SENSOR, NetworkError
+from sixthsense.record.messages import Messages
+from sixthsense.sources.logs.ros_messages import stamp_ns
+from sixthsense.sources.logs.transforms import FramePair, TransformTree
+from sixthsense.sources.mission import Mission
+from sixthsense.sources.scene import load_scene
+from sixthsense.sources.world import World
+
+pytest.importorskip("cyclonedds", reason="needs Cyclone DDS: pip install 'sixthsense[ros2]'")
+
+DOMAIN = 100 + os.getpid() % 40
+LASER = {"beams": 90, "fov": 4.0, "max_range": 7.5, "mount": (0.12, -0.08, 0.6), "period_ticks": 6, "sweep_s": 0.03}
+START = Pose(0.4, -0.3, 0.7)
+
+
+def test_a_robot_sends_what_its_world_gives_and_who_listens_is_configured_by_it(tmp_path, monkeypatch):
+    node = Node(Network(DOMAIN))  # of both: a process joins a domain once
+    for module in (simulated, session_module):
+        monkeypatch.setattr(module, "Node", lambda _: node)
+    config = preset(laser=LASER, robot={"control_period_s": 0.02}, world={"motion": {"speed": 0.4}})
+    world = World(load_scene("rectangle").walls, START, 0.2, config, np.random.default_rng(0))
+    is_over, ticks = threading.Event(), []
+    with (
+        SimulatedRobot(Network(DOMAIN), config, Disturbance(0.0, 0.0, 0.0), TWIST_STAMPED) as robot,
+        Session(Network(DOMAIN), Topics().checked(), preset("log"), lambda _: None) as session,
+    ):
+        odometry, frames = node.reader(simulated.ODOM), node.reader(simulated.TF_STATIC)
+        scans = node.reader(simulated.SCAN._replace(quality=SENSOR))
+        robot.begin(tmp_path / "truth.tum")
+
+        def drive() -> None:
+            while not is_over.wait(0.02):
+                tick = world.step(Command(0.03, 0.4))
+                robot.send(tick)
+                ticks.append(tick)
+
+        thread = threading.Thread(target=drive)
+        thread.start()
+        try:
+            session.configure((), True)
+            driven = session.config
+            stated = dataclasses.replace(driven.laser, mount=(0.3, 0.4, -0.5), max_range=3.5)
+            session.config = dataclasses.replace(driven, laser=stated)
+            session.configure(("mount", "max_range"), False)
+        finally:
+            is_over.set()
+            thread.join()
+        wait_until(lambda: robot.command() is None)
+        commands = node.writer(cmd_vel(TWIST_STAMPED))
+        wait_until(lambda: commands.readers == 1)
+        for speed in (0.1, 0.2, 0.3):
+            make = Messages()
+            commands.send(make.serialized(make.twist_stamped(9, "", speed, -0.7), TWIST_STAMPED))
+        found = []
+        wait_until(lambda: found.append(robot.command()) or found[-1] == Command(0.3, -0.7))
+        reader, tree = MessageReader(), TransformTree()
+        (link,) = frames.take()
+        reader.add_static(link, tree)
+        sent = [reader.odometry(data) for data in odometry.take()]
+        stamps = {stamp_ns(reader.read(data, simulated.SCAN.type)) for data in scans.take()}
+    assert tree.mount("base_link", "laser")[0].array() == pytest.approx(LASER["mount"])
+    laser = driven.laser
+    assert (laser.beams, laser.max_range, laser.mount) == (90, 7.5, pytest.approx(LASER["mount"]))
+    assert laser.fov == pytest.approx(4.0, rel=1e-6)
+    # A command is followed within 0.1 s, and the laser's period of at least 0.12 s is that of its stamps.
+    assert driven.robot.control_period_s == 0.1 and laser.period_ticks == 2
+    assert (session.config.laser.mount, session.config.laser.max_range) == ((0.3, 0.4, -0.5), 3.5)
+    began_ns = sent[-1].stamp_ns - ticks[-1].stamp_ns
+    by_stamp = {tick.stamp_ns + began_ns: tick for tick in ticks}
+    assert len(sent) > 20 and all(by_stamp[at.stamp_ns].odometry == at.T_odom_robot for at in sent)
+    first_beams = {at - round(0.03 * 1e9 * 89 / 90) for at, tick in by_stamp.items() if tick.scan is not None}
+    assert len(stamps) > 5 and all(min(abs(at - first) for first in first_beams) <= 10 for at in stamps)
+    truth = np.loadtxt(tmp_path / "truth.tum")
+    assert len(truth) == len(ticks)
+    for (_, x, y, _, _, _, z, w), tick in zip(truth, ticks, strict=True):
+        assert (x, y, 2.0 * math.atan2(z, w)) == pytest.approx(tuple(tick.truth.array()), abs=1e-6)
+    assert ticks[-1].truth.theta != ticks[-1].odometry.theta
+
+
+class Robot:
+    """Takes the commands of a list, one a tick, then none."""
+
+    def __init__(self, *commands: Command) -> None:
+        self.commands, self.ticks = list(commands), []
+
+    def command(self) -> Command | None:
+        return self.commands.pop(0) if self.commands else None
+
+    def send(self, tick) -> None:
+        self.ticks.append(tick)
+
+
+def test_a_robot_stands_when_no_command_has_come_for_its_timeout_and_the_drive_ends_after_its_time(monkeypatch):
+    class Clock:
+        now = 50.0
+
+        def monotonic(self) -> float:
+            return self.now
+
+        def sleep(self, seconds: float) -> None:
+            self.now += seconds
+
+    monkeypatch.setattr(simulated, "time", Clock())
+    config = preset("noiseless", max_time=3.0, robot={"control_period_s": 0.05})
+    task = Mission(load_scene("rectangle"), START, np.zeros((0, 2)), 0.1, None)
+    robot = Robot(Command(), Command(0.1, 0.3))
+    assert drive_by_commands(robot, config, task, 0.5) == "time is up"
+    assert len(robot.ticks) == 61
+    pairs = itertools.pairwise(robot.ticks)
+    moved_s = [tick.stamp_ns * 1e-9 for before, tick in pairs if before.truth != tick.truth]
+    assert (moved_s[0], moved_s[-1]) == (pytest.approx(0.05), pytest.approx(0.55, abs=0.051))
+
+
+def test_scans_are_late_lost_and_doubled_in_their_shares():
+    rng, count = np.random.default_rng(3), 20_000
+    delays = [Disturbance(0.3, 0.2, 0.1).delays(rng) for _ in range(count)]
+    sent = [found for found in delays if found]
+    late = np.array([found[0] for found in sent if found[0] > 0.0])
+    for share, expected in (
+        (len(sent) / count, 0.8),
+        (sum(len(found) == 2 for found in sent) / len(sent), 0.1),
+        (len(late) / len(sent), 0.3),
+        (late.mean(), 0.25),
+    ):
+        assert share == pytest.approx(expected, abs=0.02)
+    assert 0.48 < late.max() <= 0.5
+
+
+def test_of_two_simulators_that_begin_at_once_one_stays():
+    class Two:
+        def publishers(self, name: str) -> list[Endpoint]:
+            return [Endpoint("t", "b")]
+
+        def subscribers(self, name: str) -> list[Endpoint]:
+            return []
+
+    check_alone(Two(), (simulated.SCAN,), (cmd_vel(),), before="a")
+    with pytest.raises(NetworkError, match="/scan: found another publisher"):
+        check_alone(Two(), (simulated.SCAN,), (cmd_vel(),), before="c")
+
+
+@pytest.mark.parametrize(("task", "name"), [("explore", "region"), ("goal", "goal"), ("tour", "tour")])
+def test_a_drive_needs_the_places_of_its_task(task, name):
+    with pytest.raises(ConfigError, match=f"^--{name}: missing"):
+        check_drive(preset(task=task))
+    places = {"region": (0.5, 0.6, 2.0, 3.0), "goal": (2.0, 3.0), "tour": ((2.0, 3.0),)}
+    check_drive(preset(task=task, **{name: places[name]}))
+
+
+def test_odometry_is_a_topic_or_a_pair_of_frames_in_tf():
+    assert Topics("scan", "wheels", "drive").checked() == Topics("/scan", "/wheels", "/drive")
+    frames = FramePair("odom", "base")
+    topics = Topics(odom="wheels", frames=frames).checked()
+    assert (topics.odometry.name, topics.odometry.type, topics.frames) == ("/tf", TRANSFORMS, frames)
