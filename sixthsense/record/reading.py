@@ -26,7 +26,9 @@ from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.sources.scene import Scene
+from sixthsense.sources.walking_space import ScriptedWalk
 
+_NO_GLASS = np.zeros((0, 2, 2))
 _LARGEST = (1 << 63) - 1
 _CURRENT_NAMES = {
     "key_scan": "keyframe", "sightings": "observations", "revisits": "loop_closures", "revisit": "loop_closure",
@@ -111,6 +113,8 @@ def _scene(table: Line | None) -> Scene | None:
         tuple((x, y) for x, y in tour),
         (x0, y0, x1, y1),
         table["solid_left"] is True,
+        _array(table, "glass", (-1, 2, 2)) if "glass" in table else _NO_GLASS,  # not in older records, as walks
+        tuple(ScriptedWalk(**walk) for walk in table.get("walkers", ())),
     )
 
 

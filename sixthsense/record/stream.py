@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sixthsense.config import as_table
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.record.trace import Trace
 from sixthsense.record.writing import naming
@@ -115,6 +116,8 @@ def _scene(scene: Scene | None) -> Line | None:
         "tour": scene.tour,
         "region": scene.region,
         "solid_left": scene.solid_left,
+        "glass": scene.glass.tolist(),
+        "walkers": [as_table(walk) for walk in scene.walkers],
     }
 
 

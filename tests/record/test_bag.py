@@ -25,27 +25,6 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Tick]
     return folder, ticks, trace
 
 
-def test_messages_say_what_the_run_believed_and_planned(recorded):
-    from rosbags.highlevel import AnyReader
-
-    folder, _, trace = recorded
-    estimates, plans = [], []
-    with AnyReader([folder / "bag"]) as reader:
-        for connection, _, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            if connection.topic == "/estimate":
-                estimates.append(message)
-            elif connection.topic == "/plan":
-                plans.append(message)
-    for message, estimate in zip(estimates, trace.key_estimates, strict=True):
-        cov = message.pose.covariance.reshape(6, 6)
-        assert np.array_equal(cov[np.ix_((0, 1, 5), (0, 1, 5))], estimate.pose_cov)
-        assert np.count_nonzero(cov) == np.count_nonzero(estimate.pose_cov)
-        assert (message.pose.pose.position.x, message.pose.pose.position.y) == (estimate.pose.x, estimate.pose.y)
-    for message, plan in zip(plans, trace.plans, strict=True):
-        assert [(p.pose.position.x, p.pose.position.y) for p in message.poses] == [tuple(p) for p in plan.tolist()]
-
-
 def test_every_tick_comes_back_to_the_bit(recorded):
     folder, ticks, trace = recorded
     log = read_run(folder, CONFIG.laser)

@@ -3,20 +3,16 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-import sixthsense as ss
 from sixthsense import cli
-from sixthsense.config import Config, load_config, preset
-from sixthsense.core.geometry import Array, point_segment_distance, wrap_angle
+from sixthsense.config import Config, ConfigError, load_config, preset
 from sixthsense.evaluation.measure import measure
 from sixthsense.figures.plot import save_map
 from sixthsense.loop.run import run
 from sixthsense.record.folder import RunFolder
 from sixthsense.record.trace import Trace
-from sixthsense.record.writing import FolderError
-from sixthsense.sources.ros_map import read_map
+from sixthsense.record.writing import FolderError, FolderInUseError, FolderLock, whole
 
 CORNERS = {"landmarks": "corners"}
 CONFIG = preset(scene="rectangle", task="tour", max_time=15.0, seed=5, features=CORNERS)
@@ -57,10 +53,6 @@ def out(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path
     yield folder.out
 
 
-def tum(file: Path) -> Array:
-    return np.loadtxt(file, dtype=np.float64).reshape(-1, 8)
-
-
 def entries(folder: Path) -> list[str]:
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*"))
 
@@ -68,16 +60,6 @@ def entries(folder: Path) -> list[str]:
 def test_a_finished_folder_holds_every_file_and_nothing_beside_it(out: Path) -> None:
     assert entries(out) == sorted(FILES)
     assert [p.name for p in out.parent.iterdir()] == ["some"]
-
-
-def test_trajectories_are_those_of_the_run_to_the_last_digit(out: Path, trace: Trace) -> None:
-    truth, smoothed = tum(out / "truth.tum"), tum(out / "smoothed.tum")
-    assert np.array_equal(truth[:, 1:3], np.array(trace.truths)[:, :2])
-    headings = 2.0 * np.arctan2(truth[:, 6], truth[:, 7])
-    assert wrap_angle(headings - np.array(trace.truths)[:, 2]) == pytest.approx(0.0, abs=1e-12)
-    assert len(truth) == len(tum(out / "estimate.tum")) == len(trace.stamps_ns)
-    assert len(smoothed) == len(trace.key_stamps_ns)
-    assert set(smoothed[:, 0]) <= set(truth[:, 0])
 
 
 def test_metrics_have_the_keys_of_a_simulated_run_and_are_strict_json(out: Path) -> None:
@@ -89,29 +71,6 @@ def test_metrics_have_the_keys_of_a_simulated_run_and_are_strict_json(out: Path)
     assert values["outcome"] == "tour ended"
     assert 0.0 <= values["coverage"] <= 1.0
     assert values["sim_time_s"] == pytest.approx(CONFIG.max_time, abs=0.2)
-
-
-def test_the_joint_covariance_is_symmetric_and_positive_and_goes_with_its_mean(out: Path, trace: Trace) -> None:
-    with np.load(out / "landmarks.npz") as joint:
-        ids, kinds, mean, covariance = (joint[name] for name in ("ids", "kinds", "mean", "covariance"))
-    assert len(ids) == len(kinds) > 0
-    assert mean.shape == (3 + 2 * len(ids),)
-    assert covariance.shape == (len(mean), len(mean))
-    assert np.array_equal(covariance, covariance.T)
-    assert np.linalg.eigvalsh(covariance)[0] > -1e-12
-    assert mean[:3].tolist() == trace.final.pose.array().tolist()
-    assert np.array_equal(covariance[:3, :3], trace.final.pose_cov)
-
-
-def test_the_map_is_read_back_with_walls_near_the_true_ones(out: Path, trace: Trace) -> None:
-    assert trace.scene is not None
-    walls = read_map(out / "map.yaml", unknown="free")
-    middles = walls.mean(axis=1)
-    off = np.array([point_segment_distance(point, trace.scene.walls).min() for point in middles])
-    assert off.max() < 0.12
-    for a, b in trace.scene.walls:
-        for point in a + np.linspace(0.1, 0.9, 9)[:, None] * (b - a):
-            assert point_segment_distance(point, walls).min() < 0.12
 
 
 def test_until_it_is_finished_the_folder_is_called_partial_and_knows_its_configuration(tmp_path: Path) -> None:
@@ -143,6 +102,22 @@ def test_what_is_no_run_is_not_taken_for_a_killed_one(tmp_path: Path) -> None:
 
 # --- a run replaces an earlier run, and nothing else
 
+BEGIN = '{"format":1,"radius_m":0.2,"scene":null}\n'
+WRITTEN = [
+    *FILES, "truth.tum", "places_left.csv", "bag/bag_0.mcap", "bag/metadata.yaml", "figures/report.html",
+    "figures/animation.gif", "figures/map.svg", "figures/error.pdf", "figures/rpe.png", "figures/nees.png",
+    "figures/nis.png", "figures/stages.png", "figures/coverage.png", "figures/exploration.png",
+]  # fmt: skip
+"""what runs and their reports write, at most"""
+
+
+def made(out: Path, seed: int = 1) -> Path:
+    """The folder of a run that has begun its record."""
+    folder = RunFolder(out, Config(seed=seed))
+    (folder.partial / "record.jsonl").write_text(BEGIN)
+    folder.finish()
+    return out
+
 
 def content(folder: Path) -> dict[str, bytes | None]:
     return {str(path.relative_to(folder)): path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
@@ -152,33 +127,85 @@ def seed_of(folder: Path) -> int:
     return load_config(folder / "config.toml").seed
 
 
+def test_a_folder_with_all_that_runs_and_their_reports_write_is_replaced(here: Path) -> None:
+    out = made(here / "x")
+    for name in {*WRITTEN} - {"config.toml", "record.jsonl", "figures"}:
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text("by a run")
+    with RunFolder(out, Config(seed=2), overwrite=True) as folder:
+        folder.finish()
+    assert entries(out) == ["config.toml"] and seed_of(out) == 2
+    assert [path.name for path in here.iterdir()] == ["x"]
+
+
 FOREIGN = {
-    "cargo": {"config.toml": "[net]\n", "registry/index": "crates"},
-    "saved settings": {"config.toml": "seed = 3\n[versions]\nsixthsense = '0.1'\n"},
-    "notes": {"notes.txt": "mine"},
+    "a file": {"notes.txt": "mine"},
     "a figure": {"figures/mine.png": "mine"},
+    "a figure of another form": {"figures/map.txt": "mine"},
+    "a figure elsewhere": {"map.png": "mine"},
     "a second bag": {"bag/bag_1.mcap": "mine"},
     "a folder": {"more/": ""},
     "a folder named as a file": {"map.pgm/": ""},
+    "other settings": {"config.toml": "[net]\n"},
+    "saved settings of no version": {"config.toml": "seed = 3\n[versions]\nsixthsense = 1\n"},
+    "another record": {"record.jsonl": '{"a": 1}\n'},
 }
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_what_no_run_has_written_is_never_removed(name, here, complaint):
-    out = here / "x"
-    if not name.startswith(("cargo", "saved")):
-        ss.run("rectangle", task="tour", max_time=2.0, out=out)
-        (out / "map.pgm").unlink()
+def test_what_no_run_has_written_is_never_removed(name: str, here: Path) -> None:
+    out = made(here / "x")
     for file, text in FOREIGN[name].items():
-        if file.endswith("/"):
-            (out / file).mkdir(parents=True)
-        else:
-            (out / file).parent.mkdir(parents=True, exist_ok=True)
-            (out / file).write_text(text)
+        (out / file).parent.mkdir(exist_ok=True)
+        (out / file).mkdir() if file.endswith("/") else (out / file).write_text(text)
     before = content(here)
-    said = complaint(*RUN, "--out", "x", "--overwrite")
-    assert said.startswith("--out: x is not a run folder, it holds ") and "allowed: " in said
+    with pytest.raises(FolderError, match=r"^--out: .*x is not a run folder, it holds "):
+        RunFolder(out, Config(), overwrite=True)
     assert content(here) == before
+
+
+@pytest.mark.parametrize("name", ["link", "file", "link to the old run", "partial link", "no overwrite", "no name"])
+def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) -> None:
+    made(here / "other")
+    out = here / "x"
+    if name == "file":
+        out.write_text("mine")
+    elif name == "partial link":
+        (here / "x.partial").symlink_to("other")
+    elif name.startswith("link"):
+        out.symlink_to("other")
+    elif name == "no overwrite":
+        made(out)
+    before = content(here)
+    with pytest.raises(FolderError, match=r"^--out: "):
+        RunFolder(Path("..") if name == "no name" else out, Config(), overwrite=name != "no overwrite")
+    assert content(here) == before
+
+
+@pytest.mark.parametrize(
+    ("error", "has_record", "is_left"),
+    [
+        (ConfigError("bad"), False, False),
+        (ConfigError("bad"), True, True),
+        (KeyboardInterrupt(), False, False),
+        (RuntimeError("a bug"), False, True),
+    ],
+)
+def test_bad_input_before_the_first_record_leaves_nothing_and_all_else_leaves_the_evidence(
+    error: BaseException, has_record: bool, is_left: bool, here: Path
+) -> None:
+    with pytest.raises(type(error)), RunFolder(here / "x", Config()) as folder:
+        (folder.partial / "record.jsonl").write_text(BEGIN if has_record else "")
+        raise error
+    assert (here / "x.partial").exists() is is_left and not (here / ".x.lock").exists()
+
+
+def test_a_folder_that_has_meanwhile_become_something_else_is_not_replaced(here: Path) -> None:
+    with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder:
+        (here / "x" / "notes.txt").write_text("mine")
+        with pytest.raises(FolderError, match=r"holds notes.txt.*; the run is in .*x.partial$"):
+            folder.finish()
+    assert seed_of(here / "x") == 1 and seed_of(here / "x.partial") == 2
 
 
 def test_the_second_of_two_runs_into_one_folder_is_told(here, complaint):
@@ -191,19 +218,18 @@ def test_the_second_of_two_runs_into_one_folder_is_told(here, complaint):
 
 
 def test_what_a_killed_run_has_recorded_is_kept_under_another_name_and_the_user_is_told(here, capsys):
-    ss.run("rectangle", task="tour", max_time=2.0, seed=1, out="x")
-    (here / "x").rename(here / "x.partial")
-    assert cli.main([*RUN, "--seed", "2", "--out", "x"]) == cli.DONE
-    assert "note: x.partial of a killed run is kept as x.1.partial\n" in capsys.readouterr().err
-    assert (seed_of(here / "x"), seed_of(here / "x.1.partial")) == (2, 1)
-    assert len(ss.load("x.1.partial").trace.estimates) > 10
-    (here / "x.1.partial").rename(here / "y.partial")
-    with pytest.warns(UserWarning, match=r"y.partial of a killed run is kept as y.1.partial"):
-        ss.run("rectangle", task="tour", max_time=2.0, out="y")
+    for seed in (1, 2):
+        made(here / "killed", seed).rename(here / "x.partial")
+        assert cli.main([*RUN, "--seed", "3", "--out", "x", "--overwrite"]) == cli.DONE
+        assert f"note: x.partial of a killed run is kept as x.{seed}.partial\n" in capsys.readouterr().err
+    assert [seed_of(here / name) for name in ("x", "x.1.partial", "x.2.partial")] == [3, 1, 2]
+    with RunFolder(here / "y", Config(seed=4)):
+        pass  # killed before its first record
+    with RunFolder(here / "y", Config(seed=5)) as folder:
+        assert folder.notes == [] and seed_of(folder.partial) == 5
 
 
 def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, monkeypatch):
-    ss.run("rectangle", task="tour", max_time=2.0, seed=1, out="x")
     rename = Path.rename
 
     def failing(path: Path, target: Path) -> Path:
@@ -211,9 +237,10 @@ def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, mon
             raise PermissionError(13, "Permission denied")
         return rename(path, target)
 
-    with monkeypatch.context() as patch, pytest.raises(PermissionError):
+    with RunFolder(made(here / "x"), Config(seed=2), overwrite=True) as folder, monkeypatch.context() as patch:
         patch.setattr(Path, "rename", failing)
-        ss.run("rectangle", task="tour", max_time=2.0, seed=2, out="x", overwrite=True)
+        with pytest.raises(PermissionError):
+            folder.finish()
     assert (seed_of(here / "x"), seed_of(here / "x.partial")) == (1, 2)
     assert sorted(path.name for path in here.iterdir()) == ["x", "x.partial"]
 
@@ -221,7 +248,7 @@ def test_an_old_run_is_restored_where_the_new_one_cannot_take_its_name(here, mon
 @pytest.mark.parametrize("new_has_its_name", [False, True])
 def test_a_replacement_that_was_killed_is_completed_by_the_next_run(new_has_its_name, here):
     for name, seed in (("x" if new_has_its_name else "x.partial", 2), (".x.replaced", 1)):
-        ss.run("rectangle", task="tour", max_time=2.0, seed=seed, out=here / name)
+        made(here / name, seed)
     if new_has_its_name:
         (here / ".x.replaced" / "config.toml").unlink()  # half removed
     folder = RunFolder(here / "x", Config(seed=3), overwrite=True)
@@ -229,3 +256,32 @@ def test_a_replacement_that_was_killed_is_completed_by_the_next_run(new_has_its_
     assert len(folder.notes) == (0 if new_has_its_name else 2)
     assert not (here / ".x.replaced").exists()
     assert (here / "x.1.partial").exists() is not new_has_its_name
+
+
+def test_a_replacement_is_not_completed_over_what_someone_has_written_there(here: Path) -> None:
+    made(here / "x")
+    made(here / ".x.replaced", 2)
+    (here / ".x.replaced" / "notes.txt").write_text("mine")
+    with pytest.raises(FolderError, match=r"holds notes.txt, which no run writes, allowed: move it away"):
+        RunFolder(here / "x", Config(), overwrite=True)
+    assert (here / ".x.replaced" / "notes.txt").exists()
+
+
+def test_a_file_is_there_as_a_whole_or_not_at_all_and_its_error_names_it(here: Path) -> None:
+    with whole(here / "a.txt") as file:
+        file.write_text("new")
+        assert not (here / "a.txt").exists()
+    assert (here / "a.txt").read_text() == "new"
+    with pytest.raises(OSError) as told, whole(here / "a.txt") as file:
+        file.write_text("half")
+        raise OSError(28, "No space left on device")
+    assert told.value.filename == str(here / "a.txt")
+    assert (here / "a.txt").read_text() == "new" and [path.name for path in here.iterdir()] == ["a.txt"]
+
+
+def test_a_lock_leaves_no_folder_in_which_nothing_was_written(here: Path) -> None:
+    with FolderLock(here / "deep" / "run"):
+        with pytest.raises(FolderInUseError):
+            FolderLock(here / "deep" / "run")
+        assert entries(here) == ["deep", "deep/.run.lock"]
+    assert entries(here) == []

@@ -66,25 +66,6 @@ def test_a_simulated_run_is_read_back_with_its_metrics_and_figures(simulated):
     check_equal(simulated)
 
 
-def test_the_record_read_back_is_that_of_the_run_to_the_bit(simulated):
-    before, after = simulated.trace, ss.load(simulated.folder).trace
-    for name in ("estimates", "odometry", "truths", "since_key", "key_truths", "trajectory", "joint_cov"):
-        assert np.array_equal(getattr(before, name), getattr(after, name))
-    for name in ("stamps_ns", "key_stamps_ns", "last_key", "outcome", "path_length_m", "left", "culled", "rebuilds"):
-        assert getattr(before, name) == getattr(after, name)
-    assert before.stopwatch.rows == after.stopwatch.rows and before.stopwatch.totals == after.stopwatch.totals
-    assert all(np.array_equal(a, b) for a, b in zip(before.plans, after.plans, strict=True))
-    assert all(np.array_equal(a, b) for a, b in zip(before.walls_found, after.walls_found, strict=True))
-    for one, two in zip(before.associations, after.associations, strict=True):
-        assert (one.nis, one.dof, one.discarded) == (two.nis, two.dof, two.discarded)
-        assert list(one.observations) == list(two.observations)
-        for a, b in zip(one.observations.values(), two.observations.values(), strict=True):
-            assert (a.kind, a.z.tolist(), a.cov.tolist(), a.extent) == (b.kind, b.z.tolist(), b.cov.tolist(), b.extent)
-    assert {i: (r.kind, r.observations, r.sigma_m, r.shape) for i, r in before.records.items()} == {
-        i: (r.kind, r.observations, r.sigma_m, r.shape) for i, r in after.records.items()
-    }
-
-
 def test_the_map_read_back_takes_further_scans_as_the_runs_own(folder):
     from sixthsense.figures.recording import Recording
     from sixthsense.loop.run import run

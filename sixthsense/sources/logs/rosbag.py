@@ -268,10 +268,10 @@ def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tic
             clock = max(ends, clock + 1)
             ticks.append(Tick(clock, made))
         elif ticks and ticks[-1].scan is None and ends == odometry[last][0]:
-            ticks[-1] = replace(ticks[-1], scan=made, log_stamp_s=own / 1e9)
+            ticks[-1] = replace(ticks[-1], scan=made, log_stamp_s=own / 1_000_000_000)
         elif ticks:  # else the pose of the robot is not known yet
             clock = max(ends, clock + 1)
-            ticks.append(Tick(clock, _interpolate(odometry, last, ends), made, log_stamp_s=own / 1e9))
+            ticks.append(Tick(clock, _interpolate(odometry, last, ends), made, log_stamp_s=own / 1_000_000_000))
     if not any(tick.scan is not None for tick in ticks):
         raise LogError(f"{path}: found no scan after the first odometry, allowed: a log with both")
     return ticks

@@ -81,7 +81,9 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 # The message has the maximum range as a float32 only.
                 known = laser.max_range if np.float32(laser.max_range) == np.float32(message.range_max) else None
                 seen = scan(message, place, max_range=known)
-                ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=stamp_ns(message) / 1e9)
+                # Negative where the last beam was taken first, of which a message of another writer says nothing.
+                seen = replace(seen, time_increment=np.float32(message.time_increment))
+                ticks[-1] = replace(ticks[-1], scan=seen, log_stamp_s=stamp_ns(message) / 1_000_000_000)
     except InputError:
         raise
     except Exception as error:  # a message with valid checksums may still be invalid

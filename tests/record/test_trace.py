@@ -1,0 +1,109 @@
+"""What the loop adds to a trace, and what follows from it."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from traces import CONFIG, cov_of, observation_of, pose_of
+
+from sixthsense.config import merge
+from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind
+from sixthsense.core.motion import Odometry
+from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.record.trace import Live, Trace
+from sixthsense.slam.association.records import Association
+from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.features import NO_FEATURES
+from sixthsense.slam.front_end import Keyframe
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.result import Step
+
+WAY = [(1.5, -2.0), (4.5, 2.0), (9.5, 14.0), (9.5, 15.5)]  # 5 m, 13 m, 1.5 m
+CARRIED = np.diag([0.3**2, 1e-6, 1e-6])
+
+
+@pytest.fixture
+def trace() -> Trace:
+    return Trace(CONFIG, None, 0.23)
+
+
+@pytest.mark.parametrize("has_truth", [True, False])
+def test_the_way_is_that_of_the_true_pose_if_there_is_one_and_leaves_out_where_the_robot_was_carried(
+    has_truth: bool, trace: Trace
+) -> None:
+    for k, place in enumerate(WAY):
+        other = Pose(-7.0 * k, 3.0)
+        truth, odometry = (Pose(*place), other) if has_truth else (None, Pose(*place))
+        trace.add_tick(Tick(k, Pose(5.0 * k), truth=truth), odometry, is_carried=k == 2)
+    assert trace.path_length_m == pytest.approx(6.5) and trace.last_position == pytest.approx(WAY[-1])
+
+
+def test_the_way_of_ticks_at_once_is_that_of_the_same_ticks_one_by_one(trace: Trace) -> None:
+    trace.add_tick(Tick(0, Pose(), truth=Pose(*WAY[0])), Pose())
+    truths = np.array([(*place, 0.7) for place in WAY[1:]])
+    covs = np.array([np.eye(3) * 1e-6, CARRIED, np.eye(3) * 1e-6])
+    trace.add_ticks(ControlTicks(np.arange(3), -truths, truths, truths, covs, np.zeros(3, bool)))
+    assert trace.path_length_m == pytest.approx(6.5) and trace.last_position == pytest.approx(WAY[-1])
+
+
+def test_a_scan_and_its_keyframe_are_added_with_what_was_believed_before_and_after(trace: Trace) -> None:
+    rng = np.random.default_rng(3)
+    motion = Odometry(pose_of(rng), cov_of(rng))
+    predicted, estimate = (Estimate.of_pose(pose_of(rng), cov_of(rng)) for _ in range(2))
+    found = Association({4: observation_of(rng, Kind.END)}, 3, 2.5, 2, 1)
+    features = dataclasses.replace(NO_FEATURES, walls=rng.normal(size=(2, 2, 2)))
+    keyframe = Keyframe(motion, predicted, estimate, found, features)
+    people = rng.normal(size=(2, 3))
+    poses = [pose_of(rng) for _ in range(8)]
+    grid = Grid(CONFIG.grid, 0.23)
+    before = Step(5, poses[0], poses[1], None, poses[2], cov_of(rng), None, None, grid)
+    trace.add_scan(Tick(5, poses[3], truth=poses[4], walkers=people, touches=(1, 2)), before)
+    tick = Tick(9, poses[3], truth=poses[7], walkers=2 * people, touches=(3, 5), log_stamp_s=1.25)
+    trace.add_keyframe(tick, keyframe)
+    trace.add_scan(tick, Step(9, poses[5], poses[6], motion, Pose(), cov_of(rng), None, keyframe, grid))
+    assert trace.stamps_ns == [5, 9] and np.array_equal(trace.log_stamps_s, [np.nan, 1.25], equal_nan=True)
+    rows = {"estimates": (0, 5), "odometry": (1, 6), "truths": (4, 7)}
+    for name, indices in rows.items():
+        assert np.array_equal(getattr(trace, name), [poses[k].array() for k in indices]), name
+    assert np.array_equal(trace.since_key, [poses[2].array(), np.zeros(3)]) and trace.last_key == [-1, 0]
+    assert np.array_equal(trace.walkers, [people, 2 * people]) and trace.touches == (3, 5)
+    assert trace.key_stamps_ns == [9] and np.array_equal(trace.key_truths, [poses[7].array()])
+    for found_one, expected in ((trace.key_predicted[0], predicted), (trace.key_estimates[0], estimate)):
+        assert found_one.pose == expected.pose and np.array_equal(found_one.pose_cov, expected.pose_cov)
+    assert trace.key_odometry == [motion] and trace.associations == [found]
+    assert np.array_equal(trace.walls_found[0], features.walls)
+
+
+def test_no_path_leads_to_a_scan_before_which_the_robot_was_carried(trace: Trace) -> None:
+    rolled = Odometry(Pose(0.2, 0.1, 0.3), 1e-6 * np.eye(3))
+    trace.key_odometry = [Odometry(Pose(), CARRIED), rolled, Odometry(Pose(3.0, 1.0, 0.4), CARRIED), rolled]
+    trace.last_key = [0, 0, 1, 2, 2, 3]
+    assert trace.carried_scans() == [3]  # the first keyframe is where the run begins
+    trace.config = merge(CONFIG, {"no_odometry": True})
+    assert trace.carried_scans() == []
+
+
+def test_a_scan_is_at_the_final_pose_of_its_keyframe_and_the_motion_since(trace: Trace) -> None:
+    rng = np.random.default_rng(7)
+    trace.trajectory = np.array([pose_of(rng).array() for _ in range(3)])
+    trace.last_key, trace.since_key = [0, 2, 1], [pose_of(rng).array() for _ in range(3)]
+    for found, k, (x, y, turn) in zip(trace.scan_poses(), trace.last_key, trace.since_key, strict=True):
+        x0, y0, theta = trace.trajectory[k]
+        place = complex(x0, y0) + np.exp(1j * theta) * complex(x, y)
+        assert [found[0], found[1]] == pytest.approx([place.real, place.imag])
+        assert np.exp(1j * found[2]) == pytest.approx(np.exp(1j * (theta + turn)))
+
+
+def test_covariances_of_points_are_their_blocks_of_the_joint_covariance() -> None:
+    rng = np.random.default_rng(11)
+    joint, ids = cov_of(rng, 9), np.array([7, 4, 9])
+
+    class Known:
+        def joint_covariance(self, wanted: list[int]) -> np.ndarray:
+            rows = [0, 1, 2, *(3 + 2 * ids.tolist().index(i) + part for i in wanted for part in (0, 1))]
+            return joint[np.ix_(rows, rows)]
+
+    estimate = Estimate(pose_of(rng), joint[:3, :3], ids, rng.normal(size=(3, 2)), np.array([False, True, False]))
+    found = Live(Known(), {}, None).point_covariances(estimate)  # type: ignore[arg-type]
+    assert np.array_equal(found, [joint[3:5, 3:5], joint[7:9, 7:9]])
