@@ -47,7 +47,7 @@ def log_row(name: str, data: Path, no_odometry: bool) -> list[str]:
             if tick.log_stamp_s is not None:
                 stamps.append(tick.log_stamp_s)
                 keys.append(key)
-                since.append(step.since_keyframe.array())
+                since.append(step.since.motion.array())
                 tracked[tick.log_stamp_s] = float(np.linalg.eigvalsh(front_end._since.cov[:2, :2])[-1])
         result = slam.finish()
         motions = np.array(since) if result.since_key is None else result.since_key

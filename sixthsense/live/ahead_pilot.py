@@ -7,7 +7,7 @@ from sixthsense.core.source import Command
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
-from sixthsense.slam.slam import Step
+from sixthsense.slam.result import Step
 
 
 class AheadPilot(Pilot):

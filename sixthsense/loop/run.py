@@ -20,7 +20,8 @@ from sixthsense.navigation.navigator import Navigator
 from sixthsense.navigation.pilot import Pilot
 from sixthsense.record.trace import Live, Stopwatch, Trace
 from sixthsense.slam.prior_map import PriorMapError, PriorStart, check_usable
-from sixthsense.slam.slam import Slam, Step
+from sixthsense.slam.result import Step
+from sixthsense.slam.slam import Slam
 from sixthsense.sources.logs.log import Log, Relations, RewindableSource
 from sixthsense.sources.mission import Mission, mission_of
 from sixthsense.sources.replay_input import recorded_scene
@@ -44,11 +45,11 @@ def drive(
     clock: Stopwatch,
 ) -> str:
     """Run until the task is over, a watcher ends it, or the source has no more ticks; returns the outcome."""
-    sense, steer = clock.timed("sense", source.step), clock.timed("plan", pilot.steer)
     command = Command()
-    while (tick := sense(command)) is not None:
+    while (tick := sensed(source, command, clock)) is not None:
         step = slam.take(tick)
-        command = steer(step)
+        with clock.stage("plan"):
+            command = pilot.steer(step)
         outcome: str | None = "collided" if tick.collided else pilot.navigator.outcome
         for watch in watchers:
             ended = watch(tick, step, command)
@@ -56,6 +57,12 @@ def drive(
         if outcome is not None:
             return outcome
     return "log ended"
+
+
+def sensed(source: Source, command: Command, clock: Stopwatch) -> Tick | None:
+    """The next tick of a source, timed."""
+    with clock.stage("sense"):
+        return source.step(command)
 
 
 class Deadline:
@@ -87,7 +94,7 @@ class Recorder:
         trace, keyframe = self._trace, step.keyframe
         trace.stopwatch.end_tick(keyframe is not None)
         assert trace.live is not None
-        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since_cov
+        trace.live.scan, trace.live.since_cov = step.scan or trace.live.scan, step.since.cov
         if keyframe is not None:
             trace.live.features = keyframe.features
             trace.add_keyframe(tick, keyframe)
@@ -189,7 +196,7 @@ def find_start(
         return NOWHERE if relocalizer.driven_m > MOST_DRIVEN_M else None if start is None else "located"
 
     pilot, clock = Pilot(navigator, Guard(config, radius_m)), Stopwatch()
-    with Slam(config, Pose(), radius_m=radius_m, timed=clock.timed) as slam, deferred_interrupt() as interrupted:
+    with Slam(config, Pose(), radius_m=radius_m, clock=clock.stage) as slam, deferred_interrupt() as interrupted:
         watchers: list[Watcher] = [search, lambda *_: "interrupted" if interrupted() else None]
         if config.max_time is not None:
             watchers.append(Deadline(config.max_time, "out of time"))
@@ -246,13 +253,13 @@ def recorded_drive(
 def _slam(start: Pose, trace: Trace, clock: Stopwatch, prior: PriorStart | None) -> Slam:
     """SLAM from `start`, or from a prior map and the start in it."""
     if prior is None:
-        return Slam(trace.config, start, radius_m=trace.radius_m, timed=clock.timed)
+        return Slam(trace.config, start, radius_m=trace.radius_m, clock=clock.stage)
     trace.prior_map = prior.note()
     return Slam(
         trace.config,
         prior.pose or start,
         start_cov=prior.cov,
         radius_m=trace.radius_m,
-        timed=clock.timed,
+        clock=clock.stage,
         prior_map=prior.map,
     )

@@ -6,7 +6,7 @@ from sixthsense.core.geometry import Pose
 from sixthsense.core.source import Command
 from sixthsense.navigation.guard import Guard
 from sixthsense.navigation.navigator import Navigator
-from sixthsense.slam.slam import Step
+from sixthsense.slam.result import Step
 
 _PATIENCE_NS = 3_000_000_000
 """time that a stopped robot waits for what moves, before it seeks another way"""

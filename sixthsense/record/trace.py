@@ -5,7 +5,8 @@ from __future__ import annotations
 import functools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,15 +24,14 @@ from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association, Record
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import Features
-from sixthsense.slam.front_end import LoopClosureCounts, PoseLinks
+from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.slam import Keyframe, Step
+from sixthsense.slam.result import Step
 from sixthsense.sources.logs.log import Relations
 from sixthsense.sources.scene import Scene
 
 STAGES = (
     "sense",
-    "ticks",
     "extract",
     "associate",
     "predict",
@@ -55,19 +55,14 @@ class Stopwatch:
         self._row: dict[str, float] = {}
         self._waited = 0.0  # milliseconds that no stage counts
 
-    def timed(self, stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        """The function, each of whose calls adds its time to `stage`."""
-
-        @functools.wraps(function)
-        def call(*args: Any) -> Any:
-            began, waited = time.perf_counter(), self._waited
-            out = function(*args)
-            elapsed = 1e3 * (time.perf_counter() - began) - (self._waited - waited)
-            self._row[stage] = self._row.get(stage, 0.0) + elapsed
-            self.totals[stage] += elapsed
-            return out
-
-        return call
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time within to a stage."""
+        began, waited = time.perf_counter(), self._waited
+        yield
+        elapsed = 1e3 * (time.perf_counter() - began) - (self._waited - waited)
+        self._row[name] = self._row.get(name, 0.0) + elapsed
+        self.totals[name] += elapsed
 
     def waiting(self, function: Callable[..., Any]) -> Callable[..., Any]:
         """The function, whose time no stage counts that calls it: it waits for something."""
@@ -239,7 +234,7 @@ class Trace:
             self.walkers.append(tick.walkers)
             self.touches = tick.touches
         self.last_key.append(len(self.key_stamps_ns) - 1)
-        self.since_key.append(step.since_keyframe.array())
+        self.since_key.append(step.since.motion.array())
 
     def add_keyframe(self, tick: Tick, keyframe: Keyframe) -> None:
         """Record a keyframe after its update."""

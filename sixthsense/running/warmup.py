@@ -93,7 +93,7 @@ def _warm_up_drive() -> Trace:
     assert tick is not None and tick.scan is not None
     extract(deskew(tick.scan), config.assumed, config.features, rng)
     mapper = Mapper(config.grid, 0.2)
-    mapper.add(lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
+    mapper.add(0, lambda: np.zeros((1, 3)), tick.scan, np.zeros((0, 2, 2)))
     mapper.grid.free_space(margin_m=0.1, within=Ellipse(np.zeros(2), np.ones(2), 1.0))
     mapper.grid.compose([mapper.grid.submap()])
     _warm_up_choice()

@@ -1,30 +1,57 @@
-"""The interface of front ends: what makes measurements for the estimator of a tick's odometry and scan."""
+"""The interface of front ends: what makes measurements for the estimator of a tick's motion and scan."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sixthsense.config import Config, ConfigError, KeyframeConfig
+from sixthsense.config.names import KEEP_POSES
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.core.source import Tick
+from sixthsense.core.random_streams import random_streams
+from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate
+from sixthsense.slam.estimators import Estimate, Estimator, Smoother
 from sixthsense.slam.features import NO_FEATURES, Features
+from sixthsense.slam.motion_source import MotionSource, Wheels
 
-Timed = Callable[[str, Callable[..., Any]], Callable[..., Any]]
-"""From the name of a stage and its function to the function that runs in its place."""
+Clock = Callable[[str], AbstractContextManager[object]]
+"""Times a stage: `with clock("extract"):`"""
+
+
+def untimed(stage: str) -> AbstractContextManager[object]:
+    """A clock that measures nothing."""
+    return nullcontext()
+
+
+class Evidence(NamedTuple):
+    """What a tick brings to a front end."""
+
+    increment: Odometry | None
+    """motion since the tick before; None at the first"""
+    scan: Scan | None
+    """de-skewed; all returns"""
+    still: Scan | None
+    """the same without the returns of what moves"""
+    observations: Mapping[LandmarkId, Observation]
+    """of landmarks that the log identifies"""
 
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
     """What one keyframe contributed."""
 
+    index: int
+    """its row in the trajectory"""
     motion: Odometry
     """since the keyframe before"""
     predicted: Estimate
@@ -35,6 +62,8 @@ class Keyframe:
     """which observation is of which landmark"""
     features: Features = NO_FEATURES
     """walls and landmarks that were extracted from the scan, robot's frame"""
+    loop_closures: LoopClosureCounts | None = None
+    """what the search for old places has come to so far; None for a front end that does not search"""
 
 
 class LoopClosureCounts(NamedTuple):
@@ -59,6 +88,17 @@ class PoseLinks(NamedTuple):
     """(m, 3, 3) of their errors, axes of the first frame"""
 
 
+class Finished(NamedTuple):
+    """What a front end knows after the last tick."""
+
+    estimate: Estimate
+    """at the last tick"""
+    since_key: Array | None = None
+    """(S, 3) motion from the last keyframe to each scan, if that is known better now than when the scan was taken"""
+    links: PoseLinks | None = None
+    """between keyframes, as the estimator has them; None for a front end that makes none"""
+
+
 class FrontEnd(Protocol):
     """From ticks to what the estimator is given."""
 
@@ -68,31 +108,42 @@ class FrontEnd(Protocol):
         ...
 
     @property
-    def since_keyframe(self) -> Pose:
-        """Motion since the last keyframe."""
+    def since(self) -> Odometry:
+        """Motion since the last keyframe, and (3, 3) of its error, axes of the keyframe."""
         ...
 
-    @property
-    def since_cov(self) -> Array:
-        """(3, 3) of that motion's error, axes of the keyframe."""
+    def take(self, evidence: Evidence) -> Keyframe | None:
+        """Process what a tick has brought; its keyframe, if it is one."""
         ...
 
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
-        """Process a tick with its de-skewed scan and the motion since the tick before; its keyframe, if it is one."""
+    def finish(self) -> Finished:
+        """Predict up to the last tick."""
         ...
 
-    @property
-    def loop_closure_counts(self) -> LoopClosureCounts | None:
-        """What the search for old places has come to so far; None for a front end that does not search."""
-        ...
 
-    def links(self) -> PoseLinks | None:
-        """The links between keyframes that the estimator has; None for a front end that makes none."""
-        ...
+def is_due(motion: Pose, odometry: Odometry, limits: KeyframeConfig) -> bool:
+    """Whether a scan after this `motion` since the last keyframe is far enough to be one; `odometry` since then."""
+    is_far = math.hypot(motion.x, motion.y) >= limits.distance_m or abs(motion.theta) >= limits.turn_rad
+    return is_far and not odometry.is_standstill()
 
-    def finish(self) -> Array | None:
-        """Predict up to the last tick.
 
-        (S, 3) motion from the last keyframe to each scan, if that is known better now than when the scan was taken.
-        """
-        ...
+def make_front_end(
+    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: MotionSource, clock: Clock
+) -> FrontEnd:
+    """The configured front end at `start`, `T_world_robot`; ConfigError for one that the estimator cannot use."""
+    if config.front_end == "scan-matching":
+        if not isinstance(estimator, Smoother):
+            raise ConfigError(f"front_end: found scan-matching with {config.estimator}, {KEEP_POSES}")
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+        return ScanFrontEnd(config, estimator, start, motion, clock)
+    from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
+
+    guide = None
+    if config.association.proposed_by == "scan-matching":
+        from sixthsense.slam.estimators.isam2 import ISAM2
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
+        guide = ScanFrontEnd(config, smoother, start, Wheels(config.assumed), clock, is_guide=True)
+    return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

@@ -1,24 +1,32 @@
-"""The front end of landmarks: predict, extract, associate, update."""
+"""The front end of landmarks: predict, extract, associate, update.
+
+A guide, the front end of scans with a graph of its own, may propose where the robot is. What it says is used to choose
+matches, and to doubt the wheels where they slip. The estimator is given odometry and observations, as without it: no
+aligned pose is a measurement.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sixthsense.config import Config
-from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan
-from sixthsense.core.motion import Odometry
-from sixthsense.core.source import Tick
+from sixthsense.core.geometry import Pose
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.slam.association.associator import Associator
+from sixthsense.slam.association.proposed import ProposedLandmarks
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate, Estimator
 from sixthsense.slam.features import NO_FEATURES, Features, extract
-from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
-from sixthsense.slam.keyframes import Keyframes
+from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, is_due
+
+if TYPE_CHECKING:
+    from sixthsense.slam.scans.front_end import ScanFrontEnd
 
 
 class LandmarkFrontEnd:
-    """Observations of landmarks in keyframes, which are selected by odometry."""
+    """Observations of landmarks in keyframes, which odometry selects, or the guide."""
 
     def __init__(
         self,
@@ -27,16 +35,19 @@ class LandmarkFrontEnd:
         associator: Associator,
         ransac_rng: np.random.Generator,
         start: Pose,
-        timed: Timed,
+        clock: Clock,
+        guide: ScanFrontEnd | None = None,
     ) -> None:
         """Begin at `start`, `T_world_robot`."""
         self._config, self._estimator, self._associator = config, estimator, associator
-        self._ransac_rng, self._pose = ransac_rng, start
-        self._keyframes = Keyframes(config.keyframes)
-        self._predict = timed("predict", estimator.predict)
-        self._extract = timed("extract", self._extracted)
-        self._associate = timed("associate", self._associated)
-        self._update = timed("update", self._updated)
+        self._ransac_rng, self._pose, self._clock = ransac_rng, start, clock
+        self._since = STANDSTILL
+        """odometry since the last keyframe"""
+        self._keyframes = 0
+        self._guide = guide
+        self._proposed = ProposedLandmarks()
+        self._is_at_guide = True
+        """whether the last keyframe is one of the guide's, not of observations that the log gives"""
 
     @property
     def pose(self) -> Pose:
@@ -44,59 +55,79 @@ class LandmarkFrontEnd:
         return self._pose
 
     @property
-    def since_keyframe(self) -> Pose:
+    def since(self) -> Odometry:
         """Odometry since the last keyframe."""
-        return self._keyframes.since.motion
+        return self._since
 
-    @property
-    def since_cov(self) -> Array:
-        """(3, 3) of that motion's error, axes of the keyframe."""
-        return self._keyframes.since.cov
-
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+    def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: on keyframes, observations are extracted, matched with landmarks and fused."""
-        if increment is not None:
-            self._keyframes.moved(increment)
-            self._pose = self._pose @ increment.motion
-        motion = self._motion_to(tick, scan, increment)
+        if evidence.increment is not None:
+            self._since = self._since.then(evidence.increment)
+            self._pose = self._pose @ evidence.increment.motion
+        motion = self._keyframe_motion(evidence)
         if motion is None:
             return None
-        self._predict(motion)
-        features = NO_FEATURES if scan is None else self._extract(scan)
-        association = self._associate(features, tick)
+        with self._clock("predict"):
+            self._estimator.predict(motion)
+        features = NO_FEATURES
+        if evidence.scan is not None:
+            with self._clock("extract"):
+                features = extract(evidence.scan, self._config.assumed, self._config.features, self._ransac_rng)
+        with self._clock("associate"):
+            association = self._associated(features, evidence)
         if association.slip is not None:
-            self._predict(association.slip)
+            self._estimator.predict(association.slip)
             motion = motion.then(association.slip)
         predicted = self._estimator.estimate()
-        estimate = self._update(association)
-        self._pose = estimate.pose
-        return Keyframe(motion, predicted, estimate, association, features)
+        with self._clock("update"):
+            estimate = self._updated(association)
+        self._pose, index, self._keyframes = estimate.pose, self._keyframes, self._keyframes + 1
+        if self._guide is not None and evidence.scan is not None:
+            seen, records = association.observations, self._associator.records
+            self._proposed.remember(self._guide.newest, estimate, seen, records)
+        counts = None if self._guide is None else self._guide.counts
+        return Keyframe(index, motion, predicted, estimate, association, features, counts)
 
-    @property
-    def loop_closure_counts(self) -> LoopClosureCounts | None:
-        """None: old places are found by their landmarks alone."""
-        return None
-
-    def links(self) -> PoseLinks | None:
-        """None: landmarks make no links."""
-        return None
-
-    def finish(self) -> Array | None:
+    def finish(self) -> Finished:
         """Predict up to the last tick."""
-        self._estimator.predict(self._keyframes.take())
-        return None
+        self._estimator.predict(self._taken())
+        return Finished(self._estimator.estimate())
 
-    def _motion_to(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
-        """The motion since the last keyframe, if this tick's evidence is used."""
-        return self._keyframes.take() if self._keyframes.due(tick) else None
+    def _taken(self) -> Odometry:
+        """The motion since the last keyframe; the sum starts again from zero."""
+        since, self._since = self._since, STANDSTILL
+        return since
 
-    def _extracted(self, scan: Scan) -> Features:
-        return extract(scan, self._config.assumed, self._config.features, self._ransac_rng)
+    def _keyframe_motion(self, evidence: Evidence) -> Odometry | None:
+        """The motion since the last keyframe, if this tick's evidence is used.
 
-    def _associated(self, features: Features, tick: Tick) -> Association:
-        if features is NO_FEATURES:
-            return self._associator.known(tick.observations or {}, self._estimator)
-        return self._associator.associate(features.observations, self._estimator)
+        A scan is used after enough motion, or where it is one of the guide's keyframes; named observations always are.
+        """
+        if self._guide is not None:
+            guided = self._guide.take(evidence)
+            if evidence.scan is not None:
+                return None if guided is None else self._guided_motion(guided)
+        elif evidence.scan is not None:
+            is_used = self._keyframes == 0 or is_due(self._since.motion, self._since, self._config.keyframes)
+            return self._taken() if is_used else None
+        if not evidence.observations:
+            return None
+        self._is_at_guide = False
+        return self._taken()
+
+    def _guided_motion(self, guided: Keyframe) -> Odometry:
+        """The guide's motion since its own last keyframe; the wheels' where observations were used since."""
+        by_wheels, is_since_guide = self._taken(), self._is_at_guide
+        self._is_at_guide = True
+        return guided.motion if is_since_guide else by_wheels
+
+    def _associated(self, features: Features, evidence: Evidence) -> Association:
+        if evidence.scan is None:
+            return self._associator.match_named(evidence.observations, self._estimator)
+        if self._guide is None:
+            return self._associator.associate(features.observations, self._estimator)
+        self._proposed.place(self._guide.proposal(), self._estimator.estimate())
+        return self._associator.associate(features.observations, self._estimator, self._proposed)
 
     def _updated(self, association: Association) -> Estimate:
         self._estimator.update(association.observations)

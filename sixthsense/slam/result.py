@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from sixthsense.config.removed import OldName
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId
 from sixthsense.core.laser import Scan
@@ -31,10 +30,8 @@ class Step:
     """`T_world_robot` by odometry alone"""
     increment: Odometry | None
     """motion since the last tick; None at the first"""
-    since_keyframe: Pose
-    """motion since the last keyframe"""
-    since_cov: Array
-    """(3, 3) of its error, axes of the keyframe; without odometry that of the guess from the last velocity"""
+    since: Odometry
+    """motion since the last keyframe; without odometry its covariance is that of the guess from the last velocity"""
     scan: Scan | None
     """de-skewed"""
     keyframe: Keyframe | None
@@ -43,7 +40,6 @@ class Step:
     """the map as it is now; the next keyframe changes it"""
     moving: Moving = NOTHING_MOVES
     """returns of what moves; none where people are not expected"""
-    key_scan = OldName("key_scan", "keyframe")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,4 +70,3 @@ class SlamResult:
     """between keyframes, as the estimator has them, of a front end that makes them"""
     sensor: SensorEstimate | None = None
     """the parameters of the sensor of points, if they are estimated"""
-    revisits = OldName("revisits", "loop_closures")

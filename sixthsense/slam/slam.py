@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import copy
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,34 +14,25 @@ from threadpoolctl import threadpool_limits
 from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
-from sixthsense.config.removed import OldName
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
-from sixthsense.core.motion import STANDSTILL, Odometry, WheelOdometry, odometry
+from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.source import Tick
 from sixthsense.core.wheels import WheelEstimate, wheel_prior
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Filter, make_estimator
+from sixthsense.slam.estimators import Estimate, Estimator, Filter, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, Timed
-from sixthsense.slam.front_ends import make_front_end
-from sixthsense.slam.last_velocity import LastVelocity
+from sixthsense.slam.front_end import Clock, Evidence, Keyframe, LoopClosureCounts, make_front_end, untimed
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
+from sixthsense.slam.motion_source import CalibratedWheels, LastVelocity, MotionSource, Wheels
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
-from sixthsense.slam.named_observations import NamedObservations
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
-
-__all__ = ["Keyframe", "Slam", "SlamResult", "Step", "Timed", "untimed"]
-
-
-def untimed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function as it is, not timed."""
-    return function
+from sixthsense.slam.sensor_calibration import SensorCalibration
 
 
 class Slam:
@@ -64,42 +54,39 @@ class Slam:
         *,
         start_cov: Array | None = None,
         radius_m: float | None = None,
-        timed: Timed = untimed,
+        clock: Clock = untimed,
         prior_map: PriorMap | None = None,
     ) -> None:
         """Begin at `start`, `T_world_robot`, of covariance `start_cov` (3, 3), exactly known by default.
 
-        `radius_m` is of the disc that the robot is, by default the configuration's. `timed(stage, function)` returns
-        the function that runs in its place, to measure stage times. `prior_map` is of an earlier run in this building,
-        in whose frame the start is. Raises ConfigError for a configuration or start that it cannot be used with; the
-        first scan raises PriorMapError if it does not fit the map.
+        `radius_m` is of the disc that the robot is, by default the configuration's. `clock(stage)` is entered around
+        each stage, to measure its time. `prior_map` is of an earlier run in this building, in whose frame the start is.
+        Raises ConfigError for a configuration or start that it cannot be used with; the first scan raises PriorMapError
+        if it does not fit the map.
         """
-        self.config = config or Config()
-        self._start = start or Pose()
+        self.config = config = config or Config()
+        self._start, self._clock = start or Pose(), clock
         cov = np.zeros((3, 3)) if start_cov is None else start_cov
-        self.estimator = make_estimator(self.config.estimator, self._start, cov, self.config.isam2)
+        self._radius_m = config.robot.radius or DEFAULT_ROBOT_RADIUS_M if radius_m is None else radius_m
+        self.estimator = make_estimator(config.estimator, self._start, cov, config.isam2)
+        self._mapper = Mapper(config.grid, self._radius_m, config.safety.body_m)
         records = None if prior_map is None else prior_map.fresh_records()
-        self._radius_m = radius_m or self.config.robot.radius or DEFAULT_ROBOT_RADIUS_M
-        self._mapper = Mapper(self.config.grid, self._radius_m, self.config.safety.body_m)
-        self.associator = Associator(self.config.association, records, self._mapper.are_free)
-        self._deskew = Deskewer(self.config.features.deskew)
-        self._moving = MovingReturns(self.config.grid.no_return_passes) if self.config.people else None
-        self._wheels = self._make_wheels()
-        self._named = NamedObservations(self.config, self.estimator, self._start)
-        self._velocity = LastVelocity() if self.config.no_odometry else None
+        self.associator = Associator(config.association, records, self._mapper.are_free)
+        self._motion = motion_source(config, self.estimator)
+        self._deskew = Deskewer(config.features.deskew)
+        self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
+        self._sensor = SensorCalibration(config, self.estimator, self._start)
         self._unplaced = None if prior_map is None else (prior_map, cov)
         if prior_map is not None:
-            begin_with(prior_map, self.config, self.estimator, self._start, cov)
+            begin_with(prior_map, config, self.estimator, self._start, cov)
             self._mapper.start_from(prior_map.evidence)
-        self._front_end = make_front_end(
-            self.config, self.estimator, self.associator, self._start, timed, self._velocity
-        )
-        self._odometry: Pose | None = None
-        self._stamp_ns = 0
-        self._T_world_odom = Pose()
+        args = config, self.estimator, self.associator, self._start, self._motion, clock
+        self._front_end = make_front_end(*args)
+        self._last: Tick | None = None
+        self._T_world_odom = self._start
+        self._estimate = self._sensor.reported(self.estimator.estimate())
+        self._loop_closures: LoopClosureCounts | None = None
         self._result: SlamResult | None = None
-        self._fold = timed("predict", self._fold_odometry)
-        self._map = timed("grid", self._mapped)
         self._blas = threadpool_limits(limits=1, user_api="blas")
 
     def __enter__(self) -> Slam:
@@ -113,21 +100,28 @@ class Slam:
         self._blas.restore_original_limits()
 
     def take(self, tick: Tick) -> Step:
-        """Process a tick: its odometry always, its observations, and its scan if it is a keyframe."""
-        increment, scan = self._fold(tick)
-        tick = self._named.corrected(tick)
-        still, moving = self._without_moving(scan, increment)
-        is_matched = self.config.front_end == "scan-matching"
-        taken = self._front_end.take(tick, still if is_matched else scan, self._placed(scan, increment))
-        keyframe = self._named.keyframe(taken)
+        """Process a tick: its odometry always, its observations, and its scan if it is a keyframe.
+
+        Raises ValueError for a stamp that does not ascend, or a scan together with observations that name landmarks;
+        RuntimeError after `finish`.
+        """
+        self._check(tick)
+        with self._clock("predict"):
+            increment = self._increment(tick)
+            self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
+            scan = None if tick.scan is None else self._deskew(tick.scan)
+        still, moving = self._without_moving(scan, increment, tick.stamp_ns)
+        observations = self._sensor.corrected(tick.observations or {})
+        keyframe = self._front_end.take(Evidence(self._placed(scan, increment), scan, still, observations))
+        if keyframe is not None:
+            keyframe = self._taken(keyframe)
+            if still is not None:
+                with self._clock("grid"):
+                    self._add_to_map(still, keyframe, moving)
         if scan is not None and self._moving is not None:
             self._moving.keep(scan, self.pose, tick.stamp_ns)
-        if keyframe is not None and self._wheels is not None:
-            found = self.wheels()
-            self._wheels.wheels = self._wheels.wheels if found is None else found.values
-        if still is not None and keyframe is not None:
-            self._map(still, keyframe, moving)
-        return self._step(tick, increment, scan, keyframe, moving)
+        dead_reckoned, since = self._T_world_odom @ tick.odometry, self._front_end.since
+        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, since, scan, keyframe, self.grid, moving)
 
     def scan(self, stamp_ns: int, ranges: ArrayLike, odometry: Pose) -> Step:
         """Process a scan of the configured laser, for callers without a `Tick`.
@@ -138,23 +132,21 @@ class Slam:
         """
         laser = self.config.laser
         values = as_array("ranges", ranges, (laser.beams,), finite=False)
-        return self.take(self._tick(stamp_ns, odometry, Scan.from_config(values, laser)))
+        return self.take(Tick(stamp_ns, as_pose("odometry", odometry), Scan.from_config(values, laser)))
 
     def odometry(self, stamp_ns: int, odometry: Pose) -> Step:
-        """Process the robot's pose by its wheels between two scans, `T_odom_robot`; ValueError as of `scan`."""
-        return self.take(self._tick(stamp_ns, odometry))
+        """Process the robot's pose by its wheels between two scans, `T_odom_robot`; raises what `scan` raises."""
+        return self.take(Tick(stamp_ns, as_pose("odometry", odometry)))
 
     @property
     def pose(self) -> Pose:
         """`T_world_robot` now: the last estimate, and the odometry since."""
         return self._front_end.pose
 
-    revisits = OldName("revisits", "loop_closures")
-
     @property
     def loop_closures(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None for a front end that does not search."""
-        return self._front_end.loop_closure_counts
+        return self._loop_closures
 
     @property
     def grid(self) -> Grid:
@@ -163,7 +155,7 @@ class Slam:
 
     def estimate(self) -> Estimate:
         """Pose at the last keyframe (after `finish` at the last tick), its covariance, and the landmarks."""
-        return self._named.reported(self.estimator.estimate())
+        return copy.deepcopy(self._estimate)
 
     def trajectory(self) -> Array:
         """(K, 3) pose at each keyframe, as believed now."""
@@ -175,56 +167,61 @@ class Slam:
 
     def sensor(self) -> SensorEstimate | None:
         """The parameters of the sensor of points at the last keyframe, if they are estimated."""
-        return self._named.sensor()
+        return self._sensor.sensor()
 
     def finish(self) -> SlamResult:
         """Predict up to the last tick, and return what is known then. No tick can be taken after it."""
         if self._result is None:
-            since_key = self._front_end.finish()
-            estimate, trajectory = self.estimate(), self.trajectory()
+            finished = self._front_end.finish()
+            estimate = self._estimate = self._sensor.reported(finished.estimate)
+            joint = self.estimator.joint_covariance(estimate.ids.tolist())
+            # Links of scans have private errors, which the estimator does not know of.
+            joint[:3, :3] = finished.estimate.pose_cov
+            trajectory = self.trajectory()
             self._mapper.complete(trajectory)
             self._result = SlamResult(
                 estimate,
-                self._named.reported_joint(estimate, self.estimator.joint_covariance(estimate.ids.tolist())),
+                self._sensor.reported_joint(estimate, joint),
                 trajectory,
                 self.associator.records,
                 self.associator.culled,
                 self.associator.walls_merged,
                 self._mapper.rebuilds,
-                since_key,
+                finished.since_key,
                 self.loop_closures,
                 self.wheels(),
-                self._front_end.links(),
+                finished.links,
                 self.sensor(),
             )
         return self._result
 
-    def _tick(self, stamp_ns: int, odometry: Pose, scan: Scan | None = None) -> Tick:
-        if self._odometry is not None and stamp_ns <= self._stamp_ns:
-            raise ValueError(f"stamp_ns: found {stamp_ns} after {self._stamp_ns}, allowed: ascending stamps")
-        return Tick(stamp_ns, as_pose("odometry", odometry), scan)
-
-    def _fold_odometry(self, tick: Tick) -> tuple[Odometry | None, Scan | None]:
-        """The motion since the last tick, folded into that since the last keyframe; the scan, de-skewed by it."""
+    def _check(self, tick: Tick) -> None:
         if self._result is not None:
             raise RuntimeError("found a tick after finish, allowed: a new Slam")
-        increment: Odometry | None = None
-        if self._odometry is None:
-            self._T_world_odom = self._start @ tick.odometry.inverse()
-        else:
-            increment = self._increment(self._odometry, tick)
-        self._deskew.moved(tick.stamp_ns, increment or STANDSTILL)
-        self._odometry, self._stamp_ns = tick.odometry, tick.stamp_ns
-        return increment, None if tick.scan is None else self._deskew(tick.scan)
+        if self._last is not None and tick.stamp_ns <= self._last.stamp_ns:
+            raise ValueError(f"stamp_ns: found {tick.stamp_ns} after {self._last.stamp_ns}, allowed: ascending stamps")
+        if tick.scan is not None and tick.observations:
+            raise ValueError("tick: found a scan and observations that name landmarks, allowed: one tick for each")
 
-    def _without_moving(self, scan: Scan | None, increment: Odometry | None) -> tuple[Scan | None, Moving]:
+    def _increment(self, tick: Tick) -> Odometry | None:
+        """The motion since the last tick; None at the first."""
+        last, self._last = self._last, tick
+        if last is None:
+            self._T_world_odom = self._start @ tick.odometry.inverse()
+            return None
+        duration_s = 1e-9 * (tick.stamp_ns - last.stamp_ns)
+        return self._motion.increment(last.odometry, tick, duration_s, self._front_end.since.motion)
+
+    def _without_moving(
+        self, scan: Scan | None, increment: Odometry | None, stamp_ns: int
+    ) -> tuple[Scan | None, Moving]:
         """The scan without the returns of what moves, if people may, and these.
 
         For the map and for scan matching: features take moving legs for what they are, something that hides a wall.
         """
         if scan is None or self._moving is None:
             return scan, NOTHING_MOVES
-        return self._moving.split(scan, self.pose @ (increment or STANDSTILL).motion, self._stamp_ns)
+        return self._moving.split(scan, self.pose @ (increment or STANDSTILL).motion, stamp_ns)
 
     def _placed(self, scan: Scan | None, increment: Odometry | None) -> Odometry | None:
         """The increment; at the first scan also the motion from there to where the scan fits the prior map."""
@@ -238,39 +235,31 @@ class Slam:
         found = located(scan, prior_map, here, cov, self.config.grid)
         return increment if found == here else motion.then(Odometry(here.inverse() @ found, np.zeros((3, 3))))
 
-    def _make_wheels(self) -> WheelOdometry | None:
-        """Odometry whose parameters the estimator estimates, if configured; ConfigError if it cannot."""
-        if not self.config.calibrate_wheels:
-            return None
-        if not isinstance(self.estimator, Filter):
-            raise ConfigError(f"calibrate_wheels: found true with {self.config.estimator}, allowed: {NEEDS_FILTER}")
-        self.estimator.estimate_wheels(wheel_prior(self.config.assumed))
-        return WheelOdometry(self.config.assumed)
+    def _taken(self, keyframe: Keyframe) -> Keyframe:
+        """A keyframe with its covariance as it is reported; the calibrations' newest values are used from now on."""
+        keyframe = self._sensor.keyframe(keyframe)
+        self._estimate, self._loop_closures = keyframe.estimate, keyframe.loop_closures
+        self._motion.at_keyframe(self.wheels())
+        return keyframe
 
-    def _mapped(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
+    def _add_to_map(self, scan: Scan, keyframe: Keyframe, moving: Moving) -> None:
         walls = keyframe.features.walls
         if self.config.grid.walls:
             gaps = straight_gaps(scan, self.config.assumed.laser, self.config.grid.cell_m, 2.0 * self._radius_m)
             walls = np.concatenate([walls, gaps])
-        self._mapper.add(self.trajectory, scan, walls, moving.standing_robot)
+        self._mapper.add(keyframe.index, self.trajectory, scan, walls, moving.standing_robot)
 
-    def _step(
-        self, tick: Tick, increment: Odometry | None, scan: Scan | None, keyframe: Keyframe | None, moving: Moving
-    ) -> Step:
-        dead_reckoned = self._T_world_odom @ tick.odometry
-        since = self._front_end.since_keyframe, self._front_end.since_cov
-        return Step(tick.stamp_ns, self.pose, dead_reckoned, increment, *since, scan, keyframe, self.grid, moving)
 
-    def _increment(self, before: Pose, tick: Tick) -> Odometry:
-        """The motion since the last tick, with the covariance that the log states or that of the assumed noise.
-
-        Without odometry it is what the last velocity predicts.
-        """
-        duration_s = 1e-9 * (tick.stamp_ns - self._stamp_ns)
-        if self._velocity is not None:
-            return self._velocity.increment(self._front_end.since_keyframe, duration_s, tick.scan is not None)
-        if tick.increment_cov is not None:
-            return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
-        if self._wheels is not None:
-            return self._wheels.increment(before, tick.odometry, duration_s)
-        return odometry(before, tick.odometry, self.config.assumed)
+def motion_source(config: Config, estimator: Estimator) -> MotionSource:
+    """The configured source of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
+    if config.no_odometry:
+        return LastVelocity()
+    if not config.calibrate_wheels:
+        return Wheels(config.assumed)
+    if not isinstance(estimator, Filter):
+        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
+    prior = wheel_prior(config.assumed)
+    estimator.estimate_wheels(prior)
+    source = CalibratedWheels(config.assumed)
+    source.at_keyframe(prior)
+    return source

@@ -153,7 +153,10 @@ def a_late_or_invalid_prior_map_is_refused(name: str) -> None:
     moved, seen = make(name), make(name)
     moved.predict(step())
     seen.update(sight(START, [0], np.random.default_rng(0)))
-    for estimator in (moved, seen, begun(name, prior)):
+    read = make(name)
+    read.predict(step())
+    read.estimate()
+    for estimator in (moved, read, seen, begun(name, prior)):
         assert isinstance(estimator, Filter)
         with raises(RuntimeError, "start_from"):
             estimator.start_from(prior)

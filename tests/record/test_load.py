@@ -198,9 +198,11 @@ def test_time_that_is_waited_is_in_no_stage(clock):
         wait(clock, 5.0)
         pass_time(clock, 0.001)
 
-    watch.timed("sense", receive)()
+    with watch.stage("sense"):
+        receive()
     wait(clock, 7.0)
-    watch.timed("plan", pass_time)(clock, 0.004)
+    with watch.stage("plan"):
+        pass_time(clock, 0.004)
     watch.end_tick(is_keyframe=True)
     assert watch.totals["sense"] == pytest.approx(3.0)
     assert watch.rows == [pytest.approx({"sense": 3.0, "plan": 4.0})]

@@ -4,15 +4,14 @@ import itertools
 import numpy as np
 import pytest
 
-from sixthsense.config import Config, KeyframeConfig, LaserConfig, merge, preset
+from sixthsense.config import Config, KeyframeConfig, merge, preset
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.source import Command, Tick
 from sixthsense.evaluation.measure import measure
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
-from sixthsense.slam.keyframes import Keyframes
+from sixthsense.slam.front_end import is_due
 from sixthsense.sources.world import World
 
 ROOM = np.array([[[-2, -2], [2, -2]], [[2, -2], [2, 2]], [[2, 2], [-2, 2]], [[-2, 2], [-2, -2]]], dtype=np.float64)
@@ -104,31 +103,27 @@ def test_ransacs_draws_do_not_reach_the_world() -> None:
     assert not all(np.array_equal(a, b) for a, b in zip(one.walls_found, two.walls_found, strict=True))
 
 
-def taken(keys: Keyframes, steps: list[Pose]) -> list[bool]:
-    """Which of the scans after each of these increments are keyframes."""
-    scan = Scan.from_config(np.ones(360), LaserConfig())
-    out = []
-    for k, step in enumerate(steps):
-        keys.moved(Odometry(step, np.zeros((3, 3))))
-        out.append(keys.due(Tick(k, Pose(), scan)))
-        if out[-1]:
-            keys.take()
-    return out
+def due(motion: Pose, distance_m: float = 0.25, turn_rad: float = 0.15) -> bool:
+    return is_due(motion, Odometry(motion, np.zeros((3, 3))), KeyframeConfig(distance_m=distance_m, turn_rad=turn_rad))
 
 
 def test_at_standstill_nothing_moves_and_no_keyframe_is_taken() -> None:
     seen = ticks(world(preset()), [Command()] * 100)
     assert all(tick.truth == Pose() and tick.odometry == Pose() for tick in seen)
-    for config in (KeyframeConfig(), KeyframeConfig(distance_m=0.0, turn_rad=0.0)):
-        assert taken(Keyframes(config), [Pose()] * 20) == [True] + [False] * 19
+    assert not due(Pose()) and not due(Pose(), distance_m=0.0, turn_rad=0.0)
 
 
 @pytest.mark.parametrize(
-    ("step", "every"), [(Pose(0.1, 0.0, 0.0), 3), (Pose(0.0, 0.0, -0.06), 3), (Pose(0.3, 0, 0), 1)]
+    ("motion", "expected"),
+    [
+        (Pose(0.2, -0.149, 0.1), False),  # 0.2494 m
+        (Pose(0.2, -0.151, 0.1), True),  # 0.2506 m
+        (Pose(0.03, 0.02, -0.1499), False),
+        (Pose(0.03, 0.02, -0.1501), True),
+    ],
 )
-def test_a_keyframe_comes_after_enough_motion_since_the_last(step: Pose, every: int) -> None:
-    keys = Keyframes(KeyframeConfig(distance_m=0.25, turn_rad=0.15))
-    assert np.flatnonzero(taken(keys, [Pose()] + [step] * 12)).tolist() == [0, *range(every, 13, every)]
+def test_a_keyframe_comes_after_enough_way_or_turn_since_the_last(motion: Pose, expected: bool) -> None:
+    assert due(motion) is expected
 
 
 def test_the_way_of_a_run_is_as_long_as_its_true_path() -> None:

@@ -5,9 +5,13 @@ import pytest
 from threadpoolctl import threadpool_info
 
 import sixthsense as ss
+from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind, Observation
+from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Tick
-from sixthsense.slam.slam import Slam, SlamResult
+from sixthsense.slam.result import SlamResult
+from sixthsense.slam.slam import Slam
 from sixthsense.sources.scene import load_scene
 from sixthsense.sources.world import World
 
@@ -74,8 +78,8 @@ def test_the_pose_between_keyframes_is_the_estimate_and_the_odometry_since() -> 
             assert slam.pose == step.pose
             if step.keyframe is not None:
                 assert step.pose == slam.estimate().pose
-                assert step.since_keyframe == Pose()
-        last = Pose.from_array(slam.trajectory()[-1]) @ step.since_keyframe
+                assert step.since.motion == Pose()
+        last = Pose.from_array(slam.trajectory()[-1]) @ step.since.motion
         assert np.allclose(slam.finish().estimate.pose.array(), last.array(), atol=1e-12)
 
 
@@ -95,6 +99,29 @@ def test_blas_keeps_to_one_thread_inside_and_has_its_threads_back_after() -> Non
     assert threads() == before
 
 
+@pytest.mark.parametrize(("given", "radius_m"), [(None, 0.31), (0.0, 0.0), (0.27, 0.27)])
+def test_the_robot_is_as_large_as_the_caller_says(given: float | None, radius_m: float) -> None:
+    config = merge(config_of("ekf"), {"robot": {"radius": 0.31}})
+    with Slam(config, radius_m=given) as slam:
+        assert slam._radius_m == radius_m
+
+
+@pytest.mark.parametrize("front_end", ["landmarks", "scan-matching"])
+def test_a_keyframe_and_slam_state_one_covariance(front_end: str) -> None:
+    config = merge(config_of("isam2"), {"front_end": front_end})
+    with Slam(config, START) as slam:
+        keyframes = 0
+        for tick in circle_ticks(config, 4.0):
+            step = slam.take(tick)
+            if step.keyframe is not None:
+                assert step.keyframe.index == keyframes
+                assert np.array_equal(step.keyframe.estimate.pose_cov, slam.estimate().pose_cov)
+                keyframes += 1
+        assert keyframes > 5
+        result = slam.finish()
+    assert np.array_equal(result.joint_cov[:3, :3], result.estimate.pose_cov)
+
+
 def test_what_cannot_be_taken_is_refused() -> None:
     config = config_of("ekf")
     with Slam(config) as slam:
@@ -109,6 +136,12 @@ def test_what_cannot_be_taken_is_refused() -> None:
             slam.odometry(200, Pose(np.nan))
         with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
             slam.odometry(100, Pose())
+        seen = {4: Observation(Kind.CORNER, np.array([1.7, -0.6]), 0.03 * np.eye(2))}
+        scan = Scan.from_config(np.full(360, 2.3), config.laser)
+        with pytest.raises(ValueError, match=r"^tick: found a scan and observations"):
+            slam.take(Tick(200, Pose(0.3, 0.1, 0.2), scan, seen))
+        with pytest.raises(ValueError, match=r"^stamp_ns: found 100 after 100"):
+            slam.take(Tick(100, Pose(0.3, 0.1, 0.2)))
         slam.finish()
         with pytest.raises(RuntimeError, match="finish"):
             slam.odometry(300, Pose())

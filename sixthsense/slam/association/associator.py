@@ -127,7 +127,7 @@ class Associator:
             known[i] = record.seen_again(seen, estimate.pose, estimate.landmarks[rows[i]]) if seen.is_wall else seen
         return known, pieces
 
-    def known(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
+    def match_named(self, observations: Mapping[LandmarkId, Observation], estimator: Estimator) -> Association:
         """Match observations that name their landmark, unless the name was misread; the NIS leaves out new ones."""
         self._scan += 1
         estimate = estimator.estimate()
@@ -142,7 +142,9 @@ class Associator:
             nis = innovation.nis([observations[old[k]] for k in kept], kept)
         accepted = {i: observation for i, observation in observations.items() if i not in misread}
         for i, observation in accepted.items():
-            self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan)).observations += 1
+            record = self.records.setdefault(i, Record(observation.kind, 0, self._scan, self._scan))
+            record.observations += 1
+            record.last_scan = self._scan
         dof = 2 * (len(old) - len(misread))
         return Association(accepted, len(misread), nis, dof)
 

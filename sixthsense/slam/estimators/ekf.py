@@ -62,6 +62,7 @@ class EKF:
         self._slots: dict[LandmarkId, int] = {}
         self._parameters = Parameters()
         self._pending = STANDSTILL
+        self._has_moved = False
         self._trajectory = array("d")
         """x, y and theta at each update, which are returned without a loop over them"""
 
@@ -104,7 +105,7 @@ class EKF:
         check_covariance("odometry", odometry.cov)
         if odometry.is_standstill():
             return
-        self._pending = self._pending.then(odometry)
+        self._pending, self._has_moved = self._pending.then(odometry), True
 
     def update(self, observations: Mapping[LandmarkId, Observation]) -> None:
         """Update with all known landmarks at once, then augment the state with the new ones (report section 4.3)."""
@@ -184,7 +185,7 @@ class EKF:
 
     @property
     def _has_begun(self) -> bool:
-        return bool(self._slots) or self._pending is not STANDSTILL
+        return bool(self._slots) or self._has_moved
 
     @property
     def _size(self) -> int:

@@ -91,7 +91,9 @@ class Mapper:
         self._mean_ranges: list[float] = []
         """mean range of each scan, m: the lever of its heading"""
         self._trajectory: Callable[[], Array] = lambda: np.zeros((0, 3))
-        """returns (K, 3) present poses, the first ones those of the scans"""
+        """returns (K, 3) present poses of all keyframes"""
+        self._rows: list[int] = []
+        """of each scan among them: a keyframe of named observations has no scan"""
         self._submaps: dict[int, Submap] = {}
         """of `SCANS_PER_SUBMAP` scans each, by number; drawn when scans begin to move"""
         self._boxes: list[Box] = []
@@ -116,13 +118,20 @@ class Mapper:
         self._clear()
 
     def add(
-        self, trajectory: Callable[[], Array], scan: Scan, walls_robot: Array, standing_robot: Array = _NOTHING
+        self,
+        index: int,
+        trajectory: Callable[[], Array],
+        scan: Scan,
+        walls_robot: Array,
+        standing_robot: Array = _NOTHING,
     ) -> None:
         """Take the newest keyframe, with the walls (W, 2, 2) fitted to it and the returns (M, 2) of who stands in it.
 
-        `trajectory` returns the present estimates (K, 3) of all keyframes' poses; it is called when the map is drawn.
+        `index` is its row in what `trajectory` returns, the present estimates (K, 3) of all keyframes' poses, which is
+        called when the map is drawn.
         """
         self._standing_robot = standing_robot
+        self._rows.append(index)
         self._scans.append((scan, walls_robot))
         returned = scan.ranges[scan.ranges < scan.max_range]
         self._mean_ranges.append(float(returned.mean()) if len(returned) else 0.0)
@@ -141,7 +150,8 @@ class Mapper:
 
     def complete(self, trajectory: Array) -> None:
         """Draw the map for the last time, at the final poses (K, 3) whoever read it before, and let the scans go."""
-        final = trajectory[: len(self._scans)]
+        final = trajectory[self._rows]
+        self._rows = list(range(len(final)))
         self._trajectory = lambda: final
         if not np.array_equal(self._drawn_at, final[: len(self._drawn_at)]):
             self._clear()
@@ -167,7 +177,7 @@ class Mapper:
         drawn = len(self._drawn_at)
         if drawn == len(self._scans):
             return
-        poses = self._trajectory()[: len(self._scans)]
+        poses = self._trajectory()[self._rows]
         shift = self._shift(poses[:drawn])
         moved = shift > self._tolerance_m
         if moved.any():

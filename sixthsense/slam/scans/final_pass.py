@@ -11,10 +11,11 @@ from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
 from sixthsense.core.se2 import between, compose
+from sixthsense.slam.motion_source import with_wheel_errors
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.graph import REACH_M, REACH_RAD
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.odometry_prior import informations_in_world, with_wheel_errors
+from sixthsense.slam.scans.odometry_prior import informations_in_world
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import NEAREST, SLIP_SIGMAS, refine
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -13,23 +12,18 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
-from sixthsense.core.se2 import between, compose, turned_covariance
-from sixthsense.core.source import Tick
+from sixthsense.core.se2 import between, compose, composed_covariance, turned_covariance
 from sixthsense.slam.association.proposed import Proposal
 from sixthsense.slam.estimators import Estimate, Smoother
-from sixthsense.slam.front_end import Keyframe, LoopClosureCounts, PoseLinks, Timed
+from sixthsense.slam.front_end import Clock, Evidence, Finished, Keyframe, LoopClosureCounts, is_due
+from sixthsense.slam.motion_source import MotionSource
 from sixthsense.slam.scans.alignment import Prior, Views
 from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.final_pass import TrackedScan, refined
 from sixthsense.slam.scans.graph import ScanGraph
-from sixthsense.slam.scans.increments import Increments, WheelIncrements
 from sixthsense.slam.scans.loop_closures import LoopClosures
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.odometry_prior import (
-    prior_of,
-    weakened,
-    with_wheel_errors,
-)
+from sixthsense.slam.scans.odometry_prior import prior_of, weakened
 from sixthsense.slam.scans.scan_store import ScanStore
 from sixthsense.slam.scans.tracking import SLIP_M, SLIP_RAD, Tracked, search, track
 
@@ -56,12 +50,14 @@ class ScanFrontEnd:
         config: Config,
         estimator: Smoother,
         start: Pose,
-        timed: Timed,
-        increments: Increments | None = None,
+        motion: MotionSource,
+        clock: Clock,
+        is_guide: bool = False,
     ) -> None:
-        """Begin at `start`, `T_world_robot`; `increments` is the source of motion, by default the wheels."""
-        self._increments = increments or WheelIncrements()
+        """Begin at `start`, `T_world_robot`; `is_guide` is whether only what it proposes is used, as it comes."""
+        self._motion_source, self._clock = motion, clock
         self._config, self._estimator, self._pose = config, estimator, start
+        self._has_final_pass = config.scans.final_pass and not is_guide
         self._store = ScanStore(config.scans.max_range_m)
         self._graph = ScanGraph(self._store, estimator, config.assumed.laser.range_m)
         self.loop_closures = LoopClosures(config.scans, self._graph)
@@ -71,8 +67,6 @@ class ScanFrontEnd:
         """of the robot at the last keyframe"""
         self._since = STANDSTILL
         """odometry of the robot since the last keyframe"""
-        self._wheels = estimator.wheels()
-        """at the last keyframe, if the estimator has them"""
         self._prior: Prior | None = None
         """of the last scan; None before the second"""
         self._last: _Last | None = None
@@ -81,11 +75,6 @@ class ScanFrontEnd:
         self._scans: list[TrackedScan] = []
         self._contradicted = 0.0
         """share of returns that contradict which scans have lately had"""
-        self._predict = timed("predict", estimator.predict)
-        self._track = timed("track", self._tracked)
-        self._update = timed("update", self._updated)
-        self._link = timed("link", self.loop_closures.closings.link)
-        self._close_loops = timed("loop_closure", self._closed_loops)
 
     @property
     def pose(self) -> Pose:
@@ -93,57 +82,71 @@ class ScanFrontEnd:
         return self._pose
 
     @property
-    def since_keyframe(self) -> Pose:
+    def since(self) -> Odometry:
         """Motion since the last keyframe, by the last scan and the odometry since."""
-        if not self._store.count:
-            return self._since.motion
-        return self._T_key_world @ self._pose
+        return Odometry(self._motion_since, self._motion_source.at_end(self._since).cov)
 
     @property
-    def since_cov(self) -> Array:
-        """(3, 3) of that motion's error, axes of the keyframe."""
-        return self._increments.at_end(self._since).cov
+    def _motion_since(self) -> Pose:
+        return self._T_key_world @ self._pose if self._store.count else self._since.motion
 
-    def take(self, tick: Tick, scan: Scan | None, increment: Odometry | None) -> Keyframe | None:
+    def take(self, evidence: Evidence) -> Keyframe | None:
         """Process a tick: every scan is tracked; keyframes are linked with earlier ones."""
-        if increment is not None:
-            self._since = self._since.then(increment) if self._since is not STANDSTILL else increment
-            self._pose = self._pose @ increment.motion
-            self._is_carried |= self._increments.is_carried(increment)
+        self._move(evidence.increment)
+        scan = evidence.still
         if scan is None:
             return None
-        if scan.T_robot_laser is not self._mount.T_robot_laser:
+        if scan.T_robot_laser != self._mount.T_robot_laser:
             self._mount = Mount(scan.T_robot_laser)
-        tracked = self._track(scan)
-        found = self._increments.aligned(self._since, self._found(tracked))
-        if not self._is_due(tracked):
+        with self._clock("track"):
+            tracked = self._tracked(scan)
+        found = self._motion_source.aligned(self._since, self._found(tracked))
+        if tracked is not None and not is_due(self._motion_since, self._since, self._config.keyframes):
             self._since = found
-            self._scans.append(TrackedScan(scan, self._store.count - 1, self._since, self.since_keyframe))
+            self._keep(scan)
             return None
         motion = self._since if tracked is None else self._motion(tracked)
-        self._predict(motion)
+        with self._clock("predict"):
+            self._estimator.predict(motion)
         predicted = self._estimator.estimate()
-        key = self._update(tracked)
-        self._link(key)
-        self._close_loops(key)
+        with self._clock("update"):
+            key = self._updated(tracked)
+        with self._clock("link"):
+            self.loop_closures.closings.link(key)
+        with self._clock("loop_closure"):
+            self._closed_loops(key)
         estimate = self._stand_at_keyframe()
-        return Keyframe(motion, predicted, estimate)
+        return Keyframe(key, motion, predicted, estimate, loop_closures=self.counts)
+
+    def _move(self, increment: Odometry | None) -> None:
+        if increment is not None:
+            self._since = self._since.then(increment)
+            self._pose = self._pose @ increment.motion
+            self._is_carried |= self._motion_source.is_carried(increment)
+
+    def _keep(self, scan: Scan | None) -> None:
+        """Keep a scan, or the newest keyframe for None, for the final pass."""
+        if self._has_final_pass:
+            motion = STANDSTILL if scan is None else self._since
+            self._scans.append(TrackedScan(scan, self.newest, motion, self._motion_since if scan else Pose()))
 
     @property
-    def loop_closure_counts(self) -> LoopClosureCounts | None:
+    def counts(self) -> LoopClosureCounts | None:
         """What the search for old places has come to so far; None where it is switched off."""
         return self.loop_closures.counts if self._config.scans.loop_closures else None
 
-    def finish(self) -> Array | None:
+    def finish(self) -> Finished:
         """Predict up to the last tick, and align the scans between keyframes once more."""
-        self._estimator.predict(self._increments.at_end(self._since))
-        if not self._config.scans.final_pass:
-            return None
-        return refined(self._store, self._graph.poses, self._scans, self._mount)
-
-    def links(self) -> PoseLinks:
-        """The links between keyframes that the estimator has."""
-        return self._graph.robot_links()
+        motion = self._motion_source.at_end(self._since)
+        key = self._reported(self._estimator.estimate())
+        self._estimator.predict(motion)
+        to = motion.motion
+        cov = composed_covariance(key.pose_cov, motion.cov, key.pose.theta, to.x, to.y)
+        estimate = dataclasses.replace(self._estimator.estimate(), pose_cov=cov)
+        since_key = None
+        if self._has_final_pass:
+            since_key = refined(self._store, self._graph.poses, self._scans, self._mount)
+        return Finished(estimate, since_key, self._graph.robot_links())
 
     @property
     def newest(self) -> int:
@@ -173,7 +176,7 @@ class ScanFrontEnd:
         motions = (step, last.motion, Pose())
         starts = compose(last.pose, np.array([(motion.x, motion.y, motion.theta) for motion in motions]))
         tracked = track(self._views(row, self._references()), prior, starts, self._contradicted)
-        is_guess = self._increments.is_guess
+        is_guess = self._motion_source.is_guess
         if tracked.is_lost(self._contradicted) or (is_guess and tracked.is_doubted(self._contradicted)):
             found = search(self._views(row, self.loop_closures.of_last_metres(self.newest)), prior, self._contradicted)
             tracked = found if tracked.is_lost(self._contradicted) or not found.has_slipped else tracked
@@ -215,26 +218,17 @@ class ScanFrontEnd:
         Where the scans say that the wheels have slipped, what the wheels say is no evidence. The links tell the rest.
         """
         if tracked.has_slipped:
-            return self._slipped(self.since_keyframe)
-        return weakened(self._increments.with_errors(self._since, self._wheels is not None), tracked.slip)
+            return self._slipped(self._motion_since)
+        return weakened(self._motion_source.for_estimator(self._since), tracked.slip)
 
     def _since_of_laser(self) -> Odometry:
-        return self._mount.laser_odometry(with_wheel_errors(self._since, self._wheels))
+        return self._mount.laser_odometry(self._motion_source.for_tracking(self._since))
 
     def _references(self) -> NDArray[np.int64]:
         """Keyframes to track against."""
         newest = self._store.count
         recent = np.arange(max(self._graph.first, newest - _RECENT), newest)
         return np.concatenate([recent, self._graph.linked_old(newest - 1)[:_OLD]])
-
-    def _is_due(self, tracked: Tracked | None) -> bool:
-        """Whether the newest scan is far enough from the last keyframe."""
-        if tracked is None:
-            return True
-        motion, limits = self.since_keyframe, self._config.keyframes
-        distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-        is_far = distance >= limits.distance_m or turn >= limits.turn_rad
-        return is_far and not self._since.is_standstill()
 
     def _updated(self, tracked: Tracked | None) -> int:
         """Keep the newest scan as keyframe, and add its pose; its index."""
@@ -255,7 +249,7 @@ class ScanFrontEnd:
 
     def _reported(self, estimate: Estimate) -> Estimate:
         """An estimate at the newest keyframe, by the graph's variance factor, with the private errors of its scans."""
-        if not self.newest:
+        if self.newest < 1:
             return estimate
         returns, poses, sigma_m = self._store.returns, self._graph.poses, self._config.assumed.laser.range_m
         own, first = (private_covariance(returns, key, sigma_m) for key in (self.newest, 0))
@@ -264,9 +258,8 @@ class ScanFrontEnd:
 
     def _stand_at_keyframe(self) -> Estimate:
         """Begin anew at the keyframe that was added; the estimate there."""
-        self._increments.at_keyframe()
-        estimate, self._wheels = self._reported(self._estimator.estimate()), self._estimator.wheels()
+        estimate = self._reported(self._estimator.estimate())
         self._pose, self._since, self._T_key_world = estimate.pose, STANDSTILL, estimate.pose.inverse()
         self._last = _Last(self._graph.poses[-1].copy(), Pose(), Pose() if self._last is None else self._last.motion)
-        self._scans.append(TrackedScan(None, self._store.count - 1, STANDSTILL, Pose()))
+        self._keep(None)
         return estimate

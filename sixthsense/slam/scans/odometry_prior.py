@@ -1,8 +1,6 @@
-"""What the odometry since the last keyframe says, with errors of wheels that its noise does not state."""
+"""What the odometry since the last keyframe says of a scan's pose."""
 
 from __future__ import annotations
-
-import math
 
 import numba
 import numpy as np
@@ -10,35 +8,8 @@ import numpy as np
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.se2 import turned_covariance
-from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.scans.alignment import Prior
 from sixthsense.slam.scans.tracking import SLIP_SIGMAS
-
-# Wheels are wrong by a few percent, always to the same side: sigmas grow with the way, not with its square root.
-_SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
-_SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
-_UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
-
-
-def with_wheel_errors(odometry: Odometry, wheels: WheelEstimate | None = None) -> Odometry:
-    """Odometry whose covariance has the wheels' errors added: those of their estimate, or else of any wheels."""
-    if wheels is None or odometry.wheels is None:
-        return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, 1.0))
-    unsteady, jacobian = with_unsteady_errors(odometry), odometry.wheels.jacobian
-    return Odometry(odometry.motion, unsteady.cov + jacobian @ wheels.cov @ jacobian.T)
-
-
-def with_unsteady_errors(odometry: Odometry) -> Odometry:
-    """Odometry that depends on wheels which are estimated, with the errors added that their parameters leave."""
-    return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, _UNSTEADY), odometry.wheels)
-
-
-def _errors(motion: Pose, share: float) -> Array:
-    """(3, 3) covariance of a motion by a share of what wheels in general are wrong by."""
-    distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
-    position = (_SIGMA_M + share * WHEELS_M_PER_M * distance) ** 2
-    heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
-    return np.diag([position, position, heading])
 
 
 def weakened(odometry: Odometry, slip: float) -> Odometry:

@@ -184,10 +184,11 @@ def test_comparing_near_landmarks_only_changes_no_association(name, config):
 def test_named_observations_are_accepted_and_gated_by_their_innovation():
     estimator, associator = make_estimator("ekf", Pose(), np.zeros((3, 3))), Associator(AssociationConfig())
     first = dict(zip([7, 3], sight(Pose(), [0, 1]), strict=True))
-    found = associator.known(first, estimator)
+    found = associator.match_named(first, estimator)
     assert found.observations == first and found.dof == 0 and found.nis == 0.0
     estimator.update(found.observations)
     off = Observation(Kind.CORNER, POINTS[0] + [0.02 * math.sqrt(2), 0.0], np.eye(2) * 4e-4)
-    found = associator.known({7: off, 9: sight(Pose(), [2])[0]}, estimator)
+    found = associator.match_named({7: off, 9: sight(Pose(), [2])[0]}, estimator)
     assert found.dof == 2 and math.isclose(found.nis, 1.0, rel_tol=1e-9)
     assert {i: r.observations for i, r in associator.records.items()} == {7: 2, 3: 1, 9: 1}
+    assert {i: (r.first_scan, r.last_scan) for i, r in associator.records.items()} == {7: (1, 2), 3: (1, 1), 9: (2, 2)}

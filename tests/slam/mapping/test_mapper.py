@@ -42,7 +42,7 @@ def by_hand(trajectory: np.ndarray, scans: list[Scan], config: GridConfig | None
 def test_without_movement_the_grid_is_not_rebuilt() -> None:
     scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(poses(k + 1).copy, scan, NO_WALLS)
+        mapper.add(k, poses(k + 1).copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
     assert mapper.rebuilds == 0
     assert np.array_equal(mapper.grid.occupancy(), by_hand(poses(6), scans).occupancy())
@@ -54,15 +54,15 @@ def test_without_movement_the_grid_is_not_rebuilt() -> None:
 def test_half_a_cell_of_movement_rebuilds_the_grid(shift: list[float], rebuilt: int) -> None:
     scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k in range(5):
-        mapper.add(poses(k + 1).copy, scans[k], NO_WALLS)
+        mapper.add(k, poses(k + 1).copy, scans[k], NO_WALLS)
         assert mapper.grid.seen.any()
     moved = poses(6)
     moved[2] += shift  # a heading's error moves what was seen, by its lever
-    mapper.add(moved.copy, scans[5], NO_WALLS)
+    mapper.add(5, moved.copy, scans[5], NO_WALLS)
     expected = by_hand(moved if rebuilt else poses(6), scans)
     assert np.array_equal(mapper.grid.occupancy(), expected.occupancy())
     assert mapper.rebuilds == rebuilt
-    mapper.add(np.vstack([moved, poses(7)[-1:]]).copy, seen(poses(7)[-1]), NO_WALLS)
+    mapper.add(6, np.vstack([moved, poses(7)[-1:]]).copy, seen(poses(7)[-1]), NO_WALLS)
     assert mapper.grid.seen.any()
     assert mapper.rebuilds == rebuilt  # once is enough
 
@@ -72,7 +72,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (drawn.append(pose), add(self, pose, *rest))[1])
     mapper = Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add((poses(k + 1) + 0.1 * k).copy, scan, NO_WALLS)
+        mapper.add(k, (poses(k + 1) + 0.1 * k).copy, scan, NO_WALLS)
     assert drawn == [] and mapper.rebuilds == 0
     mapper.complete(poses(6) + 0.5)
     assert len(drawn) == 6 and mapper.rebuilds == 0
@@ -85,7 +85,7 @@ def test_a_map_that_nobody_reads_is_drawn_once_at_the_last_poses(monkeypatch: py
 def test_how_often_the_map_is_read_does_not_change_it_where_poses_stay(read_at: tuple[int, ...]) -> None:
     scans, mapper = [seen(row) for row in poses(6)], Mapper(GridConfig(), 0.2)
     for k, scan in enumerate(scans):
-        mapper.add(poses(k + 1).copy, scan, NO_WALLS)
+        mapper.add(k, poses(k + 1).copy, scan, NO_WALLS)
         if k in read_at:
             assert mapper.grid.hits.sum() == by_hand(poses(k + 1), scans[: k + 1]).hits.sum()
     expected = by_hand(poses(6), scans)
@@ -146,7 +146,7 @@ def test_an_earlier_obstacle_that_is_gone_becomes_free_after_a_few_scans() -> No
     mapper, rows = begun(), np.tile([-1.5, -0.73, 0.0], (20, 1))
     assert is_obstacle(mapper.grid, 0.02, -0.73)
     for k in range(20):
-        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
     assert not is_obstacle(mapper.grid, 0.02, -0.73)
 
 
@@ -156,10 +156,10 @@ def test_earlier_evidence_out_of_sight_stays_when_key_poses_move() -> None:
     mapper, rows = Mapper(GridConfig(), 0.2), poses(12)
     mapper.start_from(far.submap())
     for k in range(11):
-        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
         assert is_obstacle(mapper.grid, 20.02, 0.02)
     moved = rows + np.array([0.1, 0.0, 0.0])
-    mapper.add(moved.copy, seen(moved[11]), NO_WALLS)
+    mapper.add(5, moved.copy, seen(moved[11]), NO_WALLS)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 1
     mapper.complete(rows)
     assert is_obstacle(mapper.grid, 20.02, 0.02) and mapper.rebuilds == 2
@@ -232,14 +232,14 @@ def test_only_submaps_with_a_moved_scan_are_drawn_again(monkeypatch: pytest.Monk
     monkeypatch.setattr(Grid, "add", lambda self, pose, *rest: (added.append(pose), add(self, pose, *rest))[1])
     rows = turning(count + 2)
     for k in range(count):
-        mapper.add(rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, seen(rows[k]), NO_WALLS)
         assert mapper.grid.seen.any()
     assert len(added) == count and mapper.rebuilds == 0
     moved = rows.copy()
     for k, (scan, drawn_again) in enumerate(((5, 3), (SCANS_PER_SUBMAP + 1, 1))):
         added.clear()
         moved[scan, 0] += 0.04
-        mapper.add(moved[: count + 1 + k].copy, seen(moved[count + k]), NO_WALLS)
+        mapper.add(count + k, moved[: count + 1 + k].copy, seen(moved[count + k]), NO_WALLS)
         assert mapper.grid.seen.any()
         assert mapper.rebuilds == k + 1
         assert len(added) == drawn_again * SCANS_PER_SUBMAP + 5 + k  # with the scans that are in no submap yet
@@ -284,16 +284,16 @@ def test_submaps_out_of_reach_of_what_moves_are_not_asked_for(monkeypatch: pytes
     rows = np.array([[1.0 * k, 0.0, 0.0] for k in range(count + 2)])
     scan = seen(np.zeros(3))
     for k in range(count):
-        mapper.add(rows[: k + 1].copy, scan, NO_WALLS)
+        mapper.add(k, rows[: k + 1].copy, scan, NO_WALLS)
         assert mapper.grid.seen.any()
     moved = rows.copy()
     moved[3, 1] += 0.1
-    mapper.add(moved[: count + 1].copy, scan, NO_WALLS)
+    mapper.add(count, moved[: count + 1].copy, scan, NO_WALLS)
     assert mapper.grid.seen.any() and mapper.rebuilds == 1
     assert len(given) == 1 and 1 <= given[0] <= 3
     again = Mapper(GridConfig(), 0.2)
     for k in range(count + 1):
-        again.add(moved[: k + 1].copy, scan, NO_WALLS)
+        again.add(k, moved[: k + 1].copy, scan, NO_WALLS)
         assert again.grid.seen.any()
     for name in ("seen", "obstacles"):
         assert np.array_equal(getattr(mapper.grid, name), getattr(again.grid, name))

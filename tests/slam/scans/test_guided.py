@@ -8,7 +8,7 @@ import pytest
 from rooms import CORNERS, RING, drive, ticks
 
 from sixthsense.config import Config, merge, preset
-from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.source import Tick
 from sixthsense.slam.slam import Slam
@@ -33,7 +33,7 @@ def errors(config: Config) -> Array:
         for tick in slipping():
             step = slam.take(tick)
             keys += step.keyframe is not None
-            since.append((keys, step.since_keyframe))
+            since.append((keys, step.since.motion))
         result = slam.finish()
     poses = np.array([(Pose.from_array(result.trajectory[k]) @ motion).array() for k, motion in since])
     return np.asarray(np.hypot(*(poses - TRUTH)[:, :2].T))
@@ -75,6 +75,12 @@ def test_observations_that_a_log_names_are_used_beside_proposals_by_scans() -> N
                 assert step.keyframe is not None
                 used.append(step.keyframe.association.observations.keys() == named.keys())
         result = slam.finish()
+        rows, columns = np.nonzero(slam.grid.obstacles)
+        x, y = slam.grid.origin
+        cell_m = config.grid.cell_m
+        obstacles = np.column_stack([x + (columns + 0.5) * cell_m, y + (rows + 0.5) * cell_m])
+    off = np.min([point_segment_distance(point, RING) for point in obstacles], axis=1)
+    assert len(obstacles) > 500 and np.max(off) < 0.15  # the map draws a scan at its own keyframe
     assert len(used) == 20 and all(used)
     landmarks = dict(zip(result.estimate.ids.tolist(), result.estimate.landmarks, strict=True))
     assert all(np.allclose(landmarks[i], at, atol=0.05) for i, at in named.items())

@@ -8,7 +8,7 @@ from rooms import CORNERS, RING, ROOM, drive, ticks
 
 from sixthsense.config import ConfigError, preset
 from sixthsense.core.geometry import Pose, wrap_angle
-from sixthsense.slam.last_velocity import LastVelocity, ScanClock
+from sixthsense.slam.motion_source import LastVelocity, ScanClock
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(no_odometry=True)
@@ -86,7 +86,7 @@ def test_between_keyframes_the_covariance_is_that_of_the_guess_along_a_corridor(
     with Slam(CONFIG, poses[0]) as slam:
         for tick in ticks(poses, walls):
             step = slam.take(tick)
-            (sigmas if step.keyframe is None else keys).append(np.sqrt(np.diag(step.since_cov)))
+            (sigmas if step.keyframe is None else keys).append(np.sqrt(np.diag(step.since.cov)))
     assert np.all(np.array(keys) == 0.0)
     along, across, _ = np.array(sigmas).T
     assert np.all(along > 0.05) and np.all(across < 0.05)
@@ -94,11 +94,11 @@ def test_between_keyframes_the_covariance_is_that_of_the_guess_along_a_corridor(
 
 def test_the_guess_grows_with_time_and_is_least_known_at_first():
     velocity = LastVelocity()
-    first = velocity.increment(Pose(), 0.2, True)
+    first = velocity.predicted(Pose(), 0.2, True)
     assert first.motion == Pose() and np.sqrt(first.cov[0, 0]) == pytest.approx(0.2, rel=0.1)
     parts, whole = LastVelocity(), LastVelocity()
-    two = parts.increment(Pose(), 0.1, False).cov + parts.increment(Pose(), 0.1, False).cov
-    np.testing.assert_allclose(two, whole.increment(Pose(), 0.2, False).cov, rtol=1e-9)
+    two = parts.predicted(Pose(), 0.1, False).cov + parts.predicted(Pose(), 0.1, False).cov
+    np.testing.assert_allclose(two, whole.predicted(Pose(), 0.2, False).cov, rtol=1e-9)
 
 
 def test_a_laser_is_a_clock_whose_stamps_only_tell_of_gaps():

@@ -8,7 +8,7 @@ from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
 from sixthsense.core.motion import Odometry
 from sixthsense.core.wheels import WheelEstimate, Wheels, WheelTerms, wheel_prior
-from sixthsense.slam.scans.odometry_prior import with_unsteady_errors, with_wheel_errors
+from sixthsense.slam.motion_source import with_unsteady_errors, with_wheel_errors
 from sixthsense.slam.slam import Slam
 
 CONFIG = preset(front_end="scan-matching", calibrate_wheels=True)

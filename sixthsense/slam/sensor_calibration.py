@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
 from sixthsense.config import Config, ConfigError
 from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.sensor import Sensor, SensorEstimate, sensor_prior
-from sixthsense.core.source import Tick
 from sixthsense.slam.estimators import Estimate, Estimator, Filter
 from sixthsense.slam.front_end import Keyframe
 
 
-class NamedObservations:
+class SensorCalibration:
     """Corrects observations for their sensor's errors, and reports the uncertainty of its scale, if configured."""
 
     def __init__(self, config: Config, estimator: Estimator, start: Pose) -> None:
@@ -38,16 +39,15 @@ class NamedObservations:
         """The sensor's parameters, if they are estimated."""
         return None if self._estimator is None else self._estimator.sensor()
 
-    def corrected(self, tick: Tick) -> Tick:
-        """The tick with its observations as the present parameters have them."""
-        if self._sensor is None or not tick.observations:
-            return tick
-        seen = {i: observation.with_sensor(self._sensor) for i, observation in tick.observations.items()}
-        return dataclasses.replace(tick, observations=seen)
+    def corrected(self, observations: Mapping[LandmarkId, Observation]) -> Mapping[LandmarkId, Observation]:
+        """Observations as the present parameters have them."""
+        if self._sensor is None:
+            return observations
+        return {i: observation.with_sensor(self._sensor) for i, observation in observations.items()}
 
-    def keyframe(self, keyframe: Keyframe | None) -> Keyframe | None:
+    def keyframe(self, keyframe: Keyframe) -> Keyframe:
         """The keyframe with its estimate as `reported`; the sensor's newest parameters are used from now on."""
-        if keyframe is None or self._sensor is None:
+        if self._sensor is None:
             return keyframe
         found = self.sensor()
         self._sensor = self._sensor if found is None else found.values

@@ -1,0 +1,303 @@
+"""Where the robot's motion comes from: its wheels, wheels that are calibrated on line, or its last velocity.
+
+Wheels are wrong by more than the noise of their increments states: by a few percent, always to the same side.
+
+Without odometry the robot's velocity is a first-order Gauss-Markov (Ornstein-Uhlenbeck) process about standstill: of
+stationary sigma V and correlation time tau, so that it is kept over a scan and forgotten over a gap. Singer 1970,
+"Estimating optimal tracking filter performance for manned maneuvering targets". Scan matching measures it from one scan
+to the next.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+
+from sixthsense.config import AssumedConfig
+from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
+from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
+from sixthsense.core.source import Tick
+from sixthsense.core.wheels import WheelEstimate
+
+# Sigmas grow with the way, not with its square root.
+_SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
+_SIGMA_RAD, _RAD_PER_RAD, _RAD_PER_M = 0.005, 0.05, 0.02
+_UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the load and the tyres change
+
+
+class MotionSource(Protocol):
+    """The motion between ticks, and what the motion since the last keyframe is worth."""
+
+    is_guess: bool
+    """whether nothing has measured the motion: the scan alone tells it, and a doubtful alignment is searched again"""
+
+    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+        """The motion since the last tick, `duration_s` ago.
+
+        `before` is `T_odom_robot` then, and `since` the motion from the last keyframe until then.
+        """
+        ...
+
+    def is_carried(self, increment: Odometry) -> bool:
+        """Whether the robot was carried during an increment."""
+        ...
+
+    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
+        """The motion since the last keyframe to go on from, after a scan was aligned as `found`, or was not."""
+        ...
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The motion since the last keyframe with all its errors, for a scan to be aligned from."""
+        ...
+
+    def for_estimator(self, since: Odometry) -> Odometry:
+        """The same as the estimator is given it at the next keyframe, which may estimate some of its errors."""
+        ...
+
+    def at_end(self, since: Odometry) -> Odometry:
+        """The motion since the last keyframe as the estimator is given it after the last tick."""
+        ...
+
+    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+        """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
+        ...
+
+
+class Wheels:
+    """Wheels have measured the motion, and an aligned scan is no reason to forget it."""
+
+    is_guess = False
+
+    def __init__(self, assumed: AssumedConfig) -> None:
+        self._assumed = assumed
+
+    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+        """The difference of the wheels' poses, with the covariance that the log states or that of the assumed noise."""
+        if tick.increment_cov is not None:
+            return Odometry(before.inverse() @ tick.odometry, tick.increment_cov)
+        return odometry(before, tick.odometry, self._assumed)
+
+    def is_carried(self, increment: Odometry) -> bool:
+        """Whether no wheel has measured an increment."""
+        return increment.is_carried()
+
+    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
+        """The motion by the wheels."""
+        return since
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The motion with the errors of any wheels."""
+        return with_wheel_errors(since)
+
+    def for_estimator(self, since: Odometry) -> Odometry:
+        """The motion with the errors of any wheels."""
+        return with_wheel_errors(since)
+
+    def at_end(self, since: Odometry) -> Odometry:
+        """The motion by the wheels."""
+        return since
+
+    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+        """Nothing is kept."""
+
+
+class CalibratedWheels(Wheels):
+    """Wheels whose parameters the estimator estimates: increments are those of the newest values."""
+
+    def __init__(self, assumed: AssumedConfig) -> None:
+        super().__init__(assumed)
+        self._odometry = WheelOdometry(assumed)
+        self._estimate: WheelEstimate | None = None
+
+    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+        """The motion by the present parameters, and its dependence on them; or with the covariance of the log."""
+        if tick.increment_cov is not None:
+            return super().increment(before, tick, duration_s, since)
+        return self._odometry.increment(before, tick.odometry, duration_s)
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The motion with the errors that the estimate of the parameters leaves."""
+        return with_wheel_errors(since, self._estimate)
+
+    def for_estimator(self, since: Odometry) -> Odometry:
+        """The motion with the errors that no parameter describes."""
+        return with_unsteady_errors(since)
+
+    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+        """Use the newest parameters from now on."""
+        self._estimate = wheels
+        if wheels is not None:
+            self._odometry.wheels = wheels.values
+
+
+def with_wheel_errors(odometry: Odometry, wheels: WheelEstimate | None = None) -> Odometry:
+    """Odometry whose covariance has the wheels' errors added: those of their estimate, or else of any wheels."""
+    if wheels is None or odometry.wheels is None:
+        return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, 1.0))
+    unsteady, jacobian = with_unsteady_errors(odometry), odometry.wheels.jacobian
+    return Odometry(odometry.motion, unsteady.cov + jacobian @ wheels.cov @ jacobian.T)
+
+
+def with_unsteady_errors(odometry: Odometry) -> Odometry:
+    """Odometry that depends on wheels which are estimated, with the errors added that their parameters leave."""
+    return Odometry(odometry.motion, odometry.cov + _errors(odometry.motion, _UNSTEADY), odometry.wheels)
+
+
+def _errors(motion: Pose, share: float) -> Array:
+    """(3, 3) covariance of a motion by a share of what wheels in general are wrong by."""
+    distance, turn = math.hypot(motion.x, motion.y), abs(motion.theta)
+    position = (_SIGMA_M + share * WHEELS_M_PER_M * distance) ** 2
+    heading = (_SIGMA_RAD + share * _RAD_PER_RAD * turn + share * _RAD_PER_M * distance) ** 2
+    return np.diag([position, position, heading])
+
+
+_SIGMAS = np.array([1.0, 1.0, 1.0])  # m/s, m/s, rad/s: somebody who walks, and looks around
+_TAUS_S = np.array([40.0, 40.0, 1.0])  # correlation times: one goes on for a while, and turns for a moment
+_STAMPS, _APART = 64, 16  # stamps that tell the period, and scans within which a delay is made up for
+
+
+class ScanClock:
+    """The time between scans: a laser's period is steadier than its stamps, which are late where a computer was busy.
+
+    A stamp that is late is made up for by the next ones; one after a gap is not. A gap is what is later than any delay
+    that was made up for so far.
+    """
+
+    def __init__(self) -> None:
+        self._stamps_s: deque[float] = deque([0.0], maxlen=_STAMPS)
+        """of the last scans, since the first one"""
+        self._longest_s = 0.0
+        """the longest delay that was made up for"""
+
+    def period(self, stated_s: float) -> float:
+        """The time since the scan before, seconds, of that which the stamps state."""
+        self._stamps_s.append(self._stamps_s[-1] + stated_s)
+        stamps = np.array(self._stamps_s)
+        apart = min(_APART, len(stamps) - 1)
+        # The median bears a gap, and delays that are made up for.
+        usual_s = float(np.median(stamps[apart:] - stamps[:-apart])) / apart
+        before = stamps[-apart - 1 : -1]
+        late_s = stamps[-1] - (before + usual_s * np.arange(apart, 0, -1))
+        is_gap = apart == _APART and late_s.max() > max(self._longest_s, usual_s)
+        self._longest_s = max(self._longest_s, -float(late_s.min()))
+        return max(stated_s, usual_s) if is_gap else usual_s
+
+
+class LastVelocity:
+    """Predicts the motion between scans by a Kalman filter, which is told what scan matching has found.
+
+    Its state is the motion since the last keyframe and the robot's velocity, in its own axes.
+    """
+
+    is_guess = True
+
+    def __init__(self) -> None:
+        self._clock = ScanClock()
+        self._velocity = np.zeros(3)
+        """(3,) m/s and rad/s"""
+        self._cov = np.diag(_SIGMAS**2)
+        """(3, 3) of the velocity"""
+        self._cross = np.zeros((3, 3))
+        """(3, 3) of the motion since the last keyframe with the velocity"""
+        self._since_key_s = 0.0
+        """time since the last keyframe"""
+        self._stated_s = self._predicted_s = 0.0
+        """time since the last scan by the stamps, and what of it is predicted"""
+
+    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+        """The motion that the velocity predicts; whatever the tick says of odometry is left out."""
+        return self.predicted(since, duration_s, tick.scan is not None)
+
+    def predicted(self, since: Pose, duration_s: float, is_scan: bool) -> Odometry:
+        """The motion since the last tick, `duration_s` ago; `since` is that from the last keyframe until then.
+
+        `is_scan` is whether there is a scan now.
+        """
+        self._stated_s += duration_s
+        elapsed_s = self._clock.period(self._stated_s) if is_scan else self._stated_s
+        step_s, self._predicted_s = max(elapsed_s - self._predicted_s, 0.0), max(elapsed_s, self._predicted_s)
+        ratio = step_s / _TAUS_S
+        kept, way_s = np.exp(-ratio), -_TAUS_S * np.expm1(-ratio)
+        x, y, turn = (way_s * self._velocity).tolist()
+        chord = rotation(0.5 * turn) @ np.array([x, y])
+        motion = Pose(chord[0], chord[1], turn)
+        by_since, by_motion = compose_jacobians(since.theta, motion)
+        # Moments of the integral of the process and of the process, Singer 1970.
+        of_way = _SIGMAS**2 * _TAUS_S**2 * (2.0 * ratio - 3.0 + 4.0 * kept - kept**2)
+        of_both, of_velocity = _SIGMAS**2 * _TAUS_S * (1.0 - kept) ** 2, _SIGMAS**2 * (1.0 - kept**2)
+        by_velocity = by_motion * way_s
+        self._since_key_s += step_s
+        mixed = by_since @ self._cross @ by_velocity.T
+        added = mixed + mixed.T + by_velocity @ self._cov @ by_velocity.T
+        added += by_motion @ np.diag(np.maximum(of_way, 0.0)) @ by_motion.T
+        values, axes = np.linalg.eigh(by_motion.T @ added @ by_motion)
+        self._cross = (by_since @ self._cross + by_velocity @ self._cov) * kept + by_motion * of_both
+        self._cov = self._cov * np.outer(kept, kept) + np.diag(of_velocity)
+        self._velocity = kept * self._velocity
+        return Odometry(motion, (axes * np.maximum(values, 0.0)) @ axes.T)
+
+    def measured(self, guessed: Odometry, found: Odometry) -> None:
+        """Take in the motion since the last keyframe as guessed, and as scan matching has corrected it."""
+        gain = np.linalg.solve(guessed.cov, self._cross)  # (3, 3) of the smoother: velocity by motion
+        off = found.motion.array() - guessed.motion.array()
+        off[2] = wrap_angle(off[2])
+        self._velocity = self._velocity + gain.T @ off
+        self._cov = self._cov - gain.T @ (guessed.cov - found.cov) @ gain
+        self._cov = 0.5 * (self._cov + self._cov.T)
+        self._cross = found.cov @ gain
+        self._stated_s = self._predicted_s = 0.0
+
+    def is_carried(self, increment: Odometry) -> bool:
+        """False: without odometry nothing can report being carried."""
+        return False
+
+    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
+        """The motion since the last keyframe as found by scan matching; without that the guess, and no velocity."""
+        if found is None:
+            self.lost()
+            return since
+        self.measured(since, found)
+        return found
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """The guess, with an allowance for a robot that has just begun to move."""
+        return with_wheel_errors(since)
+
+    def for_estimator(self, since: Odometry) -> Odometry:
+        """The motion as `lasting`; there are no wheels."""
+        return self.lasting(since)
+
+    def at_end(self, since: Odometry) -> Odometry:
+        """The motion as `lasting`."""
+        return self.lasting(since)
+
+    def lasting(self, since: Odometry) -> Odometry:
+        """The motion since the last keyframe, with the share of its error that goes on from keyframe to keyframe.
+
+        A velocity that was last told a time t ago is wrong by a random walk since then, and by the same in neighbouring
+        motions, each over a time T: with the rate q of its variance the whole way has the variance q t^3 / 3. Motions
+        that count as independent add up to that if each counts with t / T times its own, T^2 q t. What is left of the
+        variance V^2 at standstill tells t, of which the correlation time on either side counts.
+        """
+        if not self._since_key_s:
+            return since
+        told = np.maximum(1.0 - np.diag(self._cov) / _SIGMAS**2, math.exp(-4.0))
+        age_s = np.maximum(-0.5 * _TAUS_S * np.log(told), 0.0)
+        factors = np.sqrt(1.0 + age_s / self._since_key_s)
+        return Odometry(since.motion, since.cov * np.outer(factors, factors))
+
+    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+        """Begin anew at a keyframe; there are no wheels."""
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._cross, self._since_key_s = np.zeros((3, 3)), 0.0
+
+    def lost(self) -> None:
+        """Take in that scan matching has found no motion."""
+        self._velocity, self._cov = np.zeros(3), np.diag(_SIGMAS**2)
+        self._stated_s = self._predicted_s = 0.0
+        self._begin_anew()
