@@ -1,0 +1,319 @@
+"""Every figure of a run from a second source: a few plain lines over a record made by hand."""
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+import pytest
+from made_run import CARRIED, CORNERS, FIRST_KEY, LASER, SCANS, UNDEFINED, WALLS, made_run, matrix
+from scipy.linalg import logm
+from scipy.stats import chi2
+
+from sixthsense.config import merge
+from sixthsense.core.landmarks import Observation
+from sixthsense.evaluation.coverage import coverage_of
+from sixthsense.evaluation.curves import curves
+from sixthsense.evaluation.measure import measure
+from sixthsense.evaluation.measured_run import MeasuredRun
+from sixthsense.evaluation.results import Metrics
+from sixthsense.record.trace import Trace
+from sixthsense.sources.logs.log import Relations
+
+TRACE = made_run()
+KEYS = len(TRACE.key_stamps_ns)
+
+
+@pytest.fixture(scope="module")
+def found():
+    return measure(TRACE)
+
+
+def with_config(trace: Trace = TRACE, **fields) -> Trace:
+    return dataclasses.replace(trace, config=merge(trace.config, fields))
+
+
+def angle(value):
+    """In [-pi, pi], by the remainder."""
+    return math.remainder(value, 2.0 * math.pi)
+
+
+def rms(values):
+    return math.sqrt(sum(value**2 for value in values) / len(values))
+
+
+def between(a, b):
+    """Translation and turn of b in the frame of a, by matrices."""
+    motion = np.linalg.inv(matrix(a)) @ matrix(b)
+    return np.array([motion[0, 2], motion[1, 2], math.atan2(motion[1, 0], motion[0, 0])])
+
+
+def size(motion):
+    return math.hypot(motion[0], motion[1]), abs(motion[2])
+
+
+def key_errors(estimates):
+    """Error and covariance of each keyframe whose covariance has full rank."""
+    pairs = list(zip(estimates, TRACE.key_truths, strict=True))[UNDEFINED:]
+    for one, truth in pairs:
+        error = one.pose.array() - truth
+        yield np.array([error[0], error[1], angle(error[2])]), one.pose_cov
+
+
+def squared(error, cov):
+    return float(error @ np.linalg.inv(cov) @ error)
+
+
+def test_absolute_errors_are_root_mean_squares_over_all_scans(found):
+    truths = TRACE.truths
+    off = [math.dist(a[:2], b[:2]) for a, b in zip(TRACE.estimates, truths, strict=True)]
+    assert (found["ate_rmse_m"], found["ate_max_m"]) == pytest.approx((rms(off), max(off)))
+    off = [math.dist(a[:2], b[:2]) for a, b in zip(TRACE.odometry, truths, strict=True)]
+    assert found["dead_reckoning_ate_rmse_m"] == pytest.approx(rms(off))
+    turns = [a[2] - b[2] for a, b in zip(TRACE.estimates, truths, strict=True)]
+    assert max(map(abs, turns)) > 6.0  # a heading and its truth on both sides of the cut
+    assert found["heading_rmse_rad"] == pytest.approx(rms(list(map(angle, turns))))
+
+
+@pytest.mark.parametrize("length_m", [1, 2, 5, 10])
+def test_relative_errors_are_root_mean_squares_over_all_pieces_of_so_much_true_path(found, length_m):
+    truths, estimates = TRACE.truths, TRACE.estimates
+    along = [0.0, *itertools.accumulate(math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(truths))]
+    errors = []
+    for i in range(SCANS - 1):
+        j = min(range(i + 1, SCANS), key=lambda j: abs(along[j] - along[i] - length_m))
+        if abs(along[j] - along[i] - length_m) <= 0.1 * length_m:
+            errors.append(size(between(between(truths[i], truths[j]), between(estimates[i], estimates[j]))))
+    assert 10 < len(errors) < SCANS - 1
+    translation, rotation = zip(*errors, strict=True)
+    assert found[f"rpe_trans_m_{length_m}m"] == pytest.approx(rms(translation))
+    assert found[f"rpe_rot_deg_{length_m}m"] == pytest.approx(180.0 / math.pi * rms(rotation))
+
+
+def test_errors_against_relations_are_those_of_the_final_poses_at_the_relations_that_the_run_reached(found):
+    final = [matrix(TRACE.trajectory[k]) @ matrix(off) for k, off in zip(TRACE.last_key, TRACE.since_key, strict=True)]
+    rows = [[TRACE.log_stamps_s.index(stamp) for stamp in pair if stamp in TRACE.log_stamps_s]
+            for pair in TRACE.relations.stamps.tolist()]  # fmt: skip
+    errors = []
+    for pair, relation in zip(rows, TRACE.relations.poses, strict=True):
+        if len(pair) == 2:
+            motion = np.linalg.inv(matrix(relation)) @ np.linalg.inv(final[pair[0]]) @ final[pair[1]]
+            errors.append((np.hypot(*motion[:2, 2]), abs(np.degrees(np.arctan2(motion[1, 0], motion[0, 0])))))
+    assert len(errors) == 9
+    (trans, turn), (trans_std, turn_std) = np.mean(errors, axis=0), np.std(errors, axis=0)
+    parts = ("trans_m_mean", "trans_m_std", "trans_m_max", "rot_deg_mean", "rot_deg_std")
+    told = [found[f"relations_{part}"] for part in parts]
+    assert told == pytest.approx([trans, trans_std, max(errors)[0], turn, turn_std])
+    unreached = Relations(TRACE.relations.stamps + 2000.0, TRACE.relations.poses)
+    assert not any("relations" in key for key in measure(dataclasses.replace(TRACE, relations=unreached)))
+
+
+def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world_and_in_the_group(found):
+    nees = [squared(*one) for one in key_errors(TRACE.key_estimates)]
+    assert found["pose_nees_world_mean"] == pytest.approx(np.mean(nees))
+    low, high = chi2.ppf((0.025, 0.975), 3)
+    assert found["pose_nees_in_band"] == pytest.approx(sum(low <= one <= high for one in nees) / len(nees))
+    predicted = [squared(*one) for one in key_errors(TRACE.key_predicted)]
+    assert found["prediction_nees_world_mean"] == pytest.approx(np.mean(predicted))
+    invariant = []
+    for one, truth in list(zip(TRACE.key_estimates, TRACE.key_truths, strict=True))[UNDEFINED:]:
+        log, place = np.real(logm(matrix(one.pose.array()) @ np.linalg.inv(matrix(truth)))), one.pose
+        error = np.array([log[0, 2] - log[1, 0] * place.y, log[1, 2] + log[1, 0] * place.x, log[1, 0]])
+        invariant.append(squared(error, one.pose_cov))
+    assert found["pose_nees_invariant_mean"] == pytest.approx(np.mean(invariant))
+    assert abs(np.mean(invariant) - np.mean(nees)) > 1e-3
+
+
+def worth(products, count):
+    """N / tau by Geyer's initial positive sequence, from the sums of products at each lag."""
+    rho, total = [one / products[0] for one in products], 0.0
+    for a, b in zip(rho[::2], rho[1::2], strict=False):
+        if a + b <= 0.0:
+            break
+        total += a + b
+    return min(count, count / max(1.0, 2.0 * total - 1.0))
+
+
+def test_the_effective_samples_are_by_the_autocorrelation_of_the_nees_and_of_the_whitened_errors(found):
+    def products(row):
+        return [float(np.dot(row[lag:], row[: len(row) - lag])) for lag in range(len(row))]
+
+    errors = list(key_errors(TRACE.key_estimates))
+    nees = np.array([squared(*one) for one in errors])
+    scaled = [
+        (error / np.sqrt(np.diag(cov)), cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))) for error, cov in errors
+    ]
+    white = np.array([np.linalg.inv(np.linalg.cholesky(cov)) @ error for error, cov in scaled])
+    by_axis = np.array([products(column) for column in white.T])
+    mean = by_axis.sum(axis=0) / by_axis[:, 0].sum()
+    end = next((k for k in range(0, len(nees) - 1, 2) if mean[k] + mean[k + 1] <= 0.0), len(nees))
+    squares = (by_axis[:, :end] ** 2).sum(axis=0) / (by_axis[:, 0] ** 2).sum()
+    of_errors = len(nees) / max(1.0, 2.0 * squares.sum() - 1.0)
+    of_nees = worth(products(nees - nees.mean()), len(nees))
+    assert of_errors < 0.9 * len(nees)
+    assert found["pose_nees_effective_samples"] == pytest.approx(min(of_nees, of_errors), rel=1e-6)
+
+
+def test_the_nis_is_per_degree_of_freedom_and_the_discarded_are_a_share_of_all_observations(found):
+    rows = TRACE.associations
+    assert found["nis_mean_per_dof"] == pytest.approx(sum(a.nis for a in rows) / sum(a.dof for a in rows))
+    discarded = sum(a.discarded for a in rows)
+    assert found["discarded_share"] == discarded / (discarded + 3 + sum(a.fused for a in rows))  # 3 are used
+
+
+def test_landmarks_are_judged_by_the_side_of_a_wall_that_was_seen_and_by_points_within_half_a_metre(found):
+    """Normals point to the side that was seen: the upper wall's down, the right one's to the left."""
+    truth = {12: [-0.5 * math.pi, -4.9], 13: [3.1, 1.6], 15: [-math.pi, -6.2]}
+    nees = []
+    for k, i in enumerate(TRACE.final.ids.tolist()):
+        if i in truth:
+            cov = TRACE.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
+            nees.append(squared(TRACE.final.landmarks[k] - truth[i], cov))
+    assert found["landmark_nees_mean"] == pytest.approx(np.mean(nees), rel=0.02)  # of the walls to first order
+    points = TRACE.final.landmarks[[1, 3, 4, 5]]
+    nearest = [min(math.dist(point, corner) for corner in CORNERS) for point in points]
+    assert nearest[3] > 0.5 > max(nearest[:3])
+    assert found["landmark_rmse_m"] == pytest.approx(rms(nearest[:3]))
+
+
+def test_without_the_returns_of_the_observations_no_landmarks_truth_is_known():
+    bare = [
+        {i: dataclasses.replace(s, bearings=np.empty(0)) for i, s in a.observations.items()} for a in TRACE.associations
+    ]
+    rows = [dataclasses.replace(a, observations=s) for a, s in zip(TRACE.associations, bare, strict=True)]
+    assert any(isinstance(s, Observation) for one in bare for s in one.values())
+    assert "landmark_nees_mean" not in measure(dataclasses.replace(TRACE, associations=rows))
+
+
+def visible(poses, centres):
+    """(N,) whether any laser sees a place: within range and field of view, no wall between, by cross products."""
+    seen = np.zeros(len(centres), dtype=bool)
+    for pose in poses:
+        laser = matrix(pose) @ matrix(LASER["mount"])
+        off = (centres - laser[:2, 2]) @ laser[:2, :2]
+        sees = (np.hypot(*off.T) < LASER["max_range"]) & (np.abs(np.arctan2(off[:, 1], off[:, 0])) < LASER["fov"] / 2)
+        for start, end in WALLS:
+
+            def side(a, b, c):
+                return (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
+                    c[..., 0] - a[..., 0]
+                )
+
+            crosses = side(start, end, centres) * side(start, end, laser[:2, 2]) < 0.0
+            sees &= ~(crosses & (side(laser[:2, 2], centres, start) * side(laser[:2, 2], centres, end) < 0.0))
+        seen |= sees
+    return seen
+
+
+def test_the_coverage_is_the_share_of_the_visible_area_that_the_laser_on_its_mount_has_seen(found):
+    area, shares = coverage_of(TRACE)
+    rows, cols = np.nonzero(area.mask)
+    centres = np.column_stack(
+        [area.origin[0] + (cols + 0.5) * area.cell_m, area.origin[1] + (rows + 0.5) * area.cell_m]
+    )
+    assert area.square_metres == pytest.approx(7.4 * 4.4 - 0.1 * 1.2, rel=0.01)  # of the room, but for cells at walls
+    assert centres.min(axis=0) == pytest.approx([-1.23, 0.47], abs=0.03)
+    for scans in (1, 12, 30):
+        assert shares[scans - 1] == pytest.approx(visible(TRACE.truths[:scans], centres).mean(), rel=0.05)
+    assert found["coverage"] == shares[-1] > shares[29]
+
+
+def test_counts_areas_and_times_are_those_of_the_record(found):
+    expected = {
+        "outcome": "explored in part", "collisions": 0, "touches_by_robot": 2, "touches_by_walkers": 5,
+        "places_left": 2, "area_left_m2": 0.7 + 1.6, "landmarks": 6, "landmarks_culled": 8, "walls_merged": 9,
+        "loop_closures_found": 14, "loop_closures_refused": 19, "loop_closures_undone": 12, "path_length_m": 13.7,
+        "plans": 3, "plans_below_margin": 4, "plans_by_astar": 6, "guard_stops": 7, "scans": SCANS, "keyframes": KEYS,
+        "wall_time_s": 2.31, "stage_ms_mean.sense": 310.0 / KEYS, "stage_ms_mean.extract": 47.0 / KEYS,
+        "stage_ms_mean.update": 81.0 / KEYS,
+    }  # fmt: skip
+    assert {key: found[key] for key in expected} == pytest.approx(expected)
+    stamps = [1e-9 * (stamp - TRACE.stamps_ns[0]) for stamp in TRACE.stamps_ns]
+    assert found["sim_time_s"] == pytest.approx(stamps[-1])
+    assert found["realtime_factor"] == pytest.approx(stamps[-1] / 2.31)
+    assert found["largest_gap_s"] == pytest.approx(max(b - a for a, b in itertools.pairwise(stamps)))
+    ms = [1.0 + 0.1 * k**1.5 + 0.3 * k for k in range(KEYS)]  # ascending, sensing left out
+    assert found["scan_ms_p50"] == pytest.approx((ms[10] + ms[11]) / 2)
+    assert found["scan_ms_p99"] == pytest.approx(ms[20] + 0.79 * (ms[21] - ms[20]))  # 0.99 of 21 steps is 20.79
+    assert found["scan_ms_max"] == pytest.approx(ms[21])
+    assert measure(dataclasses.replace(TRACE, outcome="collided"))["collisions"] == 1
+
+
+def test_estimated_parameters_have_their_own_keys_and_sigmas(found):
+    names = ("wheel_forward_scale_error", "wheel_turn_scale_error", "wheel_drift_rad_per_m", "wheel_latency_s",
+             "wheel_curve_loss_m_per_rad")  # fmt: skip
+    sigmas = ("wheel_forward_scale_sigma", "wheel_turn_scale_sigma", "wheel_drift_sigma_rad_per_m",
+              "wheel_latency_sigma_s", "wheel_curve_loss_sigma_m_per_rad")  # fmt: skip
+    assert [[found[key] for key in row] for row in (names, sigmas)] == TRACE.wheels.tolist()
+    names = ("sensor_yaw_rad", "sensor_forward_m", "sensor_bearing_scale_error")
+    sigmas = ("sensor_yaw_sigma_rad", "sensor_forward_sigma_m", "sensor_bearing_scale_sigma")
+    assert [[found[key] for key in row] for row in (names, sigmas)] == TRACE.sensor.tolist()
+
+
+def test_the_home_error_is_of_an_exploration_that_came_home_and_the_goal_error_of_a_drive_to_a_goal(found):
+    first = TRACE.truths[0]
+    assert found["home_error_m"] == pytest.approx(math.hypot(4.3 - first[0], 3.9 - first[1]))
+    for other in (with_config(explore={"return_home": False}), dataclasses.replace(TRACE, outcome="stuck")):
+        assert "home_error_m" not in measure(other)
+    to_goal = measure(with_config(task="goal"))
+    assert to_goal["goal_error_m"] == pytest.approx(math.hypot(4.3 - 4.6, 3.9 - 2.2)) and "home_error_m" not in to_goal
+    to_own = measure(with_config(task="goal", goal=(1.2, 2.3)))["goal_error_m"]
+    assert to_own == pytest.approx(math.hypot(4.3 - 1.2, 3.9 - 2.3))
+    assert "goal_error_m" not in found
+
+
+def key_path():
+    """Distance to each keyframe along the true path, without the way that the robot was carried."""
+    carried = FIRST_KEY + 3 * CARRIED
+    steps = [math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(TRACE.truths)]
+    return [sum(step for k, step in enumerate(steps[:scan]) if k != carried - 1) for scan in range(FIRST_KEY, SCANS, 3)]
+
+
+def test_curves_are_the_errors_at_keyframes_over_time_and_the_true_path():
+    found = curves(TRACE)
+    errors = [e.pose.array() - t for e, t in zip(TRACE.key_estimates, TRACE.key_truths, strict=True)]
+    assert found.position_m == pytest.approx([math.hypot(e[0], e[1]) for e in errors])
+    assert found.heading_rad == pytest.approx([abs(angle(e[2])) for e in errors])
+    assert found.time_s == pytest.approx([1e-9 * (stamp - TRACE.stamps_ns[0]) for stamp in TRACE.key_stamps_ns])
+    assert found.distance_m == pytest.approx(key_path())
+    assert np.isnan(found.nees[:UNDEFINED]).all()
+    assert found.nees[UNDEFINED:] == pytest.approx([squared(*one) for one in key_errors(TRACE.key_estimates)])
+    assert curves(dataclasses.replace(TRACE, key_truths=[])) is None
+
+
+def test_a_trajectory_has_a_row_per_keyframe():
+    pytest.importorskip("pandas")
+    run = MeasuredRun("made", TRACE)
+    frame, poses = run.trajectory.frame(), [e.pose.array() for e in TRACE.key_estimates]
+    sigmas = [np.sqrt(np.diag(e.pose_cov)) for e in TRACE.key_estimates]
+    assert frame.index.tolist() == TRACE.key_stamps_ns and len(run.trajectory) == KEYS
+    expected = {
+        ("x", "y", "theta"): poses, ("sigma_x", "sigma_y", "sigma_theta"): sigmas,
+        ("x_final", "y_final", "theta_final"): TRACE.trajectory, ("x_true", "y_true", "theta_true"): TRACE.key_truths,
+    }  # fmt: skip
+    for names, values in expected.items():
+        np.testing.assert_allclose(frame[list(names)], values)
+    own = curves(TRACE)
+    np.testing.assert_array_equal(frame[["time_s", "distance_m", "nees"]].T, [own.time_s, own.distance_m, own.nees])
+
+
+def test_landmarks_have_what_their_kind_has():
+    pytest.importorskip("pandas")
+    frame, final = MeasuredRun("made", TRACE).landmarks.frame(), TRACE.final
+    assert frame.index.tolist() == [12, 13, 15, 16, 18, 19]
+    assert frame["kind"].tolist() == ["wall", "end", "wall", "end", "end", "end"]
+    assert frame["observations"].tolist() == [3 + i for i in frame.index]
+    sigmas = np.sqrt(np.diag(TRACE.joint_cov)[3:]).reshape(6, 2)
+    for rows, names in ((final.walls, ["alpha", "d"]), (~final.walls, ["x", "y"])):
+        np.testing.assert_array_equal(frame.loc[rows, names], final.landmarks[rows])
+        np.testing.assert_allclose(frame.loc[rows, [f"sigma_{name}" for name in names]], sigmas[rows])
+        assert frame.loc[~rows, names].isna().all(axis=None)
+    ends = [TRACE.records[i].extent.ravel() for i in (12, 15)]
+    np.testing.assert_array_equal(frame.loc[[12, 15], ["from_x", "from_y", "to_x", "to_y"]], ends)
+
+
+def test_the_relative_errors_of_a_run_of_an_earlier_version_are_measured_from_its_record(found):
+    known = MeasuredRun("made", TRACE, Metrics({"ate_rmse_m": 0.7})).sample("made").metrics
+    assert known["ate_rmse_m"] == 0.7 and known["rpe_rot_deg_5m"] == found["rpe_rot_deg_5m"]
+    stated = MeasuredRun("made", TRACE, Metrics({"rpe_trans_m_1m": 0.3})).sample("made").metrics
+    assert dict(stated) == {"rpe_trans_m_1m": 0.3}
