@@ -69,7 +69,7 @@ def made_run() -> Trace:
     last_key = np.maximum(np.arange(SCANS) - FIRST_KEY, 0) // EVERY
     covs = covariances(rng, len(keys), np.array([0.04, 0.02, 0.03]))
     covs[:UNDEFINED] = np.array([np.zeros((3, 3)), np.diag([0.0, 0.0, 4e-4]), np.outer([3, 2, 4], [3, 2, 4])])
-    lasting = np.sin(0.35 * np.arange(len(keys)))[:, None] * [0.05, -0.03, 0.02]
+    lasting = np.sin(0.35 * np.arange(len(keys)))[:, None] * [0.05, -0.03, 0.04]
     updated = truths[keys] + lasting + rng.normal(0.0, 0.01, (len(keys), 3))
     predicted = truths[keys] + rng.normal(0.0, 0.05, (len(keys), 3))
     motions = [Odometry(Pose(0.3, 0.02, 0.1), np.diag([1e-4, 2e-4, 3e-4]) * (1e6 if k == CARRIED else 1.0)) for k in
@@ -98,7 +98,7 @@ def made_run() -> Trace:
 
 
 def _add_landmarks(trace: Trace, rng: np.random.Generator) -> None:
-    """Two walls and four points in mixed order; of the walls and of an end the returns are known."""
+    """Three walls and four points in mixed order; of two walls and of an end the returns are known."""
     tip = trace.key_truths[11]
     z = Pose.from_array(tip).inverse() @ np.array([[3.08, 1.62]])
     returns = seen(tip, np.linspace([3.1, 1.55], [3.1, 1.2], 8))
@@ -110,10 +110,10 @@ def _add_landmarks(trace: Trace, rng: np.random.Generator) -> None:
     for k, observations in known.items():
         old = trace.associations[k]
         trace.associations[k] = Association(observations, old.discarded, old.nis, old.dof, old.fused)
-    ids, walls = np.array([12, 13, 15, 16, 18, 19]), np.array([True, False, True, False, False, False])
-    means = [[-1.566, -4.92], [3.14, 1.57], [-3.139, -6.21], [-1.0, 0.65], [6.4, 5.05], [-2.1, 5.2]]
+    ids, walls = np.array([12, 14, 13, 15, 16, 18, 19]), np.array([1, 1, 0, 1, 0, 0, 0], dtype=bool)
+    means = [[-1.566, -4.92], [2.9, 0.3], [3.14, 1.57], [-3.139, -6.21], [-1.0, 0.65], [6.4, 5.05], [-2.1, 5.2]]
     trace.final = Estimate(trace.key_estimates[-1].pose, trace.key_estimates[-1].pose_cov, ids, np.array(means), walls)
-    trace.joint_cov = covariances(rng, 1, np.array([0.04, 0.02, 0.03, *rng.uniform(0.02, 0.04, 12)]))[0]
+    trace.joint_cov = covariances(rng, 1, np.array([0.04, 0.02, 0.03, *rng.uniform(0.02, 0.04, 14)]))[0]
     trace.records = {
         i: Record(Kind.WALL if wall else Kind.END, 3 + i, 1, 7, extent=rng.uniform(1.0, 4.0, (2, 2)))
         for i, wall in zip(ids.tolist(), walls, strict=True)

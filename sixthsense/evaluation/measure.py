@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sixthsense.core.geometry import wrap_angle
 from sixthsense.evaluation import metrics
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import defined_poses
@@ -145,6 +146,7 @@ def _consistency(trace: Trace) -> dict[str, float]:
         poses, truth, covs = defined_poses(trace.key_estimates, trace.key_truths)
         if len(poses):
             error = poses - truth
+            error[:, 2] = wrap_angle(error[:, 2])
             nees = metrics.nees_world(error, covs)
             out["pose_nees_world_mean"] = float(np.mean(nees))
             out[EFFECTIVE] = effective_number([nees], [whitened_errors(error, covs)])

@@ -173,7 +173,7 @@ def test_the_report_has_the_numbers_of_the_findings():
      (2.0, 60.0, "overconfident", False)],
 )  # fmt: skip
 def test_a_single_axis_is_noted_if_it_deviates_by_three_sigmas_and_the_whole_does_not(value, samples, outcome, told):
-    """With 60 samples the 95 % interval of a factor of 1.5 leaves 1, but that of a chance of 5 % in six axes does not."""
+    """With 60 samples the 95 % interval of a factor of 1.5 leaves 1; that of a chance of 5 % in six axes does not."""
     from sixthsense.auditing.result import axis_notes
     from sixthsense.auditing.statistics import factor
 

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import chi2
 
-from sixthsense.evaluation.effective import effective_number, effective_samples, effective_samples_of_errors
+from sixthsense.evaluation.effective import (
+    band_of_runs,
+    effective_number,
+    effective_samples,
+    effective_samples_of_errors,
+    whitened_errors,
+)
 
 LENGTH = 4000
 
@@ -55,3 +62,44 @@ def test_the_number_lies_between_one_and_all_samples():
     alternating = [np.tile([[1.0], [-1.0]], (50, 1)) * np.linspace(1.0, 2.0, 100)[:, None]]
     assert 1.0 <= effective_number(squares(alternating), alternating) <= 100.0
     assert effective_samples([np.full(10, 3.0)]) == 1.0 and effective_samples([]) == 0.0
+
+
+def products(series):
+    """Sums of products at each lag, over series of which the longest is the first, by plain sums."""
+    return [sum(float(one[k:] @ one[: len(one) - k]) for one in series if len(one) > k) for k in range(len(series[0]))]
+
+
+def initial(rho):
+    """Lags of the initial positive sequence: pairs, up to the first whose sum is not positive."""
+    return next((k for k in range(0, len(rho) - 1, 2) if rho[k] + rho[k + 1] <= 0.0), len(rho))
+
+
+def test_both_numbers_are_those_of_plain_sums_over_pairs_of_lags():
+    rng = np.random.default_rng(4)
+    runs = [np.cumsum(rng.normal(0.03, 1.0, (count, 3)), axis=0) * [0.4, 1.1, 0.7] for count in (61, 40)]
+    nees, count = [np.sum(one**2, axis=1) for one in runs], 101
+    about = [one - np.concatenate(nees).mean() for one in nees]
+    rho = np.array(products(about)) / products(about)[0]
+    assert effective_samples(nees) == pytest.approx(count / (2.0 * rho[: initial(rho)].sum() - 1.0))
+    axes = np.array([products([one[:, k] for one in runs]) for k in range(3)])
+    rho = axes.sum(axis=0) / axes[:, 0].sum()
+    end = initial(rho)
+    squared = (axes[:, :end] ** 2).sum() / (axes[:, 0] ** 2).sum()
+    expected = count / (2.0 * squared - 1.0), count / (2.0 * rho[:end].sum() - 1.0)
+    assert effective_samples_of_errors(runs) == pytest.approx(expected)
+    assert len({*expected, effective_samples(nees)}) == 3 and max(expected) < 50.0
+    assert effective_number(nees, runs) == pytest.approx(min(expected[0], effective_samples(nees)))
+    assert effective_number(nees[:1], errors(0.0, 3)) == effective_samples(nees[:1])
+
+
+def test_whitened_errors_have_the_square_of_the_errors():
+    rng = np.random.default_rng(5)
+    root, error = rng.uniform(-1.0, 1.0, (9, 3, 3)) + 1.5 * np.eye(3), rng.normal(0.0, 2.0, (9, 3))
+    cov = root @ root.transpose(0, 2, 1)
+    white = [np.linalg.solve(np.linalg.cholesky(one), e) for one, e in zip(cov, error, strict=True)]
+    assert whitened_errors(error, cov) == pytest.approx(np.array(white), rel=1e-5)
+
+
+def test_the_band_is_of_the_samples_from_thirty_on_and_else_of_the_runs():
+    for samples, runs, count in ((29.9, 4, 4), (30.0, 4, 30.0), (57.3, 4, 57.3)):
+        assert band_of_runs(samples, runs) == pytest.approx(chi2.ppf((0.025, 0.975), 3 * count) / count)

@@ -170,7 +170,7 @@ def test_landmarks_are_judged_by_the_side_of_a_wall_that_was_seen_and_by_points_
             cov = TRACE.joint_cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k]
             nees.append(squared(TRACE.final.landmarks[k] - truth[i], cov))
     assert found["landmark_nees_mean"] == pytest.approx(np.mean(nees), rel=0.02)  # of the walls to first order
-    points = TRACE.final.landmarks[[1, 3, 4, 5]]
+    points = TRACE.final.landmarks[[2, 4, 5, 6]]
     nearest = [min(math.dist(point, corner) for corner in CORNERS) for point in points]
     assert nearest[3] > 0.5 > max(nearest[:3])
     assert found["landmark_rmse_m"] == pytest.approx(rms(nearest[:3]))
@@ -221,7 +221,7 @@ def test_the_coverage_is_the_share_of_the_visible_area_that_the_laser_on_its_mou
 def test_counts_areas_and_times_are_those_of_the_record(found):
     expected = {
         "outcome": "explored in part", "collisions": 0, "touches_by_robot": 2, "touches_by_walkers": 5,
-        "places_left": 2, "area_left_m2": 0.7 + 1.6, "landmarks": 6, "landmarks_culled": 8, "walls_merged": 9,
+        "places_left": 2, "area_left_m2": 0.7 + 1.6, "landmarks": 7, "landmarks_culled": 8, "walls_merged": 9,
         "loop_closures_found": 14, "loop_closures_refused": 19, "loop_closures_undone": 12, "path_length_m": 13.7,
         "plans": 3, "plans_below_margin": 4, "plans_by_astar": 6, "guard_stops": 7, "scans": SCANS, "keyframes": KEYS,
         "wall_time_s": 2.31, "stage_ms_mean.sense": 310.0 / KEYS, "stage_ms_mean.extract": 47.0 / KEYS,
@@ -300,16 +300,16 @@ def test_a_trajectory_has_a_row_per_keyframe():
 def test_landmarks_have_what_their_kind_has():
     pytest.importorskip("pandas")
     frame, final = MeasuredRun("made", TRACE).landmarks.frame(), TRACE.final
-    assert frame.index.tolist() == [12, 13, 15, 16, 18, 19]
-    assert frame["kind"].tolist() == ["wall", "end", "wall", "end", "end", "end"]
+    assert frame.index.tolist() == [12, 14, 13, 15, 16, 18, 19]
+    assert frame["kind"].tolist() == ["wall", "wall", "end", "wall", "end", "end", "end"]
     assert frame["observations"].tolist() == [3 + i for i in frame.index]
-    sigmas = np.sqrt(np.diag(TRACE.joint_cov)[3:]).reshape(6, 2)
+    sigmas = np.sqrt(np.diag(TRACE.joint_cov)[3:]).reshape(7, 2)
     for rows, names in ((final.walls, ["alpha", "d"]), (~final.walls, ["x", "y"])):
         np.testing.assert_array_equal(frame.loc[rows, names], final.landmarks[rows])
         np.testing.assert_allclose(frame.loc[rows, [f"sigma_{name}" for name in names]], sigmas[rows])
         assert frame.loc[~rows, names].isna().all(axis=None)
-    ends = [TRACE.records[i].extent.ravel() for i in (12, 15)]
-    np.testing.assert_array_equal(frame.loc[[12, 15], ["from_x", "from_y", "to_x", "to_y"]], ends)
+    ends = [TRACE.records[i].extent.ravel() for i in (12, 14, 15)]
+    np.testing.assert_array_equal(frame.loc[[12, 14, 15], ["from_x", "from_y", "to_x", "to_y"]], ends)
 
 
 def test_the_relative_errors_of_a_run_of_an_earlier_version_are_measured_from_its_record(found):

@@ -1,6 +1,11 @@
+import numpy as np
 import pytest
+from scipy import stats
 
-from sixthsense.evaluation.summary import run_summary
+from sixthsense.evaluation.effective import effective_samples
+from sixthsense.evaluation.results import Metrics
+from sixthsense.evaluation.summary import mean_interval, run_summary, summary
+from sixthsense.evaluation.tables import digits, html_table, text_table
 
 EXPLORED = {
     "outcome": "explored", "coverage": 0.998, "ate_rmse_m": 0.0123, "dead_reckoning_ate_rmse_m": 1.5,
@@ -44,3 +49,74 @@ def test_a_log_without_truth_tells_its_scans_the_way_the_area_the_loop_closures_
 def test_the_band_is_that_of_the_effective_samples_if_they_are_enough_to_know_their_number(samples, told):
     metrics = EXPLORED | {"pose_nees_world_mean": 4.0, "pose_nees_effective_samples": samples}
     assert run_summary(metrics)["consistency"].startswith(told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "label", "told"),
+    [
+        ({"pose_nees_world_mean": 0.21}, "consistency", "cautious: NEES 0.21, below the 0.2 to 9.3"),
+        ({"pose_nees_world_mean": 9.4}, "consistency", "overconfident: NEES 9.4, above the 0.2 to 9.3"),
+        ({"outcome": "goal reached", "goal_error_m": 0.0074}, "outcome", "it stands 7.4 mm from it"),
+        ({"outcome": "explored in part"}, "outcome", "some places are left unseen; coverage 99.8 %"),
+        ({"ate_rmse_m": 0.999, "dead_reckoning_ate_rmse_m": 1.004}, "accuracy", "99.9 cm RMS; odometry alone 1.00 m"),
+        ({"scan_ms_p50": 10.4, "scan_ms_p99": 9.96}, "speed", "10 ms a keyframe, 10 ms at the 99th percentile"),
+    ],
+)  # fmt: skip
+def test_limits_units_and_outcomes_of_a_summary(changes, label, told):
+    assert told in run_summary(EXPLORED | changes)[label]
+
+
+def test_a_table_of_runs_has_means_with_intervals_of_student_bands_and_outcomes_by_group():
+    """Rows of two groups in mixed order; of the effective samples the smaller of pooled and summed ones counts."""
+    pd = pytest.importorskip("pandas")
+    rng = np.random.default_rng(6)
+    nees = [rng.chisquare(3, 70) * (1.0 + 0.03 * k) for k in range(7)]
+    frame = pd.DataFrame({
+        "scene": ["maps/b.toml", "a", "maps/b.toml", "a", "a", "maps/b.toml", "a"],
+        "outcome": ["explored", "stuck", "lost", "explored", "explored", "lost", "explored"],
+        "ate_rmse_m": [0.03, 0.07, 0.052, 0.011, np.nan, 0.041, 0.024],
+        "nis_mean_per_dof": [1.1] + [np.nan] * 6, "pose_nees_world_mean": [one.mean() for one in nees],
+        "pose_nees_effective_samples": [66.0, 70.0, 61.0, 70.0, 70.0, 58.0, 70.0],
+    })  # fmt: skip
+    head, *rows = summary(frame, ["scene"], nees)
+    assert head == ["scene", "runs", "ATE m", "NEES", "NIS/dof", "coverage", "outcomes"]
+    for row, name, members in zip(rows, ("a", "b"), ([1, 3, 4, 6], [0, 2, 5]), strict=True):
+        ate = frame["ate_rmse_m"][members].dropna()
+        low, high = stats.t.interval(0.95, len(ate) - 1, ate.mean(), stats.sem(ate))
+        assert row[:3] == [name, str(len(members)), f"{ate.mean():.3g} ± {(high - low) / 2:.2g}"]
+        worth = min(effective_samples([nees[k] for k in members]), frame["pose_nees_effective_samples"][members].sum())
+        assert worth > 30.0
+        low, high = stats.chi2.ppf((0.025, 0.975), 3 * worth) / worth
+        mean = np.mean([nees[k].mean() for k in members])
+        assert row[3] == f"{mean:.3g} {'in' if low < mean < high else 'not in'} {low:.2f}-{high:.2f}"
+    assert [row[4:6] for row in rows] == [["", ""], ["1.1", ""]]
+    assert [row[6] for row in rows] == ["3 explored, 1 stuck", "2 lost, 1 explored"]
+    few = frame.assign(pose_nees_effective_samples=7.0, pose_nees_world_mean=0.4)
+    low, high = stats.chi2.ppf((0.025, 0.975), 3 * 4) / 4  # of four runs
+    assert summary(few, ["scene"], nees)[1][3] == f"0.4 not in {low:.2f}-{high:.2f}"
+    assert summary(few, ["scene"])[1][3] == f"0.4 not in {low:.2f}-{high:.2f}"
+
+
+def test_the_interval_of_a_mean_is_that_of_student():
+    values = np.array([0.31, 0.52, 0.47, 0.93, 0.11])
+    low, high = stats.t.interval(0.95, 4, values.mean(), stats.sem(values))
+    assert mean_interval(values) == f"{values.mean():.3g} ± {(high - low) / 2:.2g}"
+    assert [mean_interval(values[:n]) for n in (0, 1)] == ["", "0.31"]
+
+
+def test_tables_align_escape_and_round_their_cells():
+    rows = [
+        ["key", "value", "unit"],
+        ["a heading that is long"],
+        ["ate", digits(0.0123456), "m"],
+        ["n", digits(7), "1"],
+    ]
+    assert text_table(rows, "right").splitlines()[2:] == ["ate  0.01235     m", "n          7     1"]
+    assert text_table(rows).splitlines()[3] == "n    7        1"
+    assert (
+        html_table(["<b>", "d"], [["a & b", "c"]], 0)
+        == "<table>\n<tr><th>&lt;b&gt;</th><th>d</th></tr>\n<tr><td>a &amp; b</td><td>c</td></tr>\n</table>"
+    )
+    told = repr(Metrics({"ate_max_m": 0.123456, "guard_stops": 3, "plans_below_margin": 0, "own": 1.5})).splitlines()
+    assert told == ["Accuracy", "  ate_max_m           0.1235 m", "Map and path", "  plans_below_margin  0",
+                    "  guard_stops         3", "Other", "  own                 1.5"]  # fmt: skip
