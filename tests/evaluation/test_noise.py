@@ -1,0 +1,77 @@
+"""What a calibration is told by: errors, their gates, and the lines of its summary, by numpy on errors made by hand."""
+
+import re
+
+import numpy as np
+import pytest
+
+from sixthsense.config import AssumedConfig, Config, as_table, merge, preset
+from sixthsense.core.geometry import Pose
+from sixthsense.core.landmarks import Kind
+from sixthsense.evaluation.calibrate import Calibration, as_partial_config, calibrate, summary
+from sixthsense.evaluation.noise import CalibrationError, LandmarkErrors, PropagationErrors, Sample, propagation_errors
+
+RNG = np.random.default_rng(2)
+ROOTS = np.eye(3) * [0.03, 0.02, 0.05] + RNG.uniform(-0.01, 0.01, (40, 3, 3))
+COVS = ROOTS @ ROOTS.transpose(0, 2, 1)
+ERRORS = RNG.normal(0.01, 0.03, (40, 3))
+KINDS = np.where(np.arange(40) % 3, float(Kind.CORNER), float(Kind.END))
+
+
+def made(scale):
+    landmarks = LandmarkErrors(KINDS, scale * ERRORS[:, :2], COVS[:, :2, :2], round(5 * scale))
+    return PropagationErrors(scale * ERRORS, COVS), landmarks
+
+
+def nees(errors, covs):
+    return np.array([e @ np.linalg.inv(c) @ e for e, c in zip(errors, covs, strict=True)])
+
+
+def test_the_mean_of_observations_is_of_those_within_the_gate_and_the_others_are_counted():
+    found, own = made(3.0)[1], nees(3.0 * ERRORS[:, :2], COVS[:, :2, :2])
+    inside = own <= 13.816  # 99.9 % of chi-square with 2 degrees of freedom
+    assert 5 < inside.sum() < 35
+    assert (found.mean_nees, found.outside) == (pytest.approx(own[inside].mean()), np.sum(~inside))
+    np.testing.assert_array_equal(found.of(Kind.END), 3.0 * ERRORS[::3, :2])
+
+
+def test_errors_of_odometry_are_the_true_motion_less_the_composed_one_with_the_turn_wrapped():
+    track = [Pose(0.4, 0.3, 2.0)]
+    for _ in range(5):
+        track.append(track[-1] @ Pose(0.02, 0.01, 0.62))
+    whole = track[0].inverse() @ track[-1]
+    truth = Pose(whole.x + 0.03, whole.y - 0.02, -3.0)
+    found = propagation_errors([Sample(tuple(track), truth, Pose(), None)], AssumedConfig())
+    assert found.errors[0] == pytest.approx([0.03, -0.02, 2.0 * np.pi - 3.0 - 3.1])
+
+
+def test_the_summary_has_means_before_and_after_and_second_moments_about_zero_and_about_the_mean():
+    before, after = made(3.0), made(1.2)
+    systematic = {"wheel_scale_error": (0.0123, 0.002), "drift_rad_per_m": (0.004, 0.003)}
+    config = preset("worn")
+    assumed = merge(config.assumed, {"wheel_scale_error": 0.0123, "drift_rad_per_m": 0.0})
+    found = Calibration(assumed, systematic, (before[0], after[0]), (before[1], after[1]))
+    lines = summary(found)
+    numbers = [[float(one) for one in re.findall(r"(?<![\w^])-?\d+\.?\d*", line.replace("mm^2", ""))] for line in lines]
+    scaled = [nees(scale * ERRORS, COVS).mean() for scale in (3.0, 1.2)]
+    assert numbers[0] == pytest.approx([40, *scaled, 3], abs=0.005)
+    assert lines[1:3] == ["wheel_scale_error: 0.0123 +- 0.0020, kept",
+                          "drift_rad_per_m: 0.0040 +- 0.0030, set to 0: within 3 sigma"]  # fmt: skip
+    assert numbers[3] == pytest.approx([40, before[1].mean_nees, 40, after[1].mean_nees, 2], abs=0.005)
+    assert numbers[4] == pytest.approx([before[1].outside, 99.9, after[1].outside, 15, 6])
+    for k, kind in ((5, Kind.CORNER), (7, Kind.END)):
+        mm = 1200.0 * ERRORS[KINDS == kind, :2]
+        moment = sum(np.outer(row, row) for row in mm) / len(mm)
+        assert numbers[k] == pytest.approx([len(mm), moment[0, 0], moment[0, 1], moment[1, 1]], abs=0.05)
+        centred = mm - mm.mean(axis=0)
+        cov = sum(np.outer(row, row) for row in centred) / (len(mm) - 1)
+        assert numbers[k + 1] == pytest.approx([*mm.mean(axis=0), cov[0, 0], cov[0, 1], cov[1, 1]], abs=0.05)
+    table = as_partial_config(found, config)
+    assert merge(Config(), table["assumed"] and {"assumed": table["assumed"]}).assumed.motion == assumed.motion
+    assert set(table["assumed"]) == {"wheel_scale_error", "drift_rad_per_m", "landmark_floor_m", "motion", "laser"}
+    assert table["assumed"]["laser"]["range_m"] == as_table(assumed)["laser"]["range_m"]
+
+
+def test_a_calibration_refuses_fewer_than_twenty_samples():
+    with pytest.raises(CalibrationError, match="samples: found 19, allowed: at least 20"):
+        calibrate(preset(), 19)
