@@ -54,6 +54,25 @@ def test_a_room_behind_a_wall_does_not_count() -> None:
     assert coverage(area, np.array([[3.0, 2.0, 0.0]]), CIRCLE, CENTRED, 20.0, walls) == [1.0]
 
 
+def test_a_room_behind_a_door_that_is_too_narrow_is_seen_only_through_it() -> None:
+    """The disc does not fit through 0.3 m; from the door's jambs on, rays fan out by the room's own depth."""
+    walls = segments(*box(0.3, 0.2, 6.3, 4.2), [(4.3, 0.2), (4.3, 2.0)], [(4.3, 2.3), (4.3, 4.2)])
+    area = visible_area(walls, (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.25, 20.0)
+    assert at(area, 5.3, 2.15) and not at(area, 4.45, 0.5) and not at(area, 4.45, 3.9)
+    wide = visible_area(walls, (0.3, 0.2, 6.3, 4.2), (1.2, 0.9), 0.14, 20.0)
+    assert wide.square_metres == pytest.approx(3.9 * 3.9 + 1.9 * 3.9, rel=0.02)
+    low = visible_area(walls, (0.7, 0.4, 3.7, 2.4), (1.2, 0.9), 0.25, 20.0)  # a region inside the room
+    assert low.square_metres == pytest.approx(3.0 * 2.0, rel=0.01)
+
+
+def test_scans_from_the_same_place_count_only_if_they_look_elsewhere() -> None:
+    area = visible_area(ROOM, (0, 0, 6, 4), (1, 1), 0.2, 10.0)
+    narrow, spacing = CIRCLE[:90], CIRCLE[1]
+    poses = np.array([[2.3, 1.7, 0.4], [2.301, 1.7, 0.4 + 0.4 * spacing], [2.302, 1.7, 1.9], [2.42, 1.7, 1.9]])
+    shares = coverage(area, poses, narrow, (0.2, -0.1, 0.3), 10.0, ROOM)
+    assert shares[1] == shares[0] < shares[2] - 0.1 and shares[3] > shares[2]
+
+
 def test_a_pose_that_sees_half_covers_half() -> None:
     walls = segments(*box(0, 0, 6, 4), [(3, 0), (3, 3)])
     area = visible_area(walls, (0, 0, 6, 4), (1, 1), 0.2, 20.0)

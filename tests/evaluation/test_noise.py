@@ -61,7 +61,7 @@ def test_the_summary_has_means_before_and_after_and_second_moments_about_zero_an
     outside = [one[1].outside for one in (before, after)]
     assert numbers[4] == [outside[0], 99.9, outside[1], 15, 6]
     for k, kind in ((5, Kind.CORNER), (7, Kind.END)):
-        mm = 1200.0 * ERRORS[KINDS == kind, :2]
+        mm = 1200.0 * ERRORS[kind == KINDS, :2]
         moment = sum(np.outer(row, row) for row in mm) / len(mm)
         assert numbers[k] == pytest.approx([len(mm), moment[0, 0], moment[0, 1], moment[1, 1]], abs=0.05)
         centred = mm - mm.mean(axis=0)
