@@ -3,7 +3,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SCALE ?= 1
 
-.PHONY: run test test-all coverage notebooks check kernels bench evidence evidence-logs guard pictures pictures-check docs clean
+.PHONY: run test test-all coverage notebooks check mutants kernels bench evidence evidence-logs guard pictures pictures-check docs clean
 .DEFAULT_GOAL := run
 
 # One stamp per pyproject.toml: a changed dependency installs again, nothing else does.
@@ -37,6 +37,9 @@ check: $(VENV)/installed  ## style, types, imports
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+mutants: $(VENV)/installed  ## FILE=, a file or a folder of the package: which small wrong changes of it does no test see? SINCE=REV SAMPLE=N SEED=S
+	$(BIN)/python tests/mutants.py $(FILE) $(if $(SINCE),--since $(SINCE)) $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(SEED),--seed $(SEED))
 
 bench: $(VENV)/installed kernels  ## speed of the hot loops beside their limits; 5 minutes
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/kernels.py
