@@ -1,0 +1,174 @@
+"""Free space, discs, gaps and boxes against plain references, for general places, margins and sizes of cells."""
+
+import math
+
+import numpy as np
+import pytest
+
+from sixthsense.config import GridConfig, LaserConfig
+from sixthsense.config.platform import LaserNoise
+from sixthsense.core.geometry import Pose
+from sixthsense.core.laser import Scan
+from sixthsense.slam.mapping.changes import TILE, Box, grown_box
+from sixthsense.slam.mapping.evidence import EvidenceRules
+from sixthsense.slam.mapping.freespace import Ellipse
+from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.inflation import disc_cells, marked, too_near
+from sixthsense.slam.mapping.mapper import Mapper
+from sixthsense.slam.mapping.restore import restore_grid
+from sixthsense.slam.mapping.straight_gaps import straight_gaps
+from sixthsense.slam.mapping.submap import Submap, weakened
+
+CELL = 0.07
+CONFIG = GridConfig(cell_m=CELL, clearance_m=0.04)
+LASER = LaserConfig(beams=25, fov=4.4, max_range=2.0, mount=(0.1, -0.05, 0.3))
+NO_WALLS = np.zeros((0, 2, 2))
+
+
+def looked(rng):
+    """A grid of some scans with returns at random ranges."""
+    grid = Grid(CONFIG, 0.11)
+    for _ in range(3):
+        grid.add(Pose(*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)), scattered(rng), NO_WALLS)
+    return grid
+
+
+def scattered(rng):
+    return Scan.from_config(rng.uniform(0.3, 2.4, LASER.beams), LASER)
+
+
+@pytest.mark.parametrize("margin", [-0.06, 0.0, 0.13])
+@pytest.mark.parametrize("bounded", [False, True])
+def test_free_space_is_that_of_a_disc_that_touches_no_obstacle_but_near_points(margin, bounded):
+    rng = np.random.default_rng(int(100 * (1 + margin)) + bounded)
+    grid = looked(rng)
+    points = rng.uniform(-1.2, 1.2, (2, 2)), np.array([[3.1, -0.4]])
+    points = [*points[0], *points[1]]
+    within = Ellipse(points[0], points[1], 1.3 * math.dist(points[0], points[1])) if bounded else None
+    space = grid.free_space(*points, margin_m=margin, within=within)
+    rows, cols = np.nonzero(grid.obstacles)
+    solid = np.column_stack([cols + 0.5, rows + 0.5]) * CELL + grid.origin
+    assert all(space.contains(point) for point in points) and len(solid) > 20
+    for row, col in np.ndindex(*space.blocked.shape):
+        centre = np.array(space.origin) + (np.array([col, row]) + 0.5) * CELL
+        away = np.hypot(*np.maximum(np.abs(solid - centre) - 0.5 * CELL, 0.0).T).min()
+        near = margin > 0.0 and min(math.dist(centre, point) for point in points) <= margin + CELL
+        blocked = away <= 0.15 + (0.0 if near else margin) + 1e-9
+        if within is not None:
+            way = math.dist(centre, within.a) + math.dist(centre, within.b)
+            blocked |= way > within.length_m + 2 * CELL
+        assert space.blocked[row, col] == blocked
+
+
+def test_discs_cover_the_cells_that_they_touch():
+    centres, radius = np.array([[0.33, -1.21], [0.45, -1.1]]), 0.16
+    found = set(map(tuple, disc_cells(centres, radius, CELL).tolist()))
+    own = np.floor(centres[:, ::-1] / CELL)
+    for row in range(-30, 0):
+        for col in range(-10, 20):
+            gap = np.maximum(np.abs(own - (row, col)) - 0.5, 0.0) * CELL  # of a disc about the centre of its cell
+            assert ((row, col) in found) == bool((np.hypot(*gap.T) <= radius).any())
+    box = Box(-20, 2, -13, 9)
+    inside = {(row - box.top, col - box.left) for row, col in found if -20 <= row < -13 and 2 <= col < 9}
+    mask = marked(box, np.array(sorted(found)))
+    assert mask.shape == (7, 7) and set(zip(*map(np.ndarray.tolist, np.nonzero(mask)), strict=True)) == inside
+
+
+def test_cells_are_too_near_within_a_radius_of_an_obstacle():
+    obstacles = np.random.default_rng(2).random((14, 19)) < 0.03
+    rows, cols = np.nonzero(obstacles)
+    for radius in (0.7, 2.0, 3.4):
+        away = np.hypot(np.arange(14)[:, None, None] - rows, np.arange(19)[None, :, None] - cols).min(axis=2)
+        assert np.array_equal(too_near(obstacles, radius), away < radius)
+
+
+def test_a_grid_made_of_counts_goes_on_as_the_one_they_were_of():
+    rng = np.random.default_rng(5)
+    grid = looked(rng)
+    other = restore_grid(CONFIG, 0.11, grid.origin, grid.hits, grid.passes, grid.seen)
+    pose, scan = Pose(0.3, -0.2, 1.1), scattered(rng)
+    for one in (grid, other):
+        one.add(pose, scan, NO_WALLS)
+    box = grid.box
+    for name in ("hits", "passes", "seen", "obstacles", "cover"):
+        assert np.array_equal(grid.part(name, box), other.part(name, box))
+    for wrong in ({"hits": grid.hits[1:]}, {"origin": (math.nan, 0.0)}):
+        counts = {"origin": grid.origin, "hits": grid.hits, "passes": grid.passes, "seen": grid.seen, **wrong}
+        with pytest.raises(ValueError, match=r"allowed: finite numbers|expected one shape"):
+            restore_grid(CONFIG, 0.11, **counts)
+
+
+def test_old_evidence_is_that_of_three_scans_with_the_same_obstacles_and_free_cells():
+    cells, hits = np.array([[2, 3], [2, 4], [-1, 7], [5, 5]]), np.array([20, 2, 9, 0], np.int32)
+    passes = np.array([40, 3, 30, 6], np.int32)
+    found = weakened(Submap.of(cells, hits, passes, np.ones(4, bool)), EvidenceRules(1, 40, 2.5))
+    assert found.hits.tolist() == [3, 2, 3, 0]
+    assert found.passes.tolist() == [6, 3, 8, 1]  # two per hit; as it was; free, by one more than 7; free
+    assert not found.seen.any() and found.box == Box(-1, 3, 6, 8)
+
+
+def test_places_are_free_if_all_cells_around_them_are_seen_and_none_is_an_obstacle():
+    rng = np.random.default_rng(7)
+    mapper = Mapper(CONFIG, 0.11)
+    mapper.add(lambda: np.array([[0.2, -0.4, 0.8]]), scattered(rng), NO_WALLS)
+    grid, points = mapper.grid, rng.uniform(-0.9, 0.9, (300, 2))
+    is_free = mapper.are_free(points, 0.02)
+    known = grid.seen & ~grid.obstacles
+    top, left = grid.box[:2]
+    for point, free in zip(points, is_free, strict=True):
+        row, col = np.floor(point[::-1] / CELL)
+        down, across = np.ogrid[top : top + known.shape[0], left : left + known.shape[1]]
+        gap = np.hypot(np.maximum(abs(down - row) - 0.5, 0.0), np.maximum(abs(across - col) - 0.5, 0.0))
+        around = gap <= 0.02 / CELL + 1.0
+        assert free == bool(known[around].all())
+    assert 4 < is_free.sum() < 296
+
+
+def test_a_box_that_must_grow_grows_by_a_tile_and_a_quarter_of_its_extent_at_least():
+    box = Box(-100, 20, 900, 220)
+    assert grown_box(box, np.array([-90.0, 30.0]), np.array([900.0, 220.0])) is box
+    assert grown_box(box, np.array([-90.0, 10.0]), np.array([800.0, 200.0])) == Box(-100, 10 - TILE, 900, 220)
+    assert grown_box(box, np.array([-90.0, 30.0]), np.array([1100.0, 230.0])) == Box(-100, 20, 1100 + 300, 230 + TILE)
+    begun = grown_box(Box(0, 0, 0, 0), np.array([3.0, 5.0]), np.array([40.0, 30.0]))
+    assert begun == Box(3 - TILE, 5 - TILE, 40 + TILE, 30 + TILE)
+
+
+@pytest.mark.parametrize("sigmas, closed", [((0.01, 0.0), False), ((0.001, 0.004), True)])
+def test_a_return_is_of_one_wall_with_its_neighbours_within_three_sigmas(sigmas, closed):
+    alpha, distance, spacing = 0.9, 1.3, 2.0 * math.pi / 40
+    bearings = spacing * np.array([-1.0, 0.0, 1.0]) + (-math.pi + spacing if closed else -0.3)
+    alpha += bearings[1]
+
+    def middle(a, b, c, turn):
+        """By how much the middle return lies beyond the line through its neighbours, in reciprocal range."""
+        (x0, y0), (x1, y1) = (np.array([math.cos(t), math.sin(t)]) * r for r, t in
+                              ((a, bearings[0] + turn[0]), (c, bearings[2] + turn[2])))  # fmt: skip
+        t = bearings[1] + turn[1]
+        return 1.0 / b - (math.cos(t) * (y1 - y0) - math.sin(t) * (x1 - x0)) / (x0 * y1 - y0 * x1)
+
+    ranges = distance / np.cos(bearings - alpha)
+    variance = 0.0
+    for step in 1e-6 * np.eye(3):
+        variance += (
+            sigmas[0] * (middle(*(ranges + step), np.zeros(3)) - middle(*(ranges - step), np.zeros(3))) / 2e-6
+        ) ** 2
+        variance += (sigmas[1] * (middle(*ranges, step) - middle(*ranges, -step)) / 2e-6) ** 2
+    for beyond, count in ((2.9, 2), (3.1, 0), (-2.9, 2), (-3.1, 0)):
+        seen = ranges.copy()
+        seen[1] = 1.0 / (1.0 / ranges[1] + beyond * math.sqrt(variance))
+        whole = np.full(40 if closed else 3, np.inf, np.float32)
+        whole[:3] = seen
+        scan = Scan(whole, np.float32(bearings[0]), np.float32(spacing), 9.0, Pose(0.2, 0.1, 0.4))
+        scan = scan if not closed else Scan(np.roll(whole, -1), np.float32(bearings[1]), np.float32(spacing), 9.0,
+                                            Pose(0.2, 0.1, 0.4))  # fmt: skip
+        gaps = straight_gaps(scan, LaserNoise(range_m=sigmas[0], bearing_rad=sigmas[1]), 0.01, 2.0)
+        assert len(gaps) == count
+        ends = np.array([0.2, 0.1]) + [[r * math.cos(0.4 + b), r * math.sin(0.4 + b)]
+                                       for r, b in zip(seen, bearings, strict=True)]  # fmt: skip
+        for gap in gaps:
+            assert any(gap == pytest.approx(ends[k : k + 2], abs=1e-5) for k in (0, 1))
+        if count:
+            longest = max(math.dist(*gap) for gap in gaps)
+            noise = LaserNoise(range_m=sigmas[0], bearing_rad=sigmas[1])
+            assert len(straight_gaps(scan, noise, 0.01, longest - 1e-6)) == 1
+            assert len(straight_gaps(scan, noise, longest - 1e-6, 2.0)) == 1
