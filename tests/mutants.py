@@ -25,7 +25,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "sixthsense"
@@ -190,20 +190,32 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def outcome(copy: Path, path: str, text: str, recompiled: bool, limit: float) -> str:
-    """What the tests of a file's room say to another text of it. Kernels that may hold it are compiled anew."""
+class Trial(NamedTuple):
+    path: str
+    text: str
+    mutated: str
+    compiled: bool
+    """whether a kernel may hold the change"""
+    tests: list[str]
 
-    stems = [(copy / one).parent / "__pycache__" / Path(one).stem for one in importers(path)] if recompiled else []
+
+def outcome(copy: Path, trial: Trial, limit: float) -> str:
+    """What the tests of a file's room say to a mutant. Kernels that may hold it are compiled anew."""
+    found = importers(trial.path) if trial.compiled else ()
+    stems = [(copy / one).parent / "__pycache__" / Path(one).stem for one in found]
 
     def kernels() -> list[Path]:
         return [kernel for one in stems for kernel in one.parent.glob(f"{one.name}.*.nb[ic]")]
 
     kept = [kernel.rename(f"{kernel}.kept") for kernel in kernels()]
-    (copy / path).write_text(text)
+    file = copy / trial.path
+    times = file.stat()
+    file.write_text(trial.mutated)
     try:
-        return run_tests(copy, tests_of(path), limit)
+        return run_tests(copy, trial.tests, limit)
     finally:
-        shutil.copy2(ROOT / path, copy / path)
+        file.write_text(trial.text)
+        os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
         for kernel in kernels():
             kernel.unlink()
         for kernel in kept:
@@ -227,15 +239,16 @@ def mutants(paths: list[str], since: str | None) -> list[dict[str, Any]]:
     found = []
     for path in sorted(str(file.resolve().relative_to(ROOT)) for file in files):
         text = (ROOT / path).read_text()
-        tests = digest(*((ROOT / one).read_text() for one in tests_of(path)))
+        tests = tests_of(path)
+        holds_for = digest(*((ROOT / one).read_text() for one in tests))
         for (begin, end, new, kind), compiled in changes(text).items():
             source = text.encode()
             mutated, line = (source[:begin] + new + source[end:]).decode(), source[:begin].count(b"\n") + 1
             if since is None or line in lines_since(since, path):
                 diff = difflib.unified_diff(text.splitlines(), mutated.splitlines(), n=0, lineterm="")
                 told = {"where": f"{path}:{line}", "kind": kind, "diff": list(diff)[3:]}
-                key = {"mutant": digest(path, mutated), "tests": tests}
-                found.append({**told, **key, "now": (path, mutated, compiled)})
+                key = {"mutant": digest(path, mutated), "tests": holds_for}
+                found.append({**told, **key, "now": Trial(path, text, mutated, compiled, tests)})
     return found
 
 
@@ -260,7 +273,7 @@ def main() -> None:
     kept = {one["mutant"]: one for one in known}
     todo = [one for one in found if not is_kept(one, kept)]
     limits = {}
-    for tests in sorted({tuple(sorted(tests_of(one["now"][0]))) for one in todo}):
+    for tests in sorted({tuple(sorted(one["now"].tests)) for one in todo}):
         begin = time.monotonic()
         if run_tests(ROOT, list(tests)) != "survived":
             sys.exit(f"without a mutation, a test fails of {' '.join(tests)}")
@@ -276,7 +289,7 @@ def main() -> None:
                 return kept[mutant["mutant"]]
             copy, begin = copies.get(), time.monotonic()
             try:
-                mutant["outcome"] = outcome(copy, *now, limits[tuple(sorted(tests_of(now[0])))])
+                mutant["outcome"] = outcome(copy, now, limits[tuple(sorted(now.tests))])
             finally:
                 copies.put(copy)
             mutant["seconds"] = round(time.monotonic() - begin, 1)

@@ -1,0 +1,191 @@
+"""Distances, sigmas, extents and shapes of walls against plain references, for general places and sizes."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from sixthsense.config import AssociationConfig
+from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.landmarks import Kind, Observation, WallShape, line_point
+from sixthsense.slam.association.matching import compare
+from sixthsense.slam.association.observed import Distances, Observed, collinear_pairs, ends, joined
+from sixthsense.slam.association.records import (
+    Crookedness,
+    Footprint,
+    MeanShape,
+    Record,
+    correlation,
+    less_certain,
+    unit_cov,
+)
+from sixthsense.slam.estimators.base import Estimate
+
+CONFIG = AssociationConfig(pre_gate_m=1.1, wall_gap_m=0.3, new_separation_m=0.45)
+POSE = Pose(-1.7, 2.3, 2.6)
+
+
+def seen_and_known(rng, count):
+    """Observations of random points and walls, and an estimate of other ones with the ends of the walls."""
+    walls = rng.random(count) < 0.6
+    seen = []
+    for is_wall in walls:
+        root, first = rng.normal(size=(2, 2)) * 0.1, rng.uniform(-1.0, 0.0)
+        z = np.array([rng.uniform(-3, 3), rng.uniform(0.2, 2.0)]) if is_wall else rng.uniform(-2, 2, 2)
+        extent = (first, first + rng.uniform(0.3, 2.0)) if is_wall else (0.0, 0.0)
+        seen.append(Observation(Kind.WALL if is_wall else Kind.END, z, root @ root.T, extent))
+    # Landmarks near what is seen, in another order.
+    order = rng.permutation(count)
+    landmarks, extents = np.empty((count, 2)), np.zeros((count, 2, 2))
+    for k, i in enumerate(order):
+        if walls[i]:
+            alpha = wrap_angle(seen[i].z[0] + POSE.theta + rng.normal(0.0, 0.1))
+            middle = POSE @ line_point(seen[i].z, sum(seen[i].extent) / 2.0) + rng.normal(0.0, 0.4, 2)
+            landmarks[k] = alpha, middle @ [math.cos(alpha), math.sin(alpha)]
+            lever = middle @ [-math.sin(alpha), math.cos(alpha)]
+            shift, half = rng.uniform(-1.5, 1.5), rng.uniform(0.1, 0.7)
+            extents[k] = line_point(landmarks[k], lever + shift - half), line_point(landmarks[k], lever + shift + half)
+        else:
+            landmarks[k] = POSE @ seen[i].z + rng.normal(0.0, 0.5, 2)
+    pose_cov = np.diag([0.04, 0.09, 0.0025])
+    return seen, Estimate(POSE, pose_cov, np.arange(count), landmarks, walls[order]), extents
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_distances_from_landmarks_and_what_they_allow_are_those_of_plain_geometry(seed):
+    rng = np.random.default_rng(seed)
+    seen, estimate, extents = seen_and_known(rng, 9)
+    found = Distances.at(POSE, Observed.of(seen), estimate, extents)
+    sigmas, known = rng.uniform(0.02, 0.3, 9), rng.uniform(0.02, 0.1, 9)
+    plausible, apart = found.plausible(sigmas, known, 0.05, CONFIG), found.apart(CONFIG)
+    widest = math.sqrt(max(CONFIG.match_gate, CONFIG.new_gate))
+    for i, one in enumerate(seen):
+        points = POSE @ np.array([line_point(one.z, place) for place in one.extent])
+        assert found.length_m[i] == pytest.approx(one.extent[1] - one.extent[0])
+        for j, landmark in enumerate(estimate.landmarks):
+            if one.is_wall != estimate.walls[j]:
+                assert found.metres[i, j] == math.inf and apart[i, j] and not plausible[i, j]
+                continue
+            away, turn, gap = math.dist(POSE @ one.z, landmark), 0.0, -math.inf
+            limit = min(widest * (sigmas[i] + 2.0 * known[j]), 1.1)
+            if one.is_wall:
+                normal = np.array([math.cos(landmark[0]), math.sin(landmark[0])])
+                along = np.array([-normal[1], normal[0]])
+                away = abs(points.mean(axis=0) @ normal - landmark[1])
+                turn = abs(wrap_angle(one.z[0] + POSE.theta - landmark[0]))
+                a, b = sorted(points @ along), sorted(extents[j] @ along)
+                gap = max(a[0], b[0]) - min(a[1], b[1])
+                limit = min(max(widest * sigmas[i], 0.45), 1.1)
+            assert (found.metres[i, j], found.turn_rad[i, j], found.gap_m[i, j]) == pytest.approx((away, turn, gap))
+            assert apart[i, j] == (away > 0.45 or turn >= 0.15 or gap >= 0.3)
+            assert plausible[i, j] == (away < limit and turn < max(0.05 * widest, 0.15) and gap < 0.3)
+
+
+def test_the_bound_of_a_sigma_is_that_of_the_middle_seen_with_the_errors_of_the_pose_added():
+    seen, estimate, _ = seen_and_known(np.random.default_rng(11), 8)
+    for one, found in zip(seen, Observed.of(seen).sigmas_m(estimate.pose_cov), strict=True):
+        lever = sum(one.extent) / 2.0
+        own, middle = math.sqrt(np.trace(one.cov)), one.z
+        if one.is_wall:
+            across = np.array([-lever, 1.0])  # of its middle, by alpha and d
+            own, middle = math.sqrt(across @ one.cov @ across), line_point(one.z, lever)
+        assert found == pytest.approx(own + 0.05 * math.hypot(*middle) + math.sqrt(0.13))
+
+
+def test_walls_may_be_one_if_one_of_them_is_recent_and_they_lie_in_line_without_a_gap():
+    walls = np.array([[0.7, 1.9], [0.72, 1.85], [0.7, 2.5], [0.72, 1.92], [1.0, 1.9]])
+    spans = [(0.0, 1.0), (1.2, 2.0), (0.2, 0.9), (2.5, 3.5), (0.0, 1.0)]
+    extents = np.array([[line_point(wall, s) for s in span] for wall, span in zip(walls, spans, strict=True)])
+    recent = np.array([True, False, True, True, True])
+    assert collinear_pairs(walls, extents, recent, 0.3, 0.45) == [(0, 1)]
+    assert sorted(collinear_pairs(walls, extents, recent, 0.6, 0.45)) == [(0, 1), (3, 1)]
+    assert collinear_pairs(walls, extents, np.zeros(5, bool), 9.0, 9.0) == []
+
+
+def test_extents_are_joined_on_the_landmark_from_the_first_place_to_the_last():
+    landmark = np.array([-2.2, 1.4])
+    off = 0.1 * np.array([math.cos(-2.2), math.sin(-2.2)])
+    first, second = (np.array([line_point(landmark, s) + off for s in span]) for span in ((0.9, -0.3), (0.2, 1.6)))
+    expected = [line_point(landmark, -0.3), line_point(landmark, 1.6)]
+    assert joined(landmark, first, second) == pytest.approx(np.array(expected))
+    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8))
+    assert ends(POSE, wall) == pytest.approx(np.array([POSE @ line_point(wall.z, s) for s in wall.extent]))
+
+
+def test_a_crooked_wall_is_uncertain_by_its_mean_square_and_a_tilt_of_thrice_that_at_its_ends():
+    cov = unit_cov(0.4, 2.8, True)
+    for place in (0.4, 1.6, 2.2, 2.8):
+        across = np.array([-place, 1.0])
+        assert across @ cov @ across == pytest.approx(1.0 + 3.0 * ((place - 1.6) / 1.2) ** 2)
+    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.diag([0.01, 0.02]), (0.4, 2.8))
+    assert less_certain(wall, 0.003).cov == pytest.approx(wall.cov + 0.003 * cov)
+    assert not unit_cov(0.4, 2.8, False).any()
+
+
+def test_the_mean_shape_of_a_wall_is_what_its_observations_and_other_walls_tell():
+    shape = MeanShape()
+    shape.add(WallShape((0.03, -0.01), (4e-4, 9e-4)))
+    shape.add(WallShape((0.05, 0.02), (1e-4, 3e-4)))
+    means, variances = (0.046, 0.0125), (8e-5, 2.25e-4)  # weighted with 2,500 and 10,000, 1111.1 and 3333.3 per m^2
+    expected = 0.0
+    for k, excess in enumerate((0.8, 1.7)):
+        prior = 2 * excess * variances[k]
+        posterior = 1.0 / (1.0 / prior + 1.0 / variances[k])
+        expected += max((posterior / variances[k] * means[k]) ** 2 + posterior, means[k] ** 2 - 9.0 * variances[k])
+    assert shape.square_m2((0.8, 1.7)) == pytest.approx(expected)
+    assert shape.square_m2((0.0, 0.0)) == pytest.approx(0.046**2 - 9.0 * 8e-5)  # significant for the first alone
+
+
+def test_walls_are_crooked_by_what_exceeds_the_mean_square_of_noise():
+    for count in (5, 60):
+        crookedness, keep, amplitude = Crookedness(), 1.0 - 1.0 / 500.0, 0.03
+        for _ in range(count):
+            crookedness.add(WallShape((amplitude, 0.4), (1e-4, 1e-4)))
+        counted = (1.0 - keep**count) / (1.0 - keep)
+        limit = stats.chi2.ppf(stats.norm.cdf(3.0), counted) / counted
+        assert crookedness.excess == pytest.approx((max(9.0 - limit, 0.0), 25.0 - limit), rel=0.01)
+    crookedness.add(WallShape())
+    assert crookedness.excess[1] == pytest.approx(25.0 - limit, rel=0.01)
+    assert Crookedness().excess == (0.0, 0.0)
+
+
+def test_errors_of_shape_are_alike_by_the_share_that_both_see_and_by_the_turn_of_the_side():
+    line = np.array([2.4, -1.3])
+    before = Footprint(np.array([line_point(line, 0.2), line_point(line, 1.4)]), 3.0)
+    now = Footprint(np.array([line_point(line, 2.2), line_point(line, 0.8)]), -3.05)
+    turn = 2.0 * math.pi - 6.05
+    assert correlation(before, now) == pytest.approx(0.6 / 2.0 * math.exp(-((turn / 0.5) ** 2)))
+    apart = now._replace(ends=np.array([line_point(line, 1.5), line_point(line, 2.0)]))
+    assert correlation(before, apart) == 0.0
+    seen = Footprint.of(POSE, before.ends)
+    middle = before.ends.mean(axis=0)
+    assert seen.side_rad == pytest.approx(math.atan2(POSE.y - middle[1], POSE.x - middle[0]))
+
+
+def test_a_wall_that_is_seen_again_keeps_its_extent_and_the_stretch_that_is_most_like_it():
+    landmark = np.array([wrap_angle(0.4 + POSE.theta), 0.0])
+    wall = Observation(Kind.WALL, np.array([0.4, 1.1]), np.eye(2), (-0.5, 0.8), shape_cov=np.eye(2))
+    landmark[1] = ends(POSE, wall)[0] @ [math.cos(landmark[0]), math.sin(landmark[0])]
+    record = Record(Kind.WALL, 1, 1, 1, extent=ends(POSE, wall))
+    first = record.seen_again(wall, POSE, landmark)
+    assert (first.shape_kept, first.stretch, first.stretch_kept) == (0.0, 0, 1.0)
+    longer = Observation(Kind.WALL, wall.z, np.eye(2), (0.3, 2.0), shape_cov=np.eye(2))
+    again = record.seen_again(longer, POSE, landmark)
+    both = Footprint.of(POSE, ends(POSE, wall)), Footprint.of(POSE, ends(POSE, longer))
+    assert again.shape_kept == pytest.approx(correlation(*both)) and again.stretch == 1
+    whole = [POSE @ line_point(wall.z, place) for place in (-0.5, 2.0)]
+    assert sorted(record.extent.tolist()) == pytest.approx(np.array(sorted(whole, key=tuple)))
+
+
+def test_matches_are_worth_the_gate_for_each_less_their_squared_innovation_together():
+    seen, estimate, _ = seen_and_known(np.random.default_rng(13), 5)
+    root = np.random.default_rng(1).normal(size=(13, 13)) * 0.2
+    found = compare(Observed.of(seen), np.zeros(5), estimate, np.arange(5), root @ root.T)
+    matched = np.array([3, -1, 0, -1, 2])
+    values = found.pairs.values[[0, 2, 4], [3, 0, 2]].ravel()
+    index = np.array([6, 7, 0, 1, 4, 5])
+    S = found.pairs.predicted[np.ix_(index, index)].copy()
+    for k, (i, j) in enumerate(((0, 3), (2, 0), (4, 2))):
+        S[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] += found.pairs.noise[i, j]
+    assert found.worth(matched, 11.0) == pytest.approx(33.0 - values @ np.linalg.solve(S, values))
