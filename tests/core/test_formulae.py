@@ -25,32 +25,6 @@ from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.core.wheels import wheel_prior
 
 
-def normal_nodes(mean, cov):
-    """Points (49, 2) and weights (49,) that integrate polynomials of two normal variables exactly, to degree 13."""
-    nodes, weights = np.polynomial.hermite_e.hermegauss(7)
-    grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
-    return mean + grid @ np.linalg.cholesky(cov).T, np.outer(weights, weights).ravel() / (2.0 * math.pi)
-
-
-def test_a_point_in_polar_coordinates_has_the_true_bearing_and_range_on_average():
-    point, cov = np.array([-1.9, 2.3]), np.array([[0.05, 0.018], [0.018, 0.03]])
-    seen, weights = normal_nodes(point, cov)
-    polar = [Observation(Kind.END, z, cov).bearing_range() for z in seen]
-    bearings, ranges = (np.array([one[k] for one in polar]) for k in (0, 1))
-    raw = weights @ np.hypot(*seen.T) - math.hypot(*point)
-    assert abs(weights @ ranges - math.hypot(*point)) < 0.05 * abs(raw)
-    raw = weights @ np.arctan2(*seen.T[::-1]) - math.atan2(point[1], point[0])
-    assert abs(weights @ bearings - math.atan2(point[1], point[0])) < 0.1 * abs(raw)
-    expected = np.cov(np.arctan2(*seen.T[::-1]), np.hypot(*seen.T), aweights=weights, ddof=0)
-    assert np.allclose(Observation(Kind.END, point, cov).bearing_range()[2], expected, rtol=0.05)
-
-
-def test_a_point_nearer_than_its_error_has_a_sigma_of_half_a_turn_and_a_range_above_zero():
-    _, distance, cov = Observation(Kind.END, np.array([0.03, 0.0]), np.diag([0.2, 0.9]) ** 2).bearing_range()
-    assert math.sqrt(cov[0, 0]) == pytest.approx(math.pi)
-    assert distance == pytest.approx(0.5 * 0.9 / math.pi) and cov[1, 1] == pytest.approx(0.04)
-
-
 def test_a_polar_observation_is_the_point_that_explains_it_on_average():
     found = polar_observation(3.2, 0.7, (0.04, 0.09), floor_m=0.05)
     bearing, weights = np.polynomial.hermite_e.hermegauss(9)

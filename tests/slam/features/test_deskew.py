@@ -7,7 +7,7 @@ import pytest
 from scanned import box, look
 
 from sixthsense.config import AssumedConfig, Config, LaserConfig, merge, preset
-from sixthsense.core.geometry import Array, Pose, interpolated, point_segment_distance
+from sixthsense.core.geometry import Array, Pose, point_segment_distance
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry, odometry
 from sixthsense.core.source import Command
@@ -74,15 +74,6 @@ def test_a_turning_robot_keeps_no_direction_twice_and_leaves_a_gap_open() -> Non
         if closed:
             assert len(moved.ranges) < len(raw.ranges)
             assert 2.0 * math.pi - span < 2.0 * spacing
-
-
-def test_poses_are_interpolated_along_the_shorter_arc_and_constant_beyond_the_ends() -> None:
-    poses = np.array([[0.0, 0.0, 3.0], [1.0, 2.0, -3.0]])
-    found = interpolated(np.array([0.0, 2.0]), poses, np.array([-1.0, 0.0, 1.0, 2.0, 9.0]))
-    assert np.allclose(found[[0, 1]], poses[0]) and np.allclose(found[[3, 4], :2], poses[1, :2])
-    assert found[2, :2] == pytest.approx([0.5, 1.0])
-    assert abs(found[2, 2]) == pytest.approx(math.pi, abs=1e-9)
-    assert np.array_equal(interpolated(np.array([0.0]), poses[:1], np.array([-1.0, 1.0])), poses[[0, 0]])
 
 
 @pytest.mark.parametrize("landmarks", ["corners", "both"])
