@@ -66,7 +66,7 @@ def complete(campaign: CampaignPlan, runs: Mapping[str, PlannedRun], out: Path, 
         if not is_compiled():
             execution.say(COMPILING)
         with connect(execution.scheduler, execution.workers) as client:
-            workers = check_workers(client, campaign.values["scene"])
+            workers = check_workers(client, campaign)
             save_folder(out, campaign, saved)
             existing = f", {len(runs) - len(missing)} already in {out}/" if len(missing) < len(runs) else ""
             execution.say(f"{len(runs)} runs{existing}; {workers} workers; dashboard {client.dashboard_link}")

@@ -8,11 +8,11 @@ import logging
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from multiprocessing import resource_tracker
 from typing import Any
 
-from sixthsense.campaigns.plan import CampaignError, PlannedRun, import_extra, scene_digest
+from sixthsense.campaigns.plan import CampaignError, CampaignPlan, PlannedRun, import_extra
 from sixthsense.campaigns.worker import FAILED, OtherVersionError, describe, one_line, python_minor, row_of, run_row
 from sixthsense.config.section import shown
 from sixthsense.config.version import __version__
@@ -100,7 +100,7 @@ def _has_workers(client: Any) -> bool:
     return True
 
 
-def check_workers(client: Any, scenes: Sequence[str]) -> int:
+def check_workers(client: Any, campaign: CampaignPlan) -> int:
     """Check that all workers produce the same runs, and return their number.
 
     Raises CampaignError that names the worker. Every worker must have this version of the package, this minor version
@@ -112,8 +112,8 @@ def check_workers(client: Any, scenes: Sequence[str]) -> int:
         minor = ".".join(found["host"]["python"].split(".")[:2])
         if minor != python_minor():
             raise CampaignError(f"worker {address}: found Python {minor}, allowed: {python_minor()}")
-    digests = {scene: scene_digest(scene) for scene in scenes}
-    answers = client.run(describe, scenes, on_error="return")
+    digests, map_unknown = campaign.digests(), campaign.bases()[0].map_unknown
+    answers = client.run(describe, list(digests), map_unknown, on_error="return")
     for address, answer in answers.items():
         if isinstance(answer, BaseException):
             raise CampaignError(

@@ -22,7 +22,6 @@ from sixthsense.campaigns.plan import (
     PlannedRun,
     import_extra,
     ranges,
-    scene_digest,
     seed_range,
 )
 from sixthsense.campaigns.worker import CURVES
@@ -66,8 +65,8 @@ def check_folder(folder: Path, campaign: CampaignPlan) -> Mapping[str, Any] | No
         if before.get(name) != now.get(name):
             old, new = (shown(table[name]) if name in table else "the preset's" for table in (before, now))
             raise CampaignError(f"--out: {folder} is a campaign with {name} = {old}, found {new}, {allowed}")
-    for scene in campaign.values["scene"]:
-        if saved["scenes"].get(scene, digest := scene_digest(scene)) != digest:
+    for scene, digest in campaign.digests().items():
+        if saved["scenes"].get(scene, digest) != digest:
             raise CampaignError(f"--out: the scene {scene} has changed since {folder} was created, {allowed}")
     return saved
 
@@ -95,7 +94,7 @@ def save_folder(folder: Path, campaign: CampaignPlan, saved: Mapping[str, Any] |
     import tomli_w
 
     axes = campaign.axes()
-    scenes = {scene: scene_digest(scene) for scene in campaign.values["scene"]}
+    scenes = campaign.digests()
     if saved is not None:
         seeds = [seed for text in saved["axes"]["seeds"] for seed in seed_range(text)]
         axes = {axis: list(dict.fromkeys([*saved["axes"][axis], *values])) for axis, values in axes.items()}

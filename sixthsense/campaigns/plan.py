@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from sixthsense.config import Config, as_table, merge, preset
 from sixthsense.config.errors import InputError
@@ -52,6 +52,15 @@ class CampaignPlan:
         """The values of each axis as lists of texts; seeds as ranges."""
         return {**{axis: list(self.values[axis]) for axis in AXES}, "seeds": ranges(self.seeds)}
 
+    def bases(self) -> list[Config]:
+        """The configuration of each preset with the shared fields."""
+        return [merge(preset(name), self.fields, "--") for name in self.values["preset"]]
+
+    def digests(self) -> dict[str, str]:
+        """The hash of each scene's content, as `scene_digest`."""
+        map_unknown = self.bases()[0].map_unknown
+        return {scene: scene_digest(scene, map_unknown) for scene in self.values["scene"]}
+
     def settings(self) -> list[Config]:
         """The configuration of every combination of the axes but the seed, with seed 0.
 
@@ -60,7 +69,7 @@ class CampaignPlan:
         from sixthsense.sources.mission import mission, with_people
         from sixthsense.sources.scene import load_scene
 
-        bases = [merge(preset(name), self.fields, "--") for name in self.values["preset"]]
+        bases = self.bases()
         found = []
         for scene in self.values["scene"]:
             loaded = load_scene(scene, bases[0].map_unknown)
@@ -117,13 +126,16 @@ def _hash(table: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def scene_digest(scene: str) -> str:
-    """Hash of a scene's content, independent of the file's name: 16 hexadecimal digits; raises SceneError."""
+def scene_digest(scene: str, map_unknown: Literal["wall", "free"] = "wall") -> str:
+    """Hash of all of a scene's content but its name, 16 hexadecimal digits; raises SceneError.
+
+    `map_unknown` is what the unknown cells of a map_server map are.
+    """
     from sixthsense.sources.scene import load_scene
 
-    found = load_scene(scene)
-    content = (found.walls.tolist(), found.start, found.radius, found.goal, found.tour, found.region)
-    content += (found.glass.tolist(),) if len(found.glass) else ()  # type: ignore[assignment]
+    found = load_scene(scene, map_unknown)
+    content = [found.walls.tolist(), found.glass.tolist(), found.solid_left, found.start, found.radius, found.goal]
+    content += [found.tour, found.region, found.walkers]
     return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 

@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 from sixthsense.campaigns.plan import config_hash, scene_digest
 from sixthsense.config import Config
@@ -31,12 +31,12 @@ def python_minor() -> str:
     return ".".join(platform.python_version_tuple()[:2])
 
 
-def describe(scenes: Sequence[str]) -> dict[str, Any]:
+def describe(scenes: Sequence[str], map_unknown: Literal["wall", "free"]) -> dict[str, Any]:
     """What must be equal on all workers: the versions and the scenes' hashes."""
     digests = {}
     for scene in scenes:
         try:
-            digests[scene] = scene_digest(scene)
+            digests[scene] = scene_digest(scene, map_unknown)
         except ValueError as error:
             digests[scene] = str(error)
     return {"sixthsense": __version__, "python": python_minor(), "scenes": digests}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,6 @@ from sixthsense.sources.replay_input import Recorded, open_recorded, relations_o
 
 _SIGMA_M, _SIGMA_RAD = 0.3, 0.1  # of the place where the second run is found
 _DRIFT_M_PER_M, _DRIFT_RAD_PER_M = 0.02, 0.002  # of the way from its begin until there
-_LINKED = 0.7  # of that sigma is left, at most, where scans of both runs are linked
 _PAUSE_NS = 1_000_000_000  # between the runs, where the second was recorded earlier
 
 
@@ -33,7 +33,15 @@ class MergeError(InputError):
     """Two runs that cannot be merged, in one line."""
 
 
-def open_merged(first: Path, second: Path, config: Config | None, relations: str | Path | None) -> Recorded:
+@dataclass(frozen=True, slots=True)
+class Merged(Recorded):
+    """Two runs as one log."""
+
+    begin_ns: int
+    """stamp of the second run's first tick"""
+
+
+def open_merged(first: Path, second: Path, config: Config | None, relations: str | Path | None) -> Merged:
     """The folders of two runs as one log, with `relations` to evaluate its replay; errors as of `merged_log`.
 
     Without `config` it is that of the first run. Scans are aligned, whatever front end and estimator it names.
@@ -54,7 +62,7 @@ def _aligning(config: Config) -> Config:
     return dataclasses.replace(changed, max_time=None)
 
 
-def merged_log(first: Recorded, second: Recorded) -> Recorded:
+def merged_log(first: Recorded, second: Recorded) -> Merged:
     """The ticks of both runs; raises MergeError if the second is found nowhere in the first.
 
     The second run is mapped by itself, and what it has seen on its last metres is searched for in the map of the first,
@@ -78,48 +86,33 @@ def merged_log(first: Recorded, second: Recorded) -> Recorded:
     notes = tuple(f"{run.name}: {note}" for run in (first, second) for note in run.notes)
     files = {"log": first.files["log"], "merged_with": second.files["log"]}
     log = Log(ticks, first.log.laser)
-    return Recorded(f"{first.name}-{second.name}", log, first.config, None, files, notes)
+    begin_ns = ticks[len(first.log.ticks)].stamp_ns
+    return Merged(f"{first.name}-{second.name}", log, first.config, None, files, notes, begin_ns)
 
 
-def replay_merged(merged: Recorded, folder: RunFolder | None, watch: Watch) -> Run:
+def replay_merged(merged: Merged, folder: RunFolder | None, watch: Watch) -> Run:
     """Replay a merged log, as `replay_log`; raises MergeError if the second run could not be linked to the first.
 
-    Where no link was made, the pose stays as uncertain as the place where the second run was found. Nothing is left of
-    the folder then.
+    Nothing is left of the folder then.
     """
-    check = _LinkCheck(merged.log.ticks)
+
+    def check(trace: Trace) -> None:
+        if trace.outcome != "interrupted" and not _are_linked(trace, merged.begin_ns):
+            found = "merge: found no scan of the second run that could be linked to the first"
+            raise MergeError(f"{found}, allowed: two runs that share a part of one building")
+
     try:
-        return replay_log(merged, folder, dataclasses.replace(watch, hooks=(check, *watch.hooks)))
+        return replay_log(merged, folder, dataclasses.replace(watch, at_end=check))
     except MergeError:
         if folder is not None:
             shutil.rmtree(folder.partial, ignore_errors=True)
         raise
 
 
-class _LinkCheck:
-    """A hook that ends a replay at its last tick, if no scan of the second run was linked to the first."""
-
-    def __init__(self, ticks: Sequence[Tick]) -> None:
-        self._last_ns = ticks[-1].stamp_ns
-        self._begin_ns = next(tick.stamp_ns for tick in ticks if _is_begin(tick))
-
-    def __call__(self, tick: Tick, trace: Trace) -> None:
-        if tick.stamp_ns != self._last_ns:
-            return
-        covs = [
-            estimate.pose_cov[:2, :2]
-            for stamp_ns, estimate in zip(trace.key_stamps_ns, trace.key_estimates, strict=True)
-            if stamp_ns >= self._begin_ns
-        ]
-        sigmas = np.sqrt(np.linalg.eigvalsh(np.array(covs).reshape(-1, 2, 2))[:, -1])
-        if sigmas.min(initial=np.inf) > _LINKED * _SIGMA_M:
-            found = "merge: found no scan of the second run that could be linked to the first"
-            raise MergeError(f"{found}, allowed: two runs that share a part of one building")
-
-
-def _is_begin(tick: Tick) -> bool:
-    """Whether the second run begins with a tick: the position is not known from the tick before."""
-    return tick.increment_cov is not None and bool(tick.increment_cov[0, 0] >= _SIGMA_M**2)
+def _are_linked(trace: Trace, begin_ns: int) -> bool:
+    """Whether a link joins a keyframe of the first run and one of the second."""
+    first = int(np.searchsorted(trace.key_stamps_ns, begin_ns))
+    return trace.links is not None and bool(np.any((trace.links.ends < first).sum(axis=1) == 1))
 
 
 def _check_lasers(first: Recorded, second: Recorded) -> None:

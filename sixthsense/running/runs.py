@@ -39,6 +39,8 @@ class Watch:
     """slow down to real time"""
     say: Callable[[str], object] | None = None
     """prints the message that kernels are being compiled; without one the bar shows it"""
+    at_end: Callable[[Trace], object] | None = None
+    """called with the trace of a run that is over, before it is kept: an error leaves the run in its `.partial`"""
 
 
 QUIET = Watch(progress=False)
@@ -136,6 +138,8 @@ def _watched(
             bag = open_hooks.enter_context(BagWriter(folder.partial, before_flush=record.flush))
             hooks = [bag, *hooks]
         trace = go(combined_hooks(*hooks))
+        if watch.at_end is not None:
+            watch.at_end(trace)
     from sixthsense.figures.run import Run  # here, since a run that begins need not wait for what shows it at its end
 
     trace.name = name

@@ -208,4 +208,4 @@ def test_a_page_of_two_runs_has_the_metrics_of_each_and_of_one_run_its_settings_
     assert '<td class="value">0.1235</td><td class="value">7.25</td><td>m</td>' in text
     assert '<td class="value"></td><td class="value">3</td>' in text
     assert "laser.fov</td>" in page([one], {}) and ">3.9</td>" in page([one], {})
-    assert SCANS == len(TRACE.stamps_ns)
+    assert len(TRACE.stamps_ns) == SCANS

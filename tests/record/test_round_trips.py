@@ -247,8 +247,8 @@ def scans_of(rng: np.random.Generator, count: int) -> Iterator[Scan]:
     angles = np.float32(-1.7), np.float32(0.3)
     scan = Scan(np.zeros(6, np.float32), *angles, 7.3, Pose(*CONFIG.laser.mount), np.float32(0.004))
     changes = itertools.cycle([
-        {"angle_min": np.float32(-0.9)}, {"time_increment": np.float32(-0.006)}, {"max_range": 6.5},
-        {"angle_increment": np.float32(0.2)}, {"time_increment": np.float32(0.003)}, {},
+        {}, {"angle_min": np.float32(-0.9)}, {"time_increment": np.float32(-0.006)}, {"max_range": 6.5},
+        {"angle_increment": np.float32(0.2)}, {"time_increment": np.float32(0.003)},
     ])  # fmt: skip
     for change in itertools.islice(changes, count):
         ranges = rng.uniform(0.5, 5.0, len(scan.ranges) + (not change)).astype(np.float32)

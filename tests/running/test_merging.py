@@ -1,10 +1,18 @@
 """Two runs in one building, mapped together."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import sixthsense as ss
 from sixthsense import cli
+from sixthsense.config import merge
+from sixthsense.record.folder import RunFolder
+from sixthsense.running.merging import Merged, MergeError, merged_log, replay_merged
+from sixthsense.running.runs import QUIET
+from sixthsense.sources.logs.log import Log
+from sixthsense.sources.replay_input import Recorded, open_recorded
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -50,10 +58,77 @@ def test_both_runs_are_in_one_frame_and_the_folder_is_that_of_a_run(runs, here, 
     driven = [run.metrics["path_length_m"] for run in (both, monday, tuesday)]
     assert driven[0] == pytest.approx(driven[1] + driven[2], abs=1e-6)
     assert both.trace.carried_scans() == [len(monday.trace.estimates)] and monday.trace.carried_scans() == []
+    assert both.trace.relations is None and both.trace.config.front_end == "scan-matching"
+    check_ticks(*(ss.open_log(folder, both.trace.config.laser).ticks for folder in (
+        here / "both", runs / "monday", runs / "tuesday"
+    )))  # fmt: skip
     errors = np.array(both.trace.trajectory)[:, :2] - np.array(both.trace.key_truths)[:, :2]
     assert np.hypot(*errors.T).max() < 0.05
     again = ss.replay("both", progress=False)
     assert np.allclose(again.trace.trajectory, both.trace.trajectory, atol=1e-9)
+
+
+def check_ticks(both, monday, tuesday):
+    """The second run has its own motions after a step that is as uncertain as what was driven says."""
+    first, second = both[: len(monday)], both[len(monday) :]
+    assert [(tick.stamp_ns, tick.odometry) for tick in first] == [(tick.stamp_ns, tick.odometry) for tick in monday]
+    shift_ns = second[0].stamp_ns - tuesday[0].stamp_ns
+    assert second[0].stamp_ns == first[-1].stamp_ns + 1_000_000_000
+    T_first_second = second[0].odometry @ tuesday[0].odometry.inverse()
+    for one, two in zip(second, tuesday, strict=True):
+        assert one.stamp_ns == two.stamp_ns + shift_ns and one.truth == two.truth
+        assert one.odometry.array() == pytest.approx((T_first_second @ two.odometry).array(), abs=1e-9)
+    assert all(tick.increment_cov is None for tick in (*first, *second[1:]))
+    cov = second[0].increment_cov
+    sigmas = np.sqrt(np.diag(cov))
+    driven_m = (sigmas[0] - 0.3) / 0.02
+    assert 0.4 < driven_m < 13.0 and sigmas == pytest.approx([0.3 + 0.02 * driven_m] * 2 + [0.1 + 0.002 * driven_m])
+    assert np.count_nonzero(cov) == 3
+    step = (first[-1].odometry.inverse() @ second[0].odometry).array()
+    true = (first[-1].truth.inverse() @ second[0].truth).array()
+    assert np.abs(step - true).max() < 0.1
+
+
+def recorded(folder) -> Recorded:
+    config = merge(ss.load_config(folder / "config.toml"), {"front_end": "scan-matching"})
+    return open_recorded(folder, dataclasses.replace(config, max_time=None))
+
+
+def joined(one: Recorded, other: Recorded) -> Merged:
+    """The first six seconds of both, the second where it truly was; the first was carried once, as a merged one."""
+    first, second = ([*run.log.ticks[:300]] for run in (one, other))
+    unknown = np.diag([0.1, 0.1, 0.02])
+    first[10] = dataclasses.replace(first[10], increment_cov=unknown)
+    last, begin = first[-1], second[0]
+    T_first_second = last.odometry @ last.truth.inverse() @ begin.truth @ begin.odometry.inverse()
+    later_ns = last.stamp_ns + 1_000_000_000
+    moved = [
+        dataclasses.replace(tick, stamp_ns=tick.stamp_ns + later_ns, odometry=T_first_second @ tick.odometry)
+        for tick in second
+    ]
+    moved[0] = dataclasses.replace(moved[0], increment_cov=unknown)
+    log = Log([*first, *moved], one.log.laser)
+    return Merged("both", log, one.config, None, one.files, (), moved[0].stamp_ns)
+
+
+def test_a_second_run_that_no_link_joins_to_the_first_is_refused_even_if_the_first_was_carried_itself(runs, here):
+    monday = recorded(runs / "monday")
+    assert replay_merged(joined(monday, monday), None, QUIET).outcome == "log ended"
+    with RunFolder(here / "both", monday.config) as folder, pytest.raises(MergeError, match="could be linked"):
+        replay_merged(joined(monday, recorded(runs / "other")), folder, QUIET)
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("laser", "said"),
+    [({"beams": 181}, "laser.beams 181, allowed: 360"), ({"fov": 3.0}, "laser.fov 3"), (None, "scans")],
+)
+def test_runs_of_two_lasers_and_runs_without_scans_are_not_merged(laser, said, runs):
+    one = recorded(runs / "monday")
+    config = merge(one.config, {"laser": laser or {}})
+    log = one.log if laser else Log([dataclasses.replace(tick, scan=None) for tick in one.log.ticks])
+    with pytest.raises(MergeError, match=said):
+        merged_log(one, dataclasses.replace(one, config=config, log=log))
 
 
 def test_runs_of_two_buildings_are_not_merged(runs, here, capsys):
