@@ -14,7 +14,7 @@ import pytest
 import sixthsense as ss
 from sixthsense import cli
 from sixthsense.campaigns import CampaignError, CampaignPlan, Rows, cluster, worker
-from sixthsense.campaigns.plan import AXES, config_hash, plan, ranges, seed_range
+from sixthsense.campaigns.plan import AXES, config_hash, plan
 from sixthsense.evaluation.summary import summary
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
@@ -36,36 +36,6 @@ def row(key="a" * 16, seed=0, **more):
 
 def run_command(*args: str) -> int:
     return cli.main(["campaign", *args])
-
-
-# What a campaign is
-
-
-def test_ranges_are_read_back_as_the_seeds_they_were_made_of():
-    seeds = [9, 3, 4, 5, 0, 9]
-    assert ranges(seeds) == ["0:1", "3:6", "9:10"]
-    assert [seed for word in ranges(seeds) for seed in seed_range(word)] == [0, 3, 4, 5, 9]
-
-
-def test_a_plan_is_the_product_of_its_axes_each_run_once_and_seed_by_seed():
-    axes = {"scene": ("rectangle", "block"), "estimator": ("ekf", "isam2"), "preset": ("default", "worn")}
-    runs = plan(campaign((4, 2), **axes))
-    assert len({tuple(run.axes().values()) for run in runs.values()}) == len(runs) == 16
-    assert [run.seed for run in runs.values()] == 8 * [4] + 8 * [2]
-    assert all(config_hash(run.config) == key for key, run in runs.items())
-    worn = next(run.config for run in runs.values() if run.setting.preset == "worn")
-    assert worn.world.wheel_scale_error == 0.02 and worn.max_time == 4.0
-
-
-def test_the_hash_tells_every_field_apart_and_is_that_of_another_process():
-    config = ss.preset(scene="rectangle", seed=3)
-    changes = [{"seed": 4}, {"max_time": 10.0}, {"laser": {"beams": 90}}, {"goal": [1.0, 0.0]}, {"preset": "worn"}]
-    assert len({config_hash(c) for c in (config, *(ss.merge(config, change) for change in changes))}) == 6
-    code = "import sixthsense as ss; from sixthsense.campaigns.plan import AXES, config_hash as h; "
-    code += "print(h(ss.preset(scene='rectangle', seed=3)))"
-    environment = {**os.environ, "PYTHONHASHSEED": "7"}
-    found = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment)
-    assert found.stdout.strip() == config_hash(config)
 
 
 # The table

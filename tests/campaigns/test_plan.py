@@ -1,0 +1,285 @@
+"""Which runs a campaign plans, what its folder refuses, and which workers may make its runs; none is made here."""
+
+import dataclasses
+import re
+from collections.abc import Callable
+from html import unescape
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import tomli_w
+from PIL import Image
+from settings import changed, flat, nested
+
+import sixthsense as ss
+from sixthsense import campaigns, cli
+from sixthsense.campaigns import CampaignError, CampaignPlan, Rows, report, worker
+from sixthsense.campaigns.cluster import check_workers
+from sixthsense.campaigns.folder import save_folder
+from sixthsense.campaigns.plan import campaign_of, config_hash, plan, ranges, scene_digest, seed_range
+from sixthsense.config import Config, merge
+from sixthsense.evaluation.curves import Curves
+
+pytestmark = pytest.mark.usefixtures("here")
+
+AXES = {"scene": ["rectangle"], "estimator": ["ekf"], "preset": ["worn"], "planner": ["astar"]}
+FIELDS = {"task": "tour", "max_time": 4.0, "laser": {"mount": [0.1, -0.2, 0.3]}, "features": {"deskew": False}}
+SCENE: dict[str, Any] = {
+    "start": [-1.0, -1.5, 0.5], "radius": 0.15, "goal": [1.0, 1.25], "region": [-2.0, -3.0, 2.5, 3.5],
+    "tour": [[1.0, -1.0], [-1.0, 1.0]], "walls": [[-2.0, 3.0, 2.0, 3.25]], "glass": [[-2.0, -2.5, 2.0, -2.75]],
+    "walkers": [{"points": [[0.5, -1.25], [0.5, 1.75]], "speed": 0.8, "pauses": [1.0, 2.0]}],
+}  # fmt: skip
+
+
+def test_ranges_are_read_back_as_the_seeds_they_were_made_of() -> None:
+    seeds = [9, 3, 4, 5, 0, 9]
+    assert ranges(seeds) == ["0:1", "3:6", "9:10"]
+    assert [seed for word in ranges(seeds) for seed in seed_range(word)] == [0, 3, 4, 5, 9]
+    assert seed_range("7") == range(7, 8) and len(seed_range("1:100001")) == 100_000
+
+
+@pytest.mark.parametrize("text", ["", "3:3", "4:3", "-1:3", "1:2:3", "a", "0:100001", "1.5"])
+def test_what_is_no_range_of_seeds_is_refused(text: str) -> None:
+    with pytest.raises(CampaignError, match=r"^--seeds: found "):
+        seed_range(text)
+
+
+def test_a_plan_is_the_product_of_its_axes_each_run_once_and_seed_by_seed() -> None:
+    axes = {"scene": ["rectangle", "block"], "estimator": ["ekf", "isam2"], "preset": ["default", "worn"]}
+    runs = plan(campaign_of({**AXES, **axes, "planner": ["astar", "astar"]}, [4, 2, 4], FIELDS))
+    assert len({tuple(run.axes().values()) for run in runs.values()}) == len(runs) == 16
+    assert [run.seed for run in runs.values()] == 8 * [4] + 8 * [2]
+    assert all(config_hash(run.config) == key for key, run in runs.items())
+    for run in runs.values():
+        base = merge(ss.preset(run.setting.preset), {**FIELDS, "scene": run.setting.scene, "seed": run.seed})
+        assert run.config == merge(base, {"estimator": run.setting.estimator})
+    with pytest.raises(CampaignError, match="found 100001 runs, allowed: at most 100000"):
+        plan(CampaignPlan({axis: tuple(values) for axis, values in AXES.items()}, tuple(range(100_001)), FIELDS))
+
+
+def test_the_hash_of_a_configuration_tells_every_field() -> None:
+    hashes = {config_hash(Config())}
+    hashes |= {config_hash(merge(Config(), nested({name: value}))) for name, value in changed().items()}
+    assert len(hashes) == 1 + len(flat(Config()))
+    assert all(re.fullmatch("[0-9a-f]{16}", one) for one in hashes)
+
+
+def scene_file(name: str = "hall.toml", **changes: Any) -> str:
+    Path(name).write_text(tomli_w.dumps({**SCENE, **changes}))
+    return name
+
+
+@pytest.mark.parametrize("name", SCENE)
+def test_the_hash_of_a_scene_tells_all_that_it_holds_and_not_its_name(name: str) -> None:
+    others: dict[str, Any] = {"radius": 0.16, "walkers": [{**SCENE["walkers"][0], "speed": 0.9}]}
+    value = others.get(name) or (np.array(SCENE[name]) * 1.01).tolist()
+    assert (
+        scene_digest(scene_file())
+        == scene_digest(scene_file("other.toml"))
+        != scene_digest(scene_file(**{name: value}))
+    )
+
+
+def map_file(grey: int) -> str:
+    cells = np.full((20, 30), 254, np.uint8)
+    cells[:, 0] = cells[:, -1] = cells[0] = cells[-1] = 0
+    cells[8:12, 8:12] = grey
+    Image.fromarray(cells).save("hall.pgm")
+    fields = (
+        "image: hall.pgm\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    Path("hall.yaml").write_text(fields)
+    return "hall.yaml"
+
+
+def test_the_hash_of_a_map_is_that_of_the_walls_which_its_unknown_cells_make() -> None:
+    unknown = {way: scene_digest(map_file(205), way) for way in ("wall", "free")}
+    assert unknown["wall"] == scene_digest(map_file(0)) and unknown["free"] == scene_digest(map_file(254), "free")
+    assert unknown["wall"] != unknown["free"]
+    for way, fields in (("wall", {}), ("free", {"map_unknown": "free"})):
+        (found,) = campaign_of({**AXES, "scene": [map_file(205)]}, [0], fields).digests().values()
+        assert found == unknown[way]
+
+
+# Folders
+
+
+@pytest.fixture
+def done() -> CampaignPlan:
+    """The folder mc as of two estimators over three seeds in two scenes, whose errors are made up."""
+    planned = campaign_of({**AXES, "scene": [scene_file(), "loop"], "estimator": ["ekf", "isam2"]}, range(3), FIELDS)
+    save_folder(Path("mc"), planned, None)
+    for key, run in plan(planned).items():
+        error = 1.0 + run.seed + 10.0 * (run.setting.estimator == "isam2")
+        row = {**worker.row_of(run.config), "config_hash": key, "outcome": "tour ended", "host": "h", "version": "1"}
+        row |= {
+            "ate_rmse_m": error,
+            **{f"rpe_{part}_{m}m": error * m for part in ("trans_m", "rot_deg") for m in (1, 2)},
+        }
+        curves = Curves(np.arange(4.0), 0.5 * np.arange(4.0), np.full(4, error), np.full(4, 0.1), np.full(4, 3.0))
+        Rows(Path("mc")).add({**row, worker.CURVES: curves})
+    return planned
+
+
+def call(**changes: Any) -> ss.Campaign:
+    given: dict[str, Any] = {"estimator": ["ekf", "isam2"], "preset": "worn", "out": "mc", **FIELDS, **changes}
+    return ss.campaign(given.pop("scenes", ["hall.toml", "loop"]), seeds=given.pop("seeds", range(3)), **given)
+
+
+REFUSED: dict[str, tuple[Callable[[], object], str]] = {
+    "another value": (lambda: call(max_time=5.0), "a campaign with max_time = 4.0, found 5.0"),
+    "another nested value": (lambda: call(features={"deskew": True}), "with features.deskew = False, found True"),
+    "one more field": (lambda: call(keyframes={"turn_rad": 0.2}), "keyframes.turn_rad = the preset's, found 0.2"),
+    "one field less": (lambda: call(laser={}), "laser.mount = .*, found the preset's"),
+    "another scene of that name": (lambda: (scene_file(glass=[]), call()), "the scene .*hall.toml has changed since"),
+    "walks of that scene": (lambda: (scene_file(walkers=[]), call()), "the scene .*hall.toml has changed since"),
+    "a file": (lambda: call(out="hall.toml"), "is a file"),
+    "another folder": (lambda: (Path("a").mkdir(), Path("a/b").touch(), call(out="a")), "not a campaign folder"),
+    "a run": (lambda: (Path("a").mkdir(), Path("a/config.toml").touch(), call(out="a")), "the folder of a run"),
+    "no seed": (lambda: call(seeds=[]), "^seeds: found none"),
+    "a seed below 0": (lambda: call(seeds=[-1]), "^seeds: found -1"),
+    "a truth value": (lambda: call(seeds=[True]), "^seeds: found True"),
+    "one number": (lambda: call(seeds=3), "^seeds: found 3"),
+    "no scene": (lambda: call(scenes=[]), "^scenes: found "),
+    "a scene as a field": (lambda: call(scene="block"), "^scene: found for a campaign, allowed: scenes"),
+    "a seed as a field": (lambda: call(seed=1), "^seed: found for a campaign, allowed: seeds"),
+    "no estimator": (lambda: call(estimator=[]), "^estimator: found "),
+    "an own estimator": (lambda: call(estimator=[dict]), "^estimator: found .*, which the workers do not know"),
+    "no worker": (lambda: call(workers=0), "^workers: found 0, allowed: a whole number from 1 to 1024"),
+    "too many workers": (lambda: call(workers=1025), "^workers: found 1025"),
+    "a goal with another task": (lambda: call(goal=(1.0, 1.0)), "^goal: found with task tour"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_campaign_that_contradicts_itself_or_its_folder_is_refused(name: str, done: CampaignPlan) -> None:
+    assert len(call()) == 12  # nothing is missing, and none is repeated
+    before = {file: file.read_bytes() for file in Path("mc").rglob("*") if file.is_file()}
+    ask, said = REFUSED[name]
+    with pytest.raises(ss.InputError, match=said):
+        ask()
+    assert {file: file.read_bytes() for file in Path("mc").rglob("*") if file.is_file()} == before
+
+
+def test_a_row_of_a_run_with_another_configuration_is_refused(done: CampaignPlan) -> None:
+    key, run = next(iter(plan(done).items()))
+    (Path("mc/rows") / f"run-{key}.parquet").unlink()
+    Rows(Path("mc")).add({**worker.row_of(run.config), "config_hash": "f" * 16, "outcome": "x", "version": "0.0"})
+    with pytest.raises(CampaignError, match=r"with another configuration, from version 0\.0"):
+        call()
+
+
+def test_rows_come_back_with_their_numbers_and_texts_and_a_second_one_replaces_the_first() -> None:
+    rows = Rows(Path("c"))
+    fixed = {"scene": "a", "preset": "p", "planner": "q", "outcome": "explored", "version": "1"}
+    for seed, key in ((2, "b" * 16), (1, "a" * 16), (2, "b" * 16)):
+        more = {"ate_rmse_m": 0.25 * seed, "plans": 3 * seed} if seed == 2 else {"guard_stops": 7}
+        rows.add({**fixed, "config_hash": key, "seed": seed, "estimator": "ekf", **more, "nothing": None})
+    frame = Rows(Path("c")).frame()
+    assert frame["seed"].tolist() == [1, 2] and frame["config_hash"].tolist() == ["a" * 16, "b" * 16]
+    assert frame["ate_rmse_m"][1] == 0.5 and frame["plans"][1] == 6.0 and frame["guard_stops"][0] == 7.0
+    assert frame[["ate_rmse_m", "plans"]].iloc[0].isna().all() and np.isnan(frame["guard_stops"][1])
+    assert [row["seed"] for row in sorted(Rows(Path("c")).summaries(), key=lambda row: row["seed"])] == [1, 2]
+
+
+def test_a_campaign_is_compared_in_groups_over_its_seeds(done: CampaignPlan, explored: ss.Run) -> None:
+    made = ss.load_campaign("mc")
+    lines = ss.compare(made).plot("error", by=["scene", "estimator"]).axes[0].get_lines()
+    assert [line.get_label() for line in lines] == [
+        "hall · ekf, 3 runs", "hall · isam2, 3 runs", "loop · ekf, 3 runs", "loop · isam2, 3 runs"
+    ]  # fmt: skip
+    assert [line.get_ydata()[0] for line in lines] == [2.0, 12.0, 2.0, 12.0]
+    together = ss.compare({"study": made, "alone": explored})
+    assert len(together) == 13 and len(together.runs) == 1
+    assert together.frame().loc["study"].groupby("estimator")["ate_rmse_m"].median().tolist() == [2.0, 12.0]
+    sample = next(one for one in made.samples("mc") if one.config.seed == 2 and one.config.estimator == "isam2")
+    assert sample.config == merge(
+        ss.preset("worn"), {**FIELDS, "estimator": "isam2", "seed": 2, "scene": sample.config.scene}
+    )
+    assert sample.curves().time_s.tolist() == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_the_report_has_figures_of_each_scene_medians_and_the_command_that_goes_on(done, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(report, "save", lambda figure, file: figure.savefig(file, dpi=20))
+    assert cli.main(["report", "mc"]) == cli.DONE
+    names = {f"{kind}-{scene}.png" for kind in ("error", "error-distance", "rpe", "nees") for scene in ("hall", "loop")}
+    assert {file.name for file in Path("mc/figures").iterdir()} == names | {"metrics.csv", "report.html"}
+    page = Path("mc/figures/report.html").read_text()
+    assert page.count("<img") == 8 and "Metrics in loop" in page
+    assert "12 (11.2 to 12.8)" in page and "2 (1.2 to 2.8)" in page  # ATE 11, 12, 13 and 1, 2, 3: numpy by hand
+    command = unescape(re.search(r"<pre>sixthsense (campaign .*?)</pre>", page)[1])  # type: ignore[index]
+    capsys.readouterr()
+    assert cli.main(command.split()) == cli.DONE
+    assert "all 12 runs are already in mc/" in capsys.readouterr().err
+
+
+# The command
+
+
+def planned(monkeypatch: pytest.MonkeyPatch, line: str) -> CampaignPlan:
+    """The plan that a command line makes."""
+    plans: list[CampaignPlan] = []
+    monkeypatch.setattr(campaigns, "complete", lambda one, runs, out, execution: plans.append(one))
+    assert cli.main(["campaign", *line.split()]) == cli.DONE
+    return plans[0]
+
+
+def test_flags_beat_the_file_which_beats_the_presets(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "estimator = 'ekf'\nscene = 'block'\nseed = 7\nmax_time = 9.0\n[laser]\nbeams = 90\nmax_range = 3.0\n"
+    Path("a.toml").write_text(text)
+    one = planned(monkeypatch, "--seeds 0:2 5 --config a.toml --laser.max-range 4 --out c")
+    assert one.seeds == (0, 1, 5) and one.fields == {"max_time": 9.0, "laser": {"beams": 90, "max_range": 4.0}}
+    assert one.values == {"scene": ("block",), "estimator": ("ekf",), "preset": ("default",), "planner": ("astar",)}
+    line = (
+        "loop --seeds 1 --config a.toml --estimator isam2 ekf --preset worn report --planner rrtstar --goal 1 2 --out c"
+    )
+    two = planned(monkeypatch, line)
+    assert two.values == {
+        "scene": ("loop",), "estimator": ("isam2", "ekf"), "preset": ("worn", "report"), "planner": ("rrtstar",)
+    }  # fmt: skip
+    assert (two.fields["task"], two.fields["goal"]) == ("goal", [1.0, 2.0])
+
+
+# Workers
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({}, ""),
+        ({"minor": "3.2.9"}, "worker tcp://b: found Python 3.2, allowed: "),
+        ({"answer": ImportError("no such\nmodule")}, r"found no usable sixthsense \(ImportError: no such module\)"),
+        ({"version": "0.0.0"}, "found version 0.0.0 of sixthsense, allowed: "),
+        ({"digest": "0" * 16}, "found another scene loop than on this machine"),
+    ],
+)
+def test_workers_that_would_make_other_runs_are_refused(change: dict[str, Any], said: str) -> None:
+    one = campaign_of({**AXES, "scene": ["loop"]}, [0], {"map_unknown": "free"})
+    python = {"host": {"python": f"{worker.python_minor()}.1"}}
+    other = {"host": {"python": change["minor"]}} if "minor" in change else python
+
+    def run(function: Any, *args: Any, on_error: str) -> dict[str, Any]:
+        answer = function(*args)
+        bad = {**answer, "sixthsense": change.get("version", answer["sixthsense"])}
+        bad["scenes"] = {"loop": change.get("digest", answer["scenes"]["loop"])}
+        return {"tcp://a": answer, "tcp://b": change.get("answer", bad)}
+
+    versions = {"scheduler": python, "workers": {"tcp://a": python, "tcp://b": other}}
+    client = SimpleNamespace(get_versions=lambda: versions, run=run)
+    if not said:
+        assert check_workers(client, one) == 2
+        return
+    with pytest.raises(CampaignError, match=said):
+        check_workers(client, one)
+
+
+def test_a_row_has_the_axes_of_its_run_and_its_hash() -> None:
+    config = dataclasses.replace(ss.preset("worn"), scene="loop", seed=3, planner="rrtstar", task="tour")
+    names = {"scene": "loop", "estimator": "ekf-invariant", "front_end": "landmarks", "preset": "worn"}
+    names |= {"planner": "rrtstar", "task": "tour", "seed": 3}
+    assert worker.row_of(config) == {"config_hash": config_hash(config), **names}
+    with pytest.raises(worker.OtherVersionError):
+        worker.run_row(config, "0.0.0")
