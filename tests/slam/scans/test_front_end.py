@@ -71,6 +71,25 @@ def test_a_laser_beside_the_robot_gives_the_robots_poses(mount):
         assert np.abs(found - truth)[:, :2].max() < 0.02 and np.abs(wrap_angle(found - truth)[:, 2]).max() < 0.01
 
 
+@pytest.mark.parametrize("seen", ["nothing", "two returns", "walls beyond 12 m"])
+def test_scans_without_near_returns_are_passed_by_odometry(seen):
+    """From the start on, and after a room; then another room comes, where the track is taken up again."""
+    poses = drive(Pose(-2.0, 1.0, 0.3), [(0, 1.2), (0, -2), (-3, 1)])
+    far, slam = 7.0 * ROOM[:4] + 0.4, Slam(CONFIG, poses[0])
+    with slam:
+        for k, tick in enumerate(ticks(poses, ROOM)):
+            if k < 5 or 20 < k < 30:
+                scan = scan_at(poses[k], far, LaserConfig(max_range=80.0))
+                if seen != "walls beyond 12 m":
+                    ranges = np.full(len(scan.ranges), np.inf, np.float32)
+                    ranges[[40, 90] if seen == "two returns" else []] = 1.7
+                    scan = dataclasses.replace(scan, ranges=ranges)
+                tick = dataclasses.replace(tick, scan=scan)
+            step = slam.take(tick)
+            assert np.hypot(*(step.pose.position - poses[k].position)) < 0.1, k
+        assert np.isfinite(slam.finish().trajectory).all()
+
+
 def test_a_robot_that_slips_is_tracked_by_its_scans():
     poses = drive(Pose(-2.0, 1.0, 0.0), [(0, 1), (0, -2)])
     stuck = [*poses, *[poses[-1]] * 2]
