@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Tick
-from sixthsense.sources.logs.log import Log, Relations, has_scan
+from sixthsense.sources.logs.log import Log, Relations
+from sixthsense.sources.logs.stamps import matched
 
 Ticks = Sequence[Tick]
 
@@ -55,7 +56,7 @@ def damaged(name: str, log: Log, relations: Relations, seed: int) -> DamagedLog:
     if name == "backwards":
         stamps = sum(_ends_s(ticks)) - stamps
     changed = Log(DAMAGES[name](ticks, rng), laser)
-    known = has_scan(_stamps_s(changed.ticks), stamps).all(axis=1)
+    known = (matched(_stamps_s(changed.ticks), stamps) >= 0).all(axis=1)
     return DamagedLog(changed, Relations(stamps[known], poses[known]))
 
 

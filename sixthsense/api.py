@@ -88,6 +88,7 @@ def replay(
     *,
     topics: Sequence[str] = (),
     odometry_frames: Sequence[str] = (),
+    units: Sequence[str] = (),
     robot: int | None = None,
     progress: bool | None = None,
     out: str | Path | None = None,
@@ -111,9 +112,9 @@ def replay(
         Hand-checked relations between poses, or their file, the reference of the trajectory's error.
     on_tick, progress, out, overwrite, prior_map
         As of `ss.run`. The robot begins at the log's start, or at `pose`.
-    topics, odometry_frames, robot
-        Topics to use from a bag with several of scans or odometry; parent and child of a bag's odometry in /tf; robot
-        to use from an MRCLAM folder.
+    topics, odometry_frames, units, robot
+        Topics to use from a bag with several of scans or odometry; parent and child of its odometry in /tf; units of a
+        log without metres and radians, such as `ranges=mm`; robot to use from an MRCLAM folder.
     **fields
         Fields that override the configuration, as in `ss.run`, except those of the simulation.
 
@@ -134,7 +135,8 @@ def replay(
     given = _register_custom(fields)
     prior = _prior_start(prior_map, given)
     if isinstance(log, (str, Path)):
-        found = _open_with_config(Path(log), config, relations, Chosen(topics, robot, odometry_frames), given, out)
+        chosen = Chosen(topics, robot, odometry_frames, units)
+        found = _open_with_config(Path(log), config, relations, chosen, given, out)
     else:
         found = _opened(log, config, relations, given)
     with reserved(out, found.config, overwrite, found.files or None, prior) as folder:

@@ -30,6 +30,8 @@ class Replay(WithPriorMap):
     """Topics to use from a bag with several topics of scans or odometry."""
     odometry_frames: Annotated[str | None, arg("P,C")] = None
     """Frames of odometry in /tf, such as odom,base_link. Without a topic of odometry they are found."""
+    units: Annotated[str | None, arg("WHAT=UNIT")] = None
+    """Units of a log without metres and radians: ranges=mm,odometry=cm,angles=degrees,headings=degrees."""
     robot: Annotated[int | None, arg("N")] = None
     """Robot to use from an MRCLAM folder with several."""
 
@@ -39,8 +41,9 @@ def command(args: list[str]) -> int:
     from sixthsense.sources.replay_input import Chosen, base_of, check_options, check_out, open_recorded
 
     options, flags = parse_command(Replay, args, base_of)
-    topics, frames = (tuple(given.split(",")) if given else () for given in (options.topic, options.odometry_frames))
-    chosen = Chosen(topics, options.robot, frames)
+    given = options.topic, options.odometry_frames, options.units
+    topics, frames, units = (tuple(words.split(",")) if words else () for words in given)
+    chosen = Chosen(topics, options.robot, frames, units)
     check_options(options.log, flags, chosen, "--")
     if options.log is None:
         raise UsageError(

@@ -37,6 +37,8 @@ class Tick:
     increment_cov: Array | None = None
     """(3, 3) of the motion since the last tick, frame before, if the log states it; else it follows from the assumed
     noise."""
+    is_unmeasured: bool = False
+    """Whether nothing has measured the motion since the last tick: `odometry` is held, and the scan alone tells it."""
     truth: Pose | None = None
     """`T_world_robot`, for the record only."""
     collided: bool = False

@@ -14,7 +14,7 @@ from sixthsense.core.covariance import chi_square_quantile
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.landmarks import observation_innovations
 from sixthsense.core.se2 import between
-from sixthsense.sources.logs.log import scan_rows
+from sixthsense.sources.logs.stamps import matched
 
 
 def ate(estimate: Array, truth: Array) -> tuple[float, float]:
@@ -153,10 +153,14 @@ def relations_error(
 
     `stamps_s` (N,) seconds in any order and `poses` (N, 3), one per scan; `relations_stamps` (R, 2) and
     `relations_poses` (R, 3), the robot at t2 in its frame at t1. Both errors are magnitudes. Raises ValueError for a
-    relation whose stamp differs from that of every scan by more than a microsecond. Kümmerle et al., Autonomous Robots
-    27(4), 2009: the error is inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
+    relation without a scan within half a period. Kümmerle et al., Autonomous Robots 27(4), 2009: the error is
+    inverse(relation) ∘ (inverse(x_t1) ∘ x_t2).
     """
-    first, second = poses[scan_rows(stamps_s, relations_stamps)].transpose(1, 0, 2)
+    rows = matched(stamps_s, relations_stamps)
+    if (rows < 0).any():
+        row, column = np.argwhere(rows < 0)[0]
+        raise ValueError(f"relation {row + 1} names {relations_stamps[row, column]:.6f}: no scan has that stamp")
+    first, second = poses[rows].transpose(1, 0, 2)
     error = between(relations_poses, between(first, second))
     return np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
 

@@ -115,7 +115,7 @@ class Session:
             self._laser.T_robot_laser, self._laser.upside_down = self._mount()
         self._laser.forget()
         _, scan = self._laser.scan(found)
-        laser = described_laser(scan, laser)
+        laser = described_laser([scan], laser)
         robot = self.config.robot
         if drive:
             period_s = 1e-9 * float(np.median(np.diff(stamps)))

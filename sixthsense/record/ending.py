@@ -35,11 +35,10 @@ END_FILE, LANDMARKS_FILE, GRID_FILE = "record.npz", "landmarks.npz", "grid.npz"
 
 def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None:
     """Write all files of a finished run but the figures; of the record its end, or all if it was not streamed."""
-    origin_ns = trace.stamps_ns[0] if trace.stamps_ns else 0
-    write_tum(folder / "estimate.tum", trace.stamps_ns, np.array(trace.estimates), origin_ns)
-    write_tum(folder / "smoothed.tum", trace.key_stamps_ns, trace.trajectory, origin_ns)
+    write_tum(folder / "estimate.tum", trace.stamps_ns, np.array(trace.estimates))
+    write_tum(folder / "smoothed.tum", trace.key_stamps_ns, trace.trajectory)
     if trace.truths:
-        write_tum(folder / "truth.tum", trace.stamps_ns, np.array(trace.truths), origin_ns)
+        write_tum(folder / "truth.tum", trace.stamps_ns, np.array(trace.truths))
     write_landmarks(folder, trace)
     write_graph(folder, factor_graph(trace), links_of(trace))
     write_arrays(folder, trace)
@@ -55,14 +54,11 @@ def write_ending(folder: Path, trace: Trace, metrics: Mapping[str, Any]) -> None
     write_end(folder, trace)
 
 
-def write_tum(file: Path, stamps_ns: list[int], poses: Array, origin_ns: int) -> None:
-    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, stamps in seconds since `origin_ns`.
-
-    Stamps are relative because a double cannot resolve 1 ns in seconds since 1970.
-    """
+def write_tum(file: Path, stamps_ns: list[int], poses: Array) -> None:
+    """Write (N, 3) poses as a TUM trajectory: stamp x y z qx qy qz qw, with all digits of the stamps, seconds."""
     with whole(file) as unfinished, unfinished.open("w", encoding="utf-8") as out:
         for stamp, (x, y, theta) in zip(stamps_ns, poses.reshape(-1, 3), strict=True):
-            out.write(tum_line(stamp - origin_ns, x, y, theta))
+            out.write(tum_line(stamp, x, y, theta))
 
 
 def tum_line(stamp_ns: int, x: float, y: float, theta: float) -> str:

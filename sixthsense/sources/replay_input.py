@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from sixthsense.sources.logs.log import Log, Relations
 
 
+_ROUNDED_S = 1e-6  # of stamps in seconds since 1970, which a float holds to 0.2 us
+
 WITHOUT_ODOMETRY = "no odometry is used: each scan is predicted by the last velocity, and aligned with earlier scans"
 """note of a log, and line of a live run"""
 
@@ -36,7 +38,7 @@ class Recorded:
     relations: Relations | None
     """reference for the trajectory"""
     files: Mapping[str, str]
-    """inputs by role: `log`, and if given `relations`, `topic` and `robot`"""
+    """inputs by role: `log`, and if given `relations`, `topic`, `odometry_frames`, `units` and `robot`"""
     notes: tuple[str, ...]
     """one-line remarks on the log for the user"""
 
@@ -70,6 +72,8 @@ class Chosen(NamedTuple):
     """of an MRCLAM folder"""
     odometry_frames: Sequence[str] = ()
     """parent and child of a bag's odometry in /tf"""
+    units: Sequence[str] = ()
+    """of a bag or a CARMEN log that has others than metres and radians, such as `ranges=mm`"""
 
 
 def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Chosen, prefix: str = "") -> None:
@@ -90,6 +94,8 @@ def check_options(log: str | Path | None, fields: Mapping[str, Any], chosen: Cho
     if kind != "bag":
         given = (("topic", chosen.topics), (frames, chosen.odometry_frames))
         refused += [(name, "a log that is not a ROS bag, allowed: on a bag") for name, value in given if value]
+    if kind not in ("bag", "carmen") and chosen.units:
+        refused.append(("units", "a log that is not a ROS bag or a CARMEN log, allowed: on one of these"))
     if kind == "run" and "preset" in fields:
         refused.append(("preset", "a run folder, allowed: single fields over its config.toml"))
     if kind in ("run", "bag"):
@@ -133,11 +139,14 @@ def open_recorded(
     from sixthsense.sources.logs.log import read_relations
 
     files = {"log": str(absolute(log))}
-    topics, robot, frames = chosen or Chosen()
+    chosen = chosen or Chosen()
+    topics, robot, frames, units = chosen
     if topics:
         files["topic"] = ",".join(topics)
     if frames:
         files["odometry_frames"] = ",".join(frames)
+    if units:
+        files["units"] = ",".join(units)
     if robot is not None:
         files["robot"] = str(robot)
     from_file = isinstance(relations, (str, Path))
@@ -146,7 +155,8 @@ def open_recorded(
         given: Relations | None = read_relations(relations)
     else:
         given = relations
-    opened = open_log(log, config.laser, topics, robot, config.assumed, stated, frames, not config.no_odometry)
+    uses_odometry = not config.no_odometry
+    opened = open_log(log, config.laser, topics, robot, config.assumed, stated, frames, uses_odometry, units)
     notes: list[str] = []
     if given is not None:
         given = relations_of(opened, given, str(relations) if from_file else "relations", notes)
@@ -165,20 +175,28 @@ def of_log(config: Config, log: Log) -> Config:
 
 
 def relations_of(log: Log, relations: Relations, name: str, notes: list[str]) -> Relations:
-    """The relations between scans of a log; the others are counted in `notes`, LogError if there are no more."""
+    """The relations between scans of a log, with the stamps of these; how many there are is said in `notes`.
+
+    The scan of a stamp is the nearest within half a period. Raises LogError where no relation is left.
+    """
     import numpy as np
 
-    from sixthsense.sources.logs.log import Relations, has_scan
+    from sixthsense.sources.logs.log import Relations
+    from sixthsense.sources.logs.stamps import matched
 
     stamps = np.array([t.log_stamp_s for t in log.ticks if t.log_stamp_s is not None], dtype=np.float64)
-    known = np.asarray(has_scan(stamps, relations.stamps).all(axis=1))
-    if known.all():
-        return relations
+    rows = matched(stamps, relations.stamps)
+    known = (rows >= 0).all(axis=1) & ((rows[:, 0] != rows[:, 1]) | (relations.stamps[:, 0] == relations.stamps[:, 1]))
     if not known.any():
         first = relations.stamps[0, 0]
         raise LogError(
             f"{name}: found no relation between scans of the log (the first is of {first:.6f}), allowed: "
             "stamps of scans of the log"
         )
-    notes.append(f"{np.count_nonzero(~known)} of {len(known)} relations name stamps of no scan and are left out")
-    return Relations(relations.stamps[known], relations.poses[known])
+    of_scans = stamps[rows[known]]
+    off_s = float(np.abs(of_scans - relations.stamps[known]).max())
+    if not known.all() or off_s > _ROUNDED_S:
+        left = f"; {np.count_nonzero(~known)} name stamps of no scan and are left out" * (not known.all())
+        count = f"{np.count_nonzero(known)} of {len(known)}"
+        notes.append(f"{count} relations are of scans, {off_s:.3g} s away at most{left}")
+    return Relations(of_scans, relations.poses[known])

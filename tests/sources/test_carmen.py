@@ -92,8 +92,17 @@ def test_ranges_that_are_negative_or_no_number_are_no_returns(tmp_path: Path) ->
     log = read(tmp_path, flaser(ranges=(math.nan, -1.0, 3.0, -math.inf)) + flaser(2.0), LASER)
     assert log.scans[0].ranges.tolist() == [math.inf, math.inf, 3.0, math.inf]
     assert "3 ranges that are negative or no number are no returns" in log.remarks()
-    with pytest.raises(LogError, match="found 'abc', allowed: a number"):
-        read(tmp_path, flaser().replace(" 2.00 ", " abc ").replace(" 1.00 ", " nan ") + flaser(2.0), LASER)
+
+
+def test_a_damaged_line_costs_itself_and_is_counted(tmp_path: Path) -> None:
+    bad = [flaser().replace(" 2.00 ", " abc "), "FLASER 1 2.0 1 2 3 1 2 3 7 h 7\n", flaser()[:20] + "\n", "\x00\x01\n"]
+    log = read(tmp_path, flaser(1.0) + "".join(bad) + flaser(2.0) + bad[0] + flaser(3.0), LASER)
+    assert [tick.log_stamp_s for tick in log.ticks] == [1.0, 2.0, 3.0]
+    said = [line for line in log.remarks() if "left out" in line]
+    assert any("2 of 8 lines left out: line 2: found 'abc', allowed: a number" in line for line in said)
+    assert len(said) == 4
+    with pytest.raises(LogError, match="line 1: found 'abc', allowed: a number"):
+        read(tmp_path, bad[0], LASER)
 
 
 def test_record_stamps_ascend_strictly_for_any_stamps_in_the_log(tmp_path: Path) -> None:

@@ -28,23 +28,26 @@ def open_log(
     stated: Collection[str] = (),
     odometry_frames: Sequence[str] = (),
     odometry: bool = True,
+    units: Sequence[str] = (),
 ) -> Log:
-    """Open a log, a file or a folder, with the reader of its kind, which is recognised by the name.
+    """Open a log, a file or a folder, with the reader of its kind, recognised by the name, of a bag by its first bytes.
 
     The log says what its laser is. Fields of `laser` take precedence that are not at the default of LaserConfig or are
     named in `stated`; a bag takes its mount alone. `topics` selects topics of a bag, `odometry_frames` the parent and
     the child of its odometry in /tf; without `odometry` the bag's is not read. `robot` selects a robot of a MRCLAM
-    folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. Raises LogError
-    for an unknown kind, with the known ones, and for a file that the reader cannot read.
+    folder; its ranges and bearings have the noise of `assumed.laser`, by default of the preset mrclam. `units` says
+    which units a bag or a CARMEN log has, such as `ranges=mm`. Raises LogError for an unknown kind, with the known
+    ones, and for a file that the reader cannot read.
     """
     from sixthsense.config import LaserConfig
+    from sixthsense.sources.logs.units import units_of
 
-    path = Path(file)
+    path, own_units = Path(file), units_of(units)
     kind = kind_of(path)
     if kind == "carmen":
         from sixthsense.sources.logs.carmen import read_carmen
 
-        return read_carmen(path, laser, stated)
+        return read_carmen(path, laser, stated, own_units)
     if kind == "graph":
         from sixthsense.sources.logs.graph import read_graph
 
@@ -56,11 +59,11 @@ def open_log(
 
         return read_run(path, laser or LaserConfig())
     if kind == "bag":
-        from sixthsense.sources.logs.rosbag import read_bag
+        from sixthsense.sources.logs.rosbag import How, read_bag
         from sixthsense.sources.logs.transforms import frame_pair
 
-        frames = frame_pair(odometry_frames)
-        return read_bag(path, laser or LaserConfig(), topics, frames, odometry, "mount" in stated)
+        how = How(topics, frame_pair(odometry_frames), odometry, "mount" in stated, own_units)
+        return read_bag(path, laser or LaserConfig(), how)
     if kind == "mrclam":
         from sixthsense.config import preset
         from sixthsense.sources.logs.mrclam import read_mrclam
@@ -69,7 +72,7 @@ def open_log(
     compressed = f"also with {' or '.join(_COMPRESSED)}"
     kinds = (
         f"CARMEN ({', '.join(_CARMEN)}, {compressed}), graph ({', '.join(_GRAPHS)}, {compressed}, or .txt), "
-        f"ROS bag ({', '.join(_BAGS)}, or a folder with metadata.yaml), folder of a run, folder of MRCLAM"
+        f"ROS bag ({', '.join(_BAGS)}, or a folder of them), folder of a run, folder of MRCLAM"
     )
     raise LogError(f"{path}: found no known kind of log, allowed: {kinds}")
 
@@ -84,7 +87,11 @@ def _suffix(path: Path) -> str:
 
 def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""]:
     """How a log is read, by its name or what is in the folder; "" if that is not known."""
+    from sixthsense.sources.logs.bag_forms import bag_files, suffix_of
+
     if not path.is_dir():
+        if suffix_of(path):
+            return "bag"
         if _suffix(path) in _CARMEN:
             return "carmen"
         if _suffix(path) == ".txt":
@@ -96,7 +103,7 @@ def kind_of(path: Path) -> Literal["carmen", "graph", "run", "bag", "mrclam", ""
         return "bag" if path.suffix.lower() in _BAGS else ""
     if is_run_folder(path):
         return "run"
-    if (path / "metadata.yaml").is_file():
+    if (path / "metadata.yaml").is_file() or bag_files(path):
         return "bag"
     return "mrclam" if any(next(path.glob(name), None) is not None for name in _MRCLAM) else ""
 

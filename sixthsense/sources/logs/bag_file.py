@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from sixthsense.config.errors import InputError, allowed_names, nearest, reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array
+from sixthsense.sources.logs.bag_forms import readable, suffix_of
 from sixthsense.sources.logs.ros_messages import ODOMETRY, checked_stamp, frame_name, stamp_ns
 from sixthsense.sources.logs.text_lines import LARGEST, LogError, check_regular
 from sixthsense.sources.logs.transforms import TRANSFORM_TYPES, FramePair, TransformTree
@@ -32,11 +33,11 @@ _BUDGET_PER_BYTE = 20  # additional bytes per byte of the file; scans rarely com
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[AnyReader]:
-    """The reader of a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
+def opened(path: Path, remarks: list[str] | None = None) -> Iterator[AnyReader]:
+    """The reader of a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file), recognised by its first bytes.
 
-    Whatever is wrong within the block is a LogError: a damaged bag can raise any exception, and may define a type with
-    a known name but without the expected fields.
+    What was done about the form of the bag is added to the remarks. Whatever is wrong within the block is a LogError: a
+    damaged bag can raise any exception, and may define a type with a known name but without the expected fields.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -46,18 +47,30 @@ def opened(path: Path) -> Iterator[AnyReader]:
     try:
         check_regular(path)
         _check_first_line(path)
-        with bounded(path), AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        with (
+            bounded(path),
+            readable(path, _begin_of, [] if remarks is None else remarks) as paths,
+            AnyReader(paths, default_typestore=store) as reader,
+        ):
             yield reader
     except InputError:
         raise
     except Exception as error:
         allowed = "allowed: ROS 1 .bag, ROS 2 folder or file"
+        if suffix_of(path) == ".bag":
+            allowed = "allowed: a whole ROS 1 bag; `rosbag reindex` makes one of what was cut short"
         raise LogError(f"{path}: cannot be read as a bag ({reason_of(error)}), {allowed}") from None
+
+
+def _begin_of(data: bytes, compression: str) -> bytes:
+    """As `decompressed`, of data that may be cut short: as far as it goes."""
+    return decompressed(data, compression, is_whole=False)
 
 
 def _check_first_line(path: Path) -> None:
     """Raise ValueError for a ROS 1 bag with an endless first line, which the reader would read as a whole."""
-    if path.suffix.lower() == ".bag" and path.is_file():
+    if path.is_file() and (path.suffix.lower() == ".bag" or suffix_of(path) == ".bag"):
         with path.open("rb") as stream:
             if not stream.readline(32).endswith(b"\n"):
                 raise ValueError("File magic is invalid.")
@@ -116,10 +129,11 @@ def bounded(path: Path) -> Iterator[None]:
             table.update(originals)
 
 
-def decompressed(data: bytes, compression: str) -> bytes:
+def decompressed(data: bytes, compression: str, is_whole: bool = True) -> bytes:
     """Decompress concatenated bz2, lz4 or zstd streams; an empty `compression` returns the data unchanged.
 
-    Raises ValueError for more data than a chunk may hold, for truncated data and for an unknown compression.
+    Raises ValueError for more data than a chunk may hold, for truncated data if it should be whole and for an unknown
+    compression.
     """
     from backports import zstd
     from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
@@ -140,7 +154,9 @@ def decompressed(data: bytes, compression: str) -> bytes:
         if size > _LARGEST_CHUNK:
             raise ValueError(f"found a chunk of over {_LARGEST_CHUNK} bytes")
         if not stream.eof:
-            raise ValueError("found compressed data that is cut short")
+            if is_whole:
+                raise ValueError("found compressed data that is cut short")
+            break
         rest = stream.unused_data
     return b"".join(parts)
 

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +31,10 @@ from sixthsense.sources.logs.laser_geometry import (
     no_return_code,
 )
 from sixthsense.sources.logs.log import Log, without_jumps
+from sixthsense.sources.logs.refused import Refused
+from sixthsense.sources.logs.stamps import from_zero_on, passed_s
 from sixthsense.sources.logs.text_lines import LARGEST, LogError, Record, records, shown
+from sixthsense.sources.logs.units import SI, Units, check_bearings, check_odometry, check_ranges
 
 FLASER, ROBOTLASER, ODOM = b"FLASER", b"ROBOTLASER1", b"ODOM"
 _ODOM_FIELDS = 10
@@ -43,6 +46,8 @@ _ROBOTLASER_HEAD = 9
 _ROBOTLASER_TAIL = 14
 """x y theta odom_x odom_y odom_theta tv rv front side axis ipc_time host logger_time, after the m remissions"""
 _PARAMS = (b"robot_frontlaser_offset", b"robot_front_laser_max")
+_MOST_DAMAGED = 1000
+"""Lines without one that can be read, after which a file is none of this kind."""
 _MESSAGE_NAME = re.compile(rb"[A-Z][A-Z0-9_-]{0,39}")
 
 
@@ -78,6 +83,8 @@ class _Reading(NamedTuple):
 class _Lines:
     """What the lines of a file say."""
 
+    units: Units = SI
+    """of the numbers of the file"""
     readings: list[_Reading] = field(default_factory=list)
     """in the order of the file"""
     kinds: Counter[bytes] = field(default_factory=Counter)
@@ -87,7 +94,9 @@ class _Lines:
     unmeasured: int = 0  # ranges that are negative or no number
 
 
-def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Collection[str] = ()) -> Log:
+def read_carmen(
+    file: str | Path, laser: LaserConfig | None = None, stated: Collection[str] = (), units: Units = SI
+) -> Log:
     """Read a CARMEN log: plain, gzip or bzip2, recognised by the first bytes.
 
     The scans are those of the FLASER or of the ROBOTLASER1 lines, whichever are more, ROBOTLASER1 if they are as many;
@@ -96,29 +105,34 @@ def read_carmen(file: str | Path, laser: LaserConfig | None = None, stated: Coll
     two poses of a line) and its maximum range (as stated, or the value that beams without a return repeat). A field of
     `laser` that is named in `stated`, or differs from the default of LaserConfig, takes precedence.
 
-    Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Scans of another
-    geometry than that of most are left out, as is a damaged last line. Ticks keep the order of the file: each has the
-    stamp of its record, or 1 ns after the previous tick if that is later. Raises LogError for a
-    file that cannot be read or is damaged before its last line, is no CARMEN log, or has no scan with a return.
+    Ranges at or beyond the maximum, negative ones and those that are no number are no returns. Each scan has the beams
+    and the maximum range of its own line. Damaged lines are left out and counted. Ticks keep the order of the file:
+    each has the stamp of its record, or 1 ns after the previous tick if that is later; stamps below 0 are moved. Raises
+    LogError for a file that cannot be read, is no CARMEN log, is in other `units`, or has no scan with a return.
     """
     path, given, default = Path(file), laser or LaserConfig(), LaserConfig()
     names = {f.name for f in dataclasses.fields(LaserConfig) if getattr(given, f.name) != getattr(default, f.name)}
     names |= set(stated)
     remarks: list[str] = []
-    content = _read_lines(path, remarks)
+    content = _read_lines(path, units, remarks)
     kind = _kind_of_scans(path, content, remarks)
     remarks += [f"{content.unmeasured} ranges that are negative or no number are no returns"] * (content.unmeasured > 0)
     content.readings = [r for r in content.readings if r.geometry is None or r.kind == kind]
-    geometry = _geometry(path, content.readings, given.beams if "beams" in names else None, remarks)
-    scans = [r for r in content.readings if r.geometry == geometry]
-    beams = _beams(geometry, given.fov if "fov" in names else None, remarks)
+    geometries = _geometries(path, content.readings, given.beams if "beams" in names else None, remarks)
+    scans = [r for r in content.readings if r.geometry in geometries]
+    check_ranges(str(path), [reading.ranges for reading in scans])
+    _check_odometry(path, content.readings)
     place = Pose(*given.mount) if "mount" in names else _mount(scans, content, remarks)
-    reach = given.max_range if "max_range" in names else _max_range(scans, geometry.max_range, content, remarks)
-    if not any(((reading.ranges > 0.0) & (reading.ranges < np.float32(reach))).any() for reading in scans):
-        allowed = f"allowed: ranges above 0 and below {reach:g} m"
+    reach = given.max_range if "max_range" in names else None
+    lasers = _lasers(scans, geometries, given.fov if "fov" in names else None, reach, content, remarks)
+    reach_of: dict[_Geometry | None, float] = {geometry: each.reach for geometry, each in lasers.items()}
+    if not any(((r.ranges > 0.0) & (r.ranges < np.float32(reach_of[r.geometry]))).any() for r in scans):
+        allowed = f"allowed: ranges above 0 and below {max(reach_of.values()):g} m"
         raise LogError(f"{path}: found no return in {len(scans)} scans, {allowed}")
-    known = described(given, geometry.beams, beams.step, reach, place)
-    return Log(without_jumps(_ticks(content.readings, geometry, beams, known), remarks), known, remarks)
+    most = lasers[geometries[0]]
+    known = described(given, geometries[0].beams, most.beams.step, most.reach, place)
+    ticks = _ticks(content.readings, lasers, known, remarks)
+    return Log(without_jumps(ticks, [r.stamp_ns for r in content.readings], remarks), known, remarks)
 
 
 def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
@@ -135,8 +149,8 @@ def _kind_of_scans(path: Path, content: _Lines, remarks: list[str]) -> bytes:
     return kind
 
 
-def _geometry(path: Path, readings: Sequence[_Reading], count: int | None, remarks: list[str]) -> _Geometry:
-    """The geometry of most scans, or of those with a stated number of beams; the other scans are left out."""
+def _geometries(path: Path, readings: Sequence[_Reading], count: int | None, remarks: list[str]) -> list[_Geometry]:
+    """The geometries of the scans, the most frequent first; with a stated number of beams only those with it."""
     found = Counter(reading.geometry for reading in readings if reading.geometry is not None)
     wanted = range(2, MOST_BEAMS + 1) if count is None else (count,)
     fitting = {geometry: scans for geometry, scans in found.items() if geometry.beams in wanted}
@@ -144,12 +158,42 @@ def _geometry(path: Path, readings: Sequence[_Reading], count: int | None, remar
         counts = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found}))
         allowed = f"2 to {MOST_BEAMS}" if count is None else f"{count} (laser.beams)"
         raise LogError(f"{path}: found scans of {counts} beams, allowed: {allowed}")
-    chosen = max(fitting, key=lambda geometry: fitting[geometry])
-    others = found.total() - found[chosen]
+    others = found.total() - sum(fitting.values())
     if others:
-        beams = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found if geometry != chosen}))
+        beams = ", ".join(str(n) for n in sorted({geometry.beams for geometry in found if geometry not in fitting}))
         remarks.append(f"{others} scans of another geometry ({beams} beams) are left out")
-    return chosen
+    return sorted(fitting, key=lambda geometry: -fitting[geometry])
+
+
+class _Laser(NamedTuple):
+    """What the scans of a geometry are of."""
+
+    beams: Beams
+    reach: float
+    """maximum range, m"""
+
+
+def _lasers(
+    scans: Sequence[_Reading],
+    geometries: Sequence[_Geometry],
+    fov: float | None,
+    reach: float | None,
+    content: _Lines,
+    remarks: list[str],
+) -> dict[_Geometry, _Laser]:
+    """The laser of each geometry; `fov` and `reach` as the user has stated them."""
+    reaches: dict[float, float] = {}
+    for geometry in geometries:
+        if geometry.max_range not in reaches:
+            own = [r for r in scans if r.geometry is not None and r.geometry.max_range == geometry.max_range]
+            found = _max_range(own, geometry.max_range, content, remarks) if reach is None else reach
+            reaches[geometry.max_range] = found
+    return {each: _Laser(_beams(each, fov, remarks), reaches[each.max_range]) for each in geometries}
+
+
+def _check_odometry(path: Path, readings: Sequence[_Reading]) -> None:
+    poses = np.array([reading.poses[1] for reading in readings])
+    check_odometry(str(path), passed_s([reading.stamp_ns for reading in readings]), poses)
 
 
 def _beams(geometry: _Geometry, fov: float | None, remarks: list[str]) -> Beams:
@@ -192,42 +236,49 @@ def _max_range(scans: Sequence[_Reading], stated: float, content: _Lines, remark
     return min(stated, FARTHEST_M) if stated < math.inf else max_range_of(ranges)
 
 
-def _ticks(readings: Sequence[_Reading], geometry: _Geometry, beams: Beams, laser: LaserConfig) -> list[Tick]:
-    """A tick per line, with a scan where the line has that geometry."""
+def _ticks(
+    readings: Sequence[_Reading], lasers: Mapping[_Geometry, _Laser], given: LaserConfig, remarks: list[str]
+) -> list[Tick]:
+    """A tick per line, with a scan where the line has one of these geometries."""
     ticks: list[Tick] = []
-    place, lag = Pose(*laser.mount), time_increment(laser)
-    first, step, farthest = np.float32(beams.first), np.float32(beams.step), np.float32(laser.max_range)
+    place, lag = Pose(*given.mount), time_increment(given)
+    stamps = from_zero_on(np.array([reading.stamp_ns for reading in readings], dtype=np.int64), remarks)
     stamp_ns = -1
-    for reading in readings:
+    for reading, own_ns in zip(readings, stamps.tolist(), strict=True):
         scan = None
-        if reading.geometry == geometry:
-            ranges = np.where(reading.ranges < farthest, reading.ranges, np.float32(np.inf))
+        if reading.geometry is not None and reading.geometry in lasers:
+            (first, step), reach = lasers[reading.geometry]
+            ranges = np.where(reading.ranges < np.float32(reach), reading.ranges, np.float32(np.inf))
             ranges.flags.writeable = False
-            scan = Scan(ranges, first, step, laser.max_range, place, lag)
-        stamp_ns = max(reading.stamp_ns, stamp_ns + 1)
+            scan = Scan(ranges, np.float32(first), np.float32(step), reach, place, lag)
+        stamp_ns = max(own_ns, stamp_ns + 1)
         own_s = None if scan is None else reading.stamp_s
         ticks.append(Tick(stamp_ns, Pose.from_array(reading.poses[1]), scan, log_stamp_s=own_s))
     return ticks
 
 
-def _read_lines(path: Path, remarks: list[str]) -> _Lines:
-    """Parse the lines of a file; a last line that is damaged is left out if a scan comes before it.
+def _read_lines(path: Path, units: Units, remarks: list[str]) -> _Lines:
+    """Parse the lines of a file; those that are damaged are left out, and counted in a remark.
 
-    Raises LogError for a file that cannot be read or is not a CARMEN log, and for damage before the last line.
+    Raises LogError for a file that cannot be read, and for one whose lines are all damaged.
     """
-    content = _Lines()
-    damaged: LogError | None = None
+    content, refused, count, last = _Lines(units), Refused(), 0, 0
     for record in records(path):
-        if damaged is not None:
-            raise damaged
+        count += 1
         try:
             _take(content, record)
         except LogError as error:
-            damaged = error
-    if damaged is not None:
-        if not any(reading.geometry is not None for reading in content.readings):
-            raise damaged
-        remarks.append(f"the last line is damaged and left out ({str(damaged).removeprefix(f'{path} ')})")
+            last = count
+            refused.add("lines", LogError(str(error).removeprefix(f"{path} ")))
+            if refused.count("lines") == count >= _MOST_DAMAGED:
+                break
+    damaged = refused.count("lines")
+    if damaged and not any(reading.geometry is not None for reading in content.readings):
+        raise LogError(f"{path} {refused.first('lines')}")
+    if damaged == 1 and last == count:
+        remarks.append(f"the last line is damaged and left out ({refused.first('lines')})")
+    elif damaged:
+        remarks += refused.remarks({"lines": count}, "lines")
     return content
 
 
@@ -235,7 +286,7 @@ def _take(content: _Lines, record: Record) -> None:
     fields, kind = record.fields, record.fields[0]
     read = {FLASER: _flaser, ROBOTLASER: _robotlaser, ODOM: _odom}.get(kind)
     if read is not None:
-        scan = read(record)  # which checks the number of fields
+        scan = read(record, content.units)  # which checks the number of fields
         content.unmeasured += int(np.count_nonzero(scan[2] < 0.0))
         scan[2][scan[2] < 0.0] = np.inf
         stamp = fields[-3]
@@ -253,18 +304,24 @@ _Line = tuple[Array, _Geometry | None, NDArray[np.float32]]
 """poses and scan, as in a `_Reading`"""
 
 
-def _odom(record: Record) -> _Line:
+def _odom(record: Record, units: Units) -> _Line:
     _expect(record, _ODOM_FIELDS)
-    return np.tile(record.numbers(record.fields[1:4]), (2, 1)), None, np.zeros(0, dtype=np.float32)
+    return np.tile(_poses(record, 1, 4, units), (2, 1)), None, np.zeros(0, dtype=np.float32)
 
 
-def _flaser(record: Record) -> _Line:
+def _flaser(record: Record, units: Units) -> _Line:
     count = _count(record, 1)
     _expect(record, count + _FLASER_FIELDS, f" with {count} ranges")
-    return record.numbers(record.fields[-9:-3]).reshape(2, 3), _Geometry(count), _ranges(record, 2, count)
+    return _poses(record, -9, -3, units), _Geometry(count), _ranges(record, 2, count, units)
 
 
-def _robotlaser(record: Record) -> _Line:
+def _poses(record: Record, first: int, past: int, units: Units) -> Array:
+    """(n, 3) poses in fields, m and rad."""
+    scale = (units.odometry, units.odometry, units.headings)
+    return np.asarray(record.numbers(record.fields[first:past]).reshape(-1, 3) * scale)
+
+
+def _robotlaser(record: Record, units: Units) -> _Line:
     """A ROBOTLASER1 line, with its remissions or, as CARMEN's own description of the format has it, without."""
     count = _count(record, _ROBOTLASER_HEAD - 1)
     if len(record.fields) != _ROBOTLASER_HEAD + count + _ROBOTLASER_TAIL:
@@ -272,11 +329,16 @@ def _robotlaser(record: Record) -> _Line:
         expected = _ROBOTLASER_HEAD + count + 1 + remissions + _ROBOTLASER_TAIL
         _expect(record, expected, f" with {count} ranges and {remissions} remissions")
     start, fov, resolution, max_range = record.numbers(record.fields[2:6])
+    start, fov, resolution = (units.angles * value for value in (start, fov, resolution))
+    max_range *= units.ranges
+    try:
+        check_bearings(start, start + fov)
+    except ValueError as error:
+        record.fail(str(error))
     if not (abs(start) <= 2.0 * math.pi and 0.0 <= fov <= 2.0 * math.pi + 0.1):
         record.fail(f"found start angle {start:g} and field of view {fov:g}, allowed: radians of up to a full circle")
     geometry = _Geometry(count, start, fov, resolution, max_range if max_range > 0.0 else math.inf)
-    poses = record.numbers(record.fields[-14:-8]).reshape(2, 3)
-    return poses, geometry, _ranges(record, _ROBOTLASER_HEAD, count)
+    return _poses(record, -14, -8, units), geometry, _ranges(record, _ROBOTLASER_HEAD, count, units)
 
 
 def _count(record: Record, place: int, what: str = "ranges") -> int:
@@ -293,8 +355,10 @@ def _expect(record: Record, count: int, what: str = "") -> None:
         record.fail(f"found {record.fields[0].decode()}{what} of {found} fields, allowed: {count}{cut}")
 
 
-def _ranges(record: Record, first: int, count: int) -> NDArray[np.float32]:
+def _ranges(record: Record, first: int, count: int, units: Units) -> NDArray[np.float32]:
     """(count,) metres, or inf, from field `first` on; -1 for one that is negative or no number."""
-    values = record.parsed(record.fields[first : first + count])
+    if count < 2:
+        record.fail(f"found {count} ranges, allowed: 2 to {MOST_BEAMS}")
+    values = units.ranges * record.parsed(record.fields[first : first + count])
     values[values > LARGEST] = np.inf  # these may overflow a float32
     return np.where(values >= 0.0, values, -1.0).astype(np.float32)

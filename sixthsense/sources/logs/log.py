@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sixthsense.config import LaserConfig
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose, wrap_angle
 from sixthsense.core.laser import Scan
 from sixthsense.core.source import Command, Source, Tick
+from sixthsense.sources.logs.stamps import passed_s, stamp_remarks
 from sixthsense.sources.logs.text_lines import read_table
 
 GAP_S = 0.5
@@ -32,7 +32,6 @@ _RATIO = 0.25
 _SHARE = 0.8  # of the triples
 _COMPARED = 20  # scans, evenly over the log
 _MOVED_M, _FAR_M, _MOST = 0.3, 100.0, 0.5  # by which a range has changed, m; at most; and the share of beams
-_STAMP_SLACK_S = 1e-6  # by which the stamp of a relation and that of its scan differ
 
 
 class Log:
@@ -77,12 +76,7 @@ class Log:
 
     def remarks(self) -> list[str]:
         """What a user should know of this log, a line each: what was assumed, what it lacks, what was left out."""
-        lines = list(self._remarks)
-        if self.backward_stamps:
-            lines.append(f"stamps decrease at {self.backward_stamps} scans; replayed in the order of the file")
-        stamps = self._own_stamps
-        if len(stamps) > 1 and min(stamps) == max(stamps):
-            lines.append(f"all {len(stamps)} scans have the stamp {stamps[0]:.6f}; replayed in the order of the file")
+        lines = [*self._remarks, *stamp_remarks(self._own_stamps)]
         if self.has_odometry and len(self.scans) > 1 and all(tick.odometry == self.start for tick in self.ticks):
             if self._scans_move():
                 lines.append("the odometry never changes, but the scans do: use --no-odometry")
@@ -148,49 +142,54 @@ def gaps_of(odometry: Sequence[tuple[int, Pose]]) -> list[str]:
     """A line on the gaps of poses with stamps, ns, in the order of the records, if there are any."""
     if len(odometry) < 2:
         return []
-    stamps_s = 1e-9 * np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.float64)
-    periods_s, lines = np.diff(stamps_s), []
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.int64)
+    periods_s, lines = passed_s(stamps_ns), []
     usual_s = float(np.median(periods_s))
-    gaps = np.flatnonzero(periods_s > max(GAP_S, 3.0 * usual_s))
+    gaps = np.flatnonzero(periods_s > longest_s(usual_s))
     if len(gaps):
         longest = gaps[np.argmax(periods_s[gaps])]
         lines.append(
             f"odometry has {len(gaps)} gaps, the longest of {periods_s[longest]:.1f} s after "
-            f"{stamps_s[longest] - stamps_s[0]:.1f} s; it comes every {usual_s:.3f} s otherwise"
+            f"{1e-9 * (stamps_ns[longest] - stamps_ns[0]):.1f} s; it comes every {usual_s:.3f} s otherwise"
         )
     return lines
+
+
+def longest_s(usual_s: float) -> float:
+    """The longest time between records of odometry that come every `usual_s` in which a pose is interpolated."""
+    return max(GAP_S, 3.0 * usual_s)
 
 
 def continued(odometry: Sequence[tuple[int, Pose]]) -> tuple[list[Pose], list[str]]:
     """The poses, with stamps in ns, where odometry that jumps goes on from where it was; and a line on the jumps.
 
     No robot on wheels is that fast: its driver was started again, or the poses are of a map that was corrected. Scans
-    tell what the robot did meanwhile, and standing is next to that.
+    tell what the robot did meanwhile, and standing is next to that. Where stamps tell no time, no motion is a jump.
     """
     poses = [pose for _, pose in odometry]
     if len(poses) < 2:
         return poses, []
-    stamps_s = 1e-9 * np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.float64)
-    passed_s, steps = np.maximum(np.diff(stamps_s), 0.0), np.diff([pose.array() for pose in poses], axis=0)
+    stamps_ns = np.array([stamp_ns for stamp_ns, _ in odometry], dtype=np.int64)
+    passed, steps = passed_s(stamps_ns), np.diff([pose.array() for pose in poses], axis=0)
     moved_m, turned = np.hypot(steps[:, 0], steps[:, 1]), np.abs(wrap_angle(steps[:, 2]))
-    passed_s[1:] += np.where(steps[:-1].any(axis=1), 0.0, passed_s[:-1])  # a record may repeat an old pose, late
-    jumps = np.flatnonzero((moved_m > _FASTEST * passed_s + JOLT_M) | (turned > _FASTEST_RAD * passed_s + JOLT_RAD))
+    passed[1:] += np.where(steps[:-1].any(axis=1), 0.0, passed[:-1])  # a record may repeat an old pose, late
+    jumps = np.flatnonzero((moved_m > _FASTEST * passed + JOLT_M) | (turned > _FASTEST_RAD * passed + JOLT_RAD))
     if not len(jumps):
         return poses, []
     for first, past in itertools.pairwise([*(jumps + 1).tolist(), len(poses)]):
         back = poses[first - 1] @ poses[first].inverse()
         poses[first:past] = [back @ pose for pose in poses[first:past]]
     largest = jumps[np.argmax(moved_m[jumps])]
-    after_s = stamps_s[largest] - stamps_s[0]
+    after_s = 1e-9 * (stamps_ns[largest] - stamps_ns[0])
     times = "once" if len(jumps) == 1 else f"{len(jumps)} times, at most"
     return poses, [
         f"odometry jumps {times} by {moved_m[largest]:.1f} m after {after_s:.1f} s: it goes on from where it was"
     ]
 
 
-def without_jumps(ticks: Sequence[Tick], remarks: list[str]) -> Sequence[Tick]:
-    """The ticks with odometry that is `continued`; a line on its jumps is added to the remarks."""
-    poses, jumps = continued([(tick.stamp_ns, tick.odometry) for tick in ticks])
+def without_jumps(ticks: Sequence[Tick], own_ns: Sequence[int], remarks: list[str]) -> Sequence[Tick]:
+    """The ticks, with stamps of the log, with odometry that is `continued`; a line on its jumps goes to the remarks."""
+    poses, jumps = continued([(stamp_ns, tick.odometry) for stamp_ns, tick in zip(own_ns, ticks, strict=True)])
     remarks += jumps
     if not jumps:
         return ticks
@@ -255,25 +254,3 @@ def read_relations(file: str | Path) -> Relations:
     table = read_table(Path(file), "t1 t2 dx dy dz roll pitch yaw").numbers
     poses = np.stack([table[:, 2], table[:, 3], wrap_angle(table[:, 7])], axis=1)
     return Relations(table[:, :2].copy(), poses)
-
-
-def has_scan(stamps_s: Array, relations_stamps: Array) -> NDArray[np.bool_]:
-    """(R, 2) whether a scan has the stamp of a relation to a microsecond; `stamps_s` (N,) seconds in any order."""
-    ordered = np.append(np.sort(stamps_s), np.inf)
-    nearest = ordered[np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)]
-    return np.asarray(nearest <= relations_stamps + _STAMP_SLACK_S)
-
-
-def scan_rows(stamps_s: Array, relations_stamps: Array) -> NDArray[np.int64]:
-    """(R, 2) indices of the scans of relations; `stamps_s` (N,) seconds in any order, `relations_stamps` (R, 2).
-
-    Raises ValueError for a relation whose stamp differs from that of every scan by more than a microsecond.
-    """
-    order = np.argsort(stamps_s, kind="stable")
-    ordered = stamps_s[order]
-    place = np.searchsorted(ordered, relations_stamps - _STAMP_SLACK_S)  # (R, 2): the first stamp not before
-    found = has_scan(stamps_s, relations_stamps)
-    if not found.all():
-        row, column = np.argwhere(~found)[0]
-        raise ValueError(f"relation {row + 1} names {relations_stamps[row, column]:.6f}: no scan has that stamp")
-    return order[place]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sixthsense.core.covariance import check_covariance
 from sixthsense.core.geometry import Array, Pose
@@ -14,9 +15,11 @@ from sixthsense.core.landmarks import Kind, LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.sources.logs.laser_geometry import FARTHEST_M, MOST_BEAMS
 from sixthsense.sources.logs.text_lines import LARGEST, LAST_STAMP_S, LogError
+from sixthsense.sources.logs.units import SI, Units, check_bearings
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+MULTI_ECHO = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 NOT_MEASURED = 1e6
 """Variance of z, roll and pitch in the covariance of a planar motion, as is customary for robots on a floor."""
@@ -103,31 +106,54 @@ def mount(T_robot_laser: Array) -> tuple[Pose, bool]:
     return Pose(T_robot_laser[0, 3], T_robot_laser[1, 3], yaw), bool(T_robot_laser[2, 2] < 0.0)
 
 
-def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range: float | None = None) -> Scan:
+def stated_reach(message: Any, units: Units = SI) -> float | None:
+    """The `range_max` of a LaserScan, m; None where it is not that of a laser: zero, infinite, or no number."""
+    reach = float(np.float32(message.range_max)) * units.ranges
+    return reach if 0.0 < reach <= FARTHEST_M else None
+
+
+def ranges_of(message: Any, units: Units = SI) -> NDArray[np.float32]:
+    """(N,) ranges, m, of a LaserScan, or the first echoes of a MultiEchoLaserScan; infinite without an echo."""
+    rows: Any = message.ranges
+    if len(rows) and hasattr(rows[0], "echoes"):
+        rows = [beam.echoes[0] if len(beam.echoes) else np.inf for beam in rows]
+    ranges = np.asarray(rows, dtype=np.float32)
+    return ranges if units.ranges == 1.0 else ranges * np.float32(units.ranges)
+
+
+def scan(
+    message: Any,
+    T_robot_laser: Pose,
+    upside_down: bool = False,
+    max_range: float | None = None,
+    units: Units = SI,
+) -> Scan:
     """The scan of a LaserScan message; ranges outside [range_min, range_max] are no returns.
 
-    `max_range` replaces `range_max`, which a message has in float32 only, and may have too large. The beams of a
-    clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
+    `max_range` replaces `range_max`, which a message has in float32 only, and may have too large or not at all. The
+    beams of a clockwise scan are reversed. A last beam that repeats the first of a full circle is removed. A negative
     `time_increment`, or one that gives a sweep longer than a second, counts as zero, since many drivers leave it unset.
     """
-    first, step = float(message.angle_min), float(message.angle_increment)
-    ranges = np.asarray(message.ranges, dtype=np.float32)
-    low, high = np.float32(message.range_min), np.float32(message.range_max)
+    first, step = float(message.angle_min) * units.angles, float(message.angle_increment) * units.angles
+    ranges = ranges_of(message, units)
+    low = np.float32(message.range_min) * np.float32(units.ranges)
+    high = stated_reach(message, units)
     count = len(ranges)
     if not 2 <= count <= MOST_BEAMS:
         raise ValueError(f"found a scan of {count} ranges, allowed: 2 to {MOST_BEAMS}")
     if not (math.isfinite(first) and math.isfinite(step) and step != 0.0):
         raise ValueError(f"found angle_min {first} and angle_increment {step}, allowed: finite, and steps not zero")
-    if not high > 0.0:
-        raise ValueError(f"found range_max {high}, allowed: metres, above 0")
+    check_bearings(first, first + step * (count - 1))
+    if high is None and max_range is None:
+        raise ValueError(f"found range_max {float(message.range_max)}, allowed: metres, 0 to {FARTHEST_M:g}")
     if abs(step) * (count - 1) > 2.0 * math.pi - 0.5 * abs(step):
         count = max(2, round(2.0 * math.pi / abs(step)))
         ranges = ranges[:count]
         count = len(ranges)
-    if max_range is not None:
-        high = min(high, np.float32(max_range))
+    reach = min(float(high or math.inf), math.inf if max_range is None else max_range)
     with np.errstate(invalid="ignore"):
-        ranges = np.where((ranges >= low) & (ranges <= high), ranges, np.float32(np.inf))
+        returned = (ranges <= np.float32(reach)) & ((ranges >= low) if np.isfinite(low) else (ranges > 0.0))
+        ranges = np.where(returned, ranges, np.float32(np.inf))
     lag = float(message.time_increment)
     if not 0.0 <= lag * (count - 1) <= _LONGEST_SWEEP_S:
         lag = 0.0
@@ -136,8 +162,8 @@ def scan(message: Any, T_robot_laser: Pose, upside_down: bool = False, max_range
     if step < 0.0:
         first, step, ranges, lag = first + step * (count - 1), -step, ranges[::-1].copy(), -lag
     ranges.flags.writeable = False
-    reach = min(float(high), FARTHEST_M) if max_range is None else max_range
-    return Scan(ranges, np.float32(first), np.float32(step), reach, T_robot_laser, np.float32(lag))
+    own = reach if max_range is None else max_range
+    return Scan(ranges, np.float32(first), np.float32(step), own, T_robot_laser, np.float32(lag))
 
 
 def spatial_covariance(cov: Array) -> Array:

@@ -4,125 +4,175 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from sixthsense.config import LaserConfig
+from sixthsense.config.errors import reason_of
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Pose
-from sixthsense.core.laser import Scan, sweep_ns
-from sixthsense.core.source import Tick
+from sixthsense.core.laser import Scan
 from sixthsense.sources.logs.bag_file import found_topic, only_topic, opened
-from sixthsense.sources.logs.laser_geometry import FARTHEST_M, described, max_range_of
-from sixthsense.sources.logs.log import Log, continued, found_turns, gaps_of, pose_between
+from sixthsense.sources.logs.joining import Stamped, joined, one_clock
+from sixthsense.sources.logs.laser_geometry import described, max_range_of
+from sixthsense.sources.logs.log import Log, continued, found_turns, gaps_of
+from sixthsense.sources.logs.refused import Refused
 from sixthsense.sources.logs.ros_messages import (
     LASER_SCAN,
+    MULTI_ECHO,
     ODOMETRY,
     checked_stamp,
     frame_name,
     planar,
+    ranges_of,
     scan,
     stamp_ns,
+    stated_reach,
 )
+from sixthsense.sources.logs.stamps import passed_s, tell_time
 from sixthsense.sources.logs.text_lines import LogError
 from sixthsense.sources.logs.transforms import OPTION, TRANSFORM_TYPES, FramePair, TransformTree
+from sixthsense.sources.logs.units import SI, Units, check_odometry, check_ranges
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
+_SCANS = (LASER_SCAN, MULTI_ECHO)
 
-def read_bag(
-    file: str | Path,
-    laser: LaserConfig,
-    topics: Sequence[str] = (),
-    frames: FramePair | None = None,
-    odometry: bool = True,
-    is_mount_given: bool = False,
-) -> Log:
-    """Read a bag: ROS 1 (.bag), or ROS 2 (a folder with metadata.yaml, an .mcap or a .db3 file).
 
-    Scans and odometry are the topics of type LaserScan and Odometry; `topics` selects among several. Without a
-    topic of Odometry, or with `frames`, odometry is a pair of frames in /tf; without transforms there, the log
-    has scans alone, as without `odometry`. Beams and ranges come from the messages. The mount is `laser.mount`
-    if it is not zero or `is_mount_given`, else that of /tf_static. Scans of another frame than the first are left out.
+class How(NamedTuple):
+    """How a bag is read."""
+
+    topics: Sequence[str] = ()
+    """of scans and odometry, among several"""
+    frames: FramePair | None = None
+    """of odometry in /tf"""
+    odometry: bool = True
+    """whether the bag's odometry is used"""
+    is_mount_given: bool = False
+    """whether `laser.mount` is used even if it is zero"""
+    units: Units = SI
+    """of the bag's numbers"""
+
+
+def read_bag(file: str | Path, laser: LaserConfig, how: How | None = None) -> Log:
+    """Read a bag: ROS 1, or ROS 2 (a folder, an MCAP or a SQLite file).
+
+    Scans and odometry are the topics of type LaserScan, or MultiEchoLaserScan, and Odometry. Without a topic of
+    Odometry, or with `how.frames`, odometry is a pair of frames in /tf; without transforms there, the log has scans
+    alone. Beams and ranges are those of each message. Scans are of the frame that most of them have. The mount is
+    `laser.mount` if it is not zero or given, else that of /tf_static, or of /tf where it stands still.
+
     Messages are sorted by the stamps of their headers if the stamps of each topic ascend, else they keep the order of
     the file. The stamp of a tick is at least 1 ns after the previous one. The odometry of a scan is interpolated at its
-    stamp. The stamp of a sweep is that of its first beam in the message and of its last beam in the tick.
-    Raises LogError for a bag that cannot be read, is damaged or truncated, or lacks a topic of scans.
+    stamp. The stamp of a sweep is that of its first beam in the message and of its last beam in the tick. A message
+    that cannot be used is left out, and counted in a remark. Raises LogError for a bag that cannot be read, that lacks
+    a topic of scans or a scan that can be used, or that is in other units.
     """
-    path = Path(file)
-    with opened(path) as reader:
-        chosen = _choose(path, reader, topics, odometry and frames is None)
-        recording = _recording(path, reader, chosen, frames, odometry and ODOMETRY not in chosen)
-        return _log(path, recording, laser, is_mount_given)
+    path, how = Path(file), how or How()
+    remarks: list[str] = []
+    with opened(path, remarks) as reader:
+        chosen = _choose(path, reader, how.topics, how.odometry and how.frames is None)
+        recording = _recording(path, reader, chosen, how, remarks)
+        return _log(path, reader, recording, laser, how)
 
 
 @dataclass(slots=True)
 class _Recording:
     """The messages of a bag in the order of its records."""
 
-    records: list[tuple[int, Any]] = field(default_factory=list)
-    """stamp of the header, ns, and T_odom_robot or the message of a scan"""
+    topics: Mapping[str, str]
+    """`scan`, and `odometry` if there is a topic of it"""
+    remarks: list[str]
+    scans: list[tuple[int, int, int, Any]] = field(default_factory=list)
+    """stamps of header and record, ns, the place in the file, and the message"""
+    odometry: list[tuple[int, int, int, Pose]] = field(default_factory=list)
+    """the same with `T_odom_robot`"""
     tree: TransformTree = field(default_factory=TransformTree)
-    robot: str = ""
-    """frame of the odometry"""
-    laser: str = ""
-    """frame of the first scan"""
-    other_frames: Counter[str] = field(default_factory=Counter)
-    """number of scans of frames other than that of the first scan"""
-    remarks: list[str] = field(default_factory=list)
+    robots: Counter[str] = field(default_factory=Counter)
+    """number of messages of odometry by the robot's frame"""
+    lasers: Counter[str] = field(default_factory=Counter)
+    """number of scans by frame"""
+    refused: Refused = field(default_factory=Refused)
+    totals: Counter[str] = field(default_factory=Counter)
+    """number of messages by topic"""
     has_odometry: bool = True
     """whether the bag has odometry that is used; without it, the robot is said to stand at the first scan"""
 
     @property
-    def odometry(self) -> list[tuple[int, Pose]]:
-        """The records of odometry alone."""
-        return [(own, value) for own, value in self.records if isinstance(value, Pose)]
+    def robot(self) -> str:
+        """The frame of the robot that most messages of odometry name; empty if they name none."""
+        return self.robots.most_common(1)[0][0] if self.robots else ""
 
     @property
-    def scans(self) -> list[tuple[int, Any]]:
-        """The records of scans alone."""
-        return [(own, value) for own, value in self.records if not isinstance(value, Pose)]
+    def laser(self) -> str:
+        """The frame of most scans."""
+        return max(self.lasers, key=lambda name: (self.lasers[name], name))
 
 
-def _recording(
-    path: Path, reader: AnyReader, chosen: Mapping[str, str], frames: FramePair | None, uses_tree: bool
-) -> _Recording:
-    """Read the messages of chosen topics; odometry of /tf if `uses_tree`; LogError for one that cannot be used."""
-    recording = _Recording()
+def _recording(path: Path, reader: AnyReader, chosen: Mapping[str, str], how: How, remarks: list[str]) -> _Recording:
+    """Read the messages of chosen topics; odometry of /tf without a topic of it."""
+    out, uses_tree = _Recording(chosen, remarks), how.odometry and "odometry" not in chosen
     known = [c for c in reader.connections if c.topic in chosen.values() or _has_transforms(c, uses_tree)]
-    rows: dict[int, int] = {}  # of the transforms of /tf by their record
-    for connection, record_ns, raw in reader.messages(connections=known):
-        message: Any = reader.deserialize(raw, connection.msgtype)
-        if connection.msgtype in TRANSFORM_TYPES:
-            for row in recording.tree.take(str(path), connection.topic, message, record_ns):
-                rows[len(recording.records)] = row
-                recording.records.append((recording.tree.stamped[row][0], Pose()))
-        elif connection.topic == chosen.get(connection.msgtype):
-            own = checked_stamp(str(path), stamp_ns(message) or record_ns)  # some drivers leave the stamp at zero
-            if connection.msgtype == LASER_SCAN:
-                _add_scan(recording, own, message)
+    rows: list[tuple[int, int, int, int]] = []  # stamps, place and row of the transforms of /tf
+    for place, (connection, record_ns, raw) in enumerate(_messages(reader, known, out)):
+        topic = connection.topic
+        out.totals[topic] += 1
+        try:
+            message: Any = reader.deserialize(raw, connection.msgtype)
+        except Exception as error:  # damaged bytes raise whatever they lead to
+            out.refused.add(topic, ValueError(f"cannot be read ({reason_of(error)}), allowed: {connection.msgtype}"))
+            continue
+        try:
+            if connection.msgtype in TRANSFORM_TYPES:
+                found = out.tree.take(str(path), topic, message, record_ns, out.refused)
+                rows += [(out.tree.stamped[row][0], record_ns, place, row) for row in found]
+                continue
+            checked_stamp(str(path), stamp_ns(message))
+            if topic == chosen["scan"]:
+                out.scans.append((stamp_ns(message), record_ns, place, message))
+                out.lasers[frame_name(message.header.frame_id)] += 1
             else:
-                _add_odometry(path, recording, own, message)
-    if uses_tree and (recording.tree.stamped or frames is not None):
-        _take_odometry(path, recording, rows, frames)
-    elif ODOMETRY not in chosen and recording.scans:
-        recording.has_odometry = False
-        recording.robot = recording.tree.root(recording.laser)
-        recording.records = [each for own, message in recording.scans for each in ((own, Pose()), (own, message))]
-    if recording.has_odometry:
-        recording.remarks += gaps_of(recording.odometry)
-        poses, jumps = continued(recording.odometry)
-        recording.remarks += jumps
-        left = iter(poses)
-        recording.records = [
-            (own, next(left) if isinstance(value, Pose) else value) for own, value in recording.records
-        ]
-    return recording
+                pose = planar(message.pose.pose.position, message.pose.pose.orientation)
+                pose = Pose(how.units.odometry * pose.x, how.units.odometry * pose.y, pose.theta)
+                out.odometry.append((stamp_ns(message), record_ns, place, pose))
+                out.robots[frame_name(message.child_frame_id)] += 1
+        except ValueError as error:
+            out.refused.add(topic, error)
+    if not out.scans:
+        _without(path, out, chosen["scan"])
+    if uses_tree and (out.tree.stamped or how.frames is not None):
+        _take_odometry(path, out, rows, how.frames)
+    elif "odometry" not in chosen:
+        out.has_odometry = False
+        out.robots[out.tree.root(out.laser)] += 1
+    elif not out.odometry:
+        _without(path, out, chosen["odometry"])
+    return out
+
+
+def _messages(reader: AnyReader, known: Sequence[Any], out: _Recording) -> Iterator[tuple[Any, int, bytes]]:
+    """The messages of connections, up to the first damage of the file."""
+    count = 0
+    try:
+        for each in reader.messages(connections=list(known)):
+            yield each
+            count += 1
+    except Exception as error:
+        if not count:
+            raise
+        out.remarks.append(f"the bag is damaged after {count} messages, which are read ({reason_of(error)})")
+
+
+def _without(path: Path, recording: _Recording, topic: str) -> None:
+    """Raise LogError for a topic without a message that can be used."""
+    if recording.refused.count(topic):
+        raise LogError(f"{path} {topic}: {recording.refused.first(topic)}")
+    raise LogError(f"{path}: found no message on {shown_name(topic)}, allowed: a log with scans and odometry")
 
 
 def _has_transforms(connection: Any, with_moving: bool) -> bool:
@@ -130,34 +180,33 @@ def _has_transforms(connection: Any, with_moving: bool) -> bool:
     return connection.msgtype in TRANSFORM_TYPES and (name.endswith("tf_static") or with_moving)
 
 
-def _take_odometry(path: Path, recording: _Recording, rows: Mapping[int, int], named: FramePair | None) -> None:
+def _take_odometry(
+    path: Path, recording: _Recording, rows: Sequence[tuple[int, int, int, int]], named: FramePair | None
+) -> None:
     """Keep the transforms that are odometry."""
     try:
         pair, poses = recording.tree.odometry(recording.laser, named)
     except ValueError as error:
         raise LogError(f"{path} /tf: {error}") from None
-    recording.robot = pair.child
-    recording.records = [
-        (own, poses[rows[k]] if k in rows else value)
-        for k, (own, value) in enumerate(recording.records)
-        if k not in rows or rows[k] in poses
-    ]
+    recording.robots[pair.child] += len(poses)
+    recording.odometry = [(own, record_ns, place, poses[row]) for own, record_ns, place, row in rows if row in poses]
     recording.remarks.append(f"odometry: /tf {pair}, {len(poses)} transforms (otherwise {OPTION})")
 
 
 def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry: bool) -> dict[str, str]:
-    """The topic of each type; LogError with the candidates unless there is one, or one is selected."""
+    """The topic of scans, and that of odometry if there is one; LogError with the candidates where it is not clear."""
     types = {c.topic: c.msgtype for c in reader.connections}
-    fitting = {kind: sorted(t for t, name in types.items() if name == kind) for kind in (LASER_SCAN, ODOMETRY)}
+    kinds = {"scan": _SCANS, "odometry": (ODOMETRY,)}
+    fitting = {what: sorted(t for t, name in types.items() if name in names) for what, names in kinds.items()}
     for topic in topics:
-        if types.get(topic) not in fitting:
+        if topic not in itertools.chain(*fitting.values()):
             offered = sorted(itertools.chain(*fitting.values()))
             found = found_topic(topic, types, f"{topic!r}, no topic of {path}", offered, "allowed: none here")
             raise LogError(f"--topic: {found}")
     chosen = {}
-    for kind, names in fitting.items():
-        short = kind.rpartition("/")[2]
-        if kind == ODOMETRY and not (names and with_odometry):
+    for what, names in fitting.items():
+        short = kinds[what][0].rpartition("/")[2]
+        if what == "odometry" and not (names and with_odometry):
             continue
         if not names:
             held = (
@@ -165,123 +214,143 @@ def _choose(path: Path, reader: AnyReader, topics: Sequence[str], with_odometry:
                 or "no topic at all"
             )
             raise LogError(f"{path}: found no topic of type {short}, but {held}, allowed: a bag with one")
-        chosen[kind] = only_topic(path, [name for name in names if name in topics] or names, f"type {short}", "--topic")
+        chosen[what] = only_topic(path, [name for name in names if name in topics] or names, f"type {short}", "--topic")
     return chosen
 
 
-def _add_scan(recording: _Recording, own: int, message: Any) -> None:
-    frame = frame_name(message.header.frame_id)
-    recording.laser = recording.laser or frame
-    if frame == recording.laser:
-        recording.records.append((own, message))
-    else:
-        recording.other_frames[frame] += 1
-
-
-def _add_odometry(path: Path, recording: _Recording, own: int, message: Any) -> None:
-    recording.robot = recording.robot or frame_name(message.child_frame_id)
-    try:
-        pose = planar(message.pose.pose.position, message.pose.pose.orientation)
-    except ValueError as error:
-        raise LogError(f"{path} odometry {len(recording.odometry) + 1}: {error}") from None
-    recording.records.append((own, pose))
-
-
-def _log(path: Path, recording: _Recording, laser: LaserConfig, is_mount_given: bool) -> Log:
-    if not recording.scans or not recording.odometry:
-        missing = "LaserScan" if not recording.scans else "Odometry"
-        raise LogError(f"{path}: found a topic of {missing} without a message, allowed: a log with scans and odometry")
-    place, upside_down = _mount(path, recording, laser, is_mount_given)
-    max_range = _max_range(recording)
-    scans = []
-    for number, (_, message) in enumerate(recording.scans, start=1):
-        try:
-            scans.append(scan(message, place, upside_down, max_range))
-        except ValueError as error:
-            raise LogError(f"{path} scan {number}: {error}") from None
-    if not any((s.ranges <= np.float32(s.max_range)).any() for s in scans):
-        raise LogError(f"{path}: found no return in {len(scans)} scans, allowed: ranges from range_min to range_max")
-    if turns := found_turns(scans, recording.laser):
+def _log(path: Path, reader: AnyReader, recording: _Recording, laser: LaserConfig, how: How) -> Log:
+    remarks = recording.remarks
+    place, upside_down = _mount(path, reader, recording, laser, how.is_mount_given)
+    scans = _scans(path, recording, place, upside_down, how.units)
+    made = [each.value for each in scans if isinstance(each.value, Scan)]
+    if not any((s.ranges <= np.float32(s.max_range)).any() for s in made):
+        raise LogError(f"{path}: found no return in {len(made)} scans, allowed: ranges from range_min to range_max")
+    if turns := found_turns(made, recording.laser):
         raise LogError(f"{path}: {turns}")
-    for frame, count in recording.other_frames.items():
-        recording.remarks.append(
-            f"{count} scans of {shown_name(frame)} are left out, since those of {shown_name(recording.laser)} "
-            "are of another laser"
-        )
-    ticks = _ticks(path, recording, scans)
-    return Log(ticks, described_laser(scans[0], laser), recording.remarks, recording.has_odometry)
+    odometry = [each._replace(own_ns=each.end_ns, value=Pose()) for each in scans]
+    if recording.has_odometry:
+        odometry = _timed(recording.odometry, recording.topics.get("odometry", "/tf"), remarks)
+    by_stamps = _ascends(scans) and _ascends(odometry)
+    if recording.has_odometry:
+        odometry = _without_jumps(path, recording, odometry)
+        if by_stamps:
+            try:
+                scans, odometry = one_clock(scans, odometry, remarks)
+            except ValueError as error:
+                raise LogError(f"{path}: {error}") from None
+    remarks += recording.refused.remarks(recording.totals)
+    own_s = [own / 1e9 for own in _headers(recording, scans)]
+    ticks = joined(scans, odometry, own_s, by_stamps, remarks)
+    return Log(ticks, described_laser(made, laser), remarks, recording.has_odometry)
 
 
-def _mount(path: Path, recording: _Recording, laser: LaserConfig, is_given: bool) -> tuple[Pose, bool]:
+def _headers(recording: _Recording, scans: Sequence[Stamped]) -> list[int]:
+    """The stamps of the headers of scans, which relations refer to; of the records without one."""
+    own = {place: header or record_ns for header, record_ns, place, _ in recording.scans}
+    return [own[each.place] for each in scans]
+
+
+def _timed(stamped: Sequence[tuple[int, int, int, Any]], topic: str, remarks: list[str]) -> list[Stamped]:
+    """Messages with the stamps that put them in order: of their headers, or of their recording where these do not."""
+    absent = sum(own == 0 for own, *_ in stamped)
+    own = [own or record_ns for own, record_ns, _, _ in stamped]
+    if absent:
+        remarks.append(f"{absent} of {len(own)} messages of {topic} have no stamp: the time of recording is theirs")
+    records = [record_ns for _, record_ns, _, _ in stamped]
+    if not tell_time(own) and tell_time(records):
+        remarks.append(f"stamps of {topic} repeat: the times of recording are used")
+        own = records
+    return [Stamped(at, *each[1:]) for at, each in zip(own, stamped, strict=True)]
+
+
+def _scans(path: Path, recording: _Recording, place: Pose, upside_down: bool, units: Units) -> list[Stamped]:
+    """The scans of the frame that most scans have; those that cannot be used, and of other frames, are counted."""
+    topic, remarks, found = recording.topics["scan"], recording.remarks, []
+    own = [each for each in recording.scans if frame_name(each[3].header.frame_id) == recording.laser]
+    check_ranges(str(path), [ranges_of(message, units) for *_, message in own])
+    unlimited = [each[3] for each in own if stated_reach(each[3], units) is None]
+    reach = max_range_of([ranges_of(message, units) for message in unlimited]) if unlimited else 0.0
+    for each in _timed(own, topic, remarks):
+        message: Any = each.value
+        limit = reach if stated_reach(message, units) is None else None
+        try:
+            if limit == 0.0:
+                raise ValueError("found range_max of no laser and no range, allowed: metres")
+            found.append(each._replace(value=scan(message, place, upside_down, limit, units)))
+        except ValueError as error:
+            recording.refused.add(topic, error)
+    if not found:
+        _without(path, recording, topic)
+    if unlimited:
+        several = f" in {len(unlimited)} of {len(own)} scans" * (len(unlimited) < len(own))
+        remarks.append(f"assumed: a laser of {reach:.2f} m, since range_max is not the range of a laser{several}")
+    for frame, count in recording.lasers.items():
+        if frame != recording.laser:
+            remarks.append(
+                f"{count} scans of {shown_name(frame)} are left out: most, {len(own)}, are of "
+                f"{shown_name(recording.laser)}"
+            )
+    return found
+
+
+def _without_jumps(path: Path, recording: _Recording, odometry: list[Stamped]) -> list[Stamped]:
+    """Odometry that is `continued`; LogError where it is in other units."""
+    stamped = [(each.own_ns, each.value) for each in odometry if isinstance(each.value, Pose)]
+    if len(stamped) > 1:
+        poses = np.array([pose.array() for _, pose in stamped])
+        check_odometry(str(path), passed_s([own for own, _ in stamped]), poses)
+    recording.remarks += gaps_of(stamped)
+    continuous, jumps = continued(stamped)
+    recording.remarks += jumps
+    return [each._replace(value=pose) for each, pose in zip(odometry, continuous, strict=True)]
+
+
+def _mount(
+    path: Path, reader: AnyReader, recording: _Recording, laser: LaserConfig, is_given: bool
+) -> tuple[Pose, bool]:
     """The mount of the laser on the robot, and whether the laser is upside down."""
+    tree, remarks = recording.tree, recording.remarks
     try:
-        found = recording.tree.mount(recording.robot, recording.laser)
+        robot = _robot(recording)
+        found = tree.mount(robot, recording.laser)
+        if found is None and not tree.stamped and not (is_given or any(laser.mount)):
+            known = [c for c in reader.connections if _has_transforms(c, True) and not _has_transforms(c, False)]
+            for connection, record_ns, raw in _messages(reader, known, recording) if known else ():
+                message = reader.deserialize(raw, connection.msgtype)
+                tree.take(str(path), connection.topic, message, record_ns, recording.refused)
+            robot = _robot(recording)
+            found = tree.mount(robot, recording.laser)
     except ValueError as error:
         raise LogError(f"{path} /tf_static: {error}") from None
+    if not recording.robot and recording.has_odometry and found is not None:
+        remarks.append(
+            f"odometry does not name the robot's frame: taken to be {shown_name(robot)}, the root of the frames that "
+            f"lead to {shown_name(recording.laser)}"
+        )
     place, upside_down = found or (Pose(), False)
     if is_given or any(laser.mount):
         return Pose(*laser.mount), upside_down
     if found is None and recording.has_odometry:
-        frames = f"{shown_name(recording.robot)} to {shown_name(recording.laser)}"
-        recording.remarks.append(
-            f"assumed: the laser at the robot's centre, since no /tf_static leads from {frames} "
-            "(otherwise set laser.mount)"
+        frames = f"{shown_name(robot)} to {shown_name(recording.laser)}"
+        there = ", ".join(map(shown_name, tree.frames()[:12])) or "none"
+        remarks.append(
+            f"assumed: the laser at the robot's centre, since no constant transforms lead from {frames} "
+            f"(frames: {there}; otherwise set laser.mount)"
         )
     return place, upside_down
 
 
-def _max_range(recording: _Recording) -> float | None:
-    """Metres, by the ranges themselves where the first message has no plausible `range_max`; None where it has one."""
-    if not float(recording.scans[0][1].range_max) > FARTHEST_M:
-        return None
-    ranges = [np.asarray(message.ranges, dtype=np.float32) for _, message in recording.scans]
-    found = max_range_of(ranges)
-    recording.remarks.append(f"assumed: a laser of {found:.2f} m, since range_max is not the range of a laser")
-    return found
+def _robot(recording: _Recording) -> str:
+    """The robot's frame as odometry names it, else the root of the frames that lead to the laser."""
+    return recording.robot or recording.tree.root(recording.laser)
 
 
-def described_laser(first: Scan, laser: LaserConfig) -> LaserConfig:
-    """The configuration of the laser that took a scan."""
-    step, place = float(first.angle_increment), first.T_robot_laser
-    return described(laser, len(first.ranges), step, first.max_range, place)
+def described_laser(scans: Sequence[Scan], laser: LaserConfig) -> LaserConfig:
+    """The configuration of the laser that took scans: of the beams and the range that most of them have."""
+    kinds = Counter((len(s.ranges), float(s.angle_increment), s.max_range) for s in scans)
+    (count, step, reach), _ = kinds.most_common(1)[0]
+    return described(laser, count, step, reach, scans[0].T_robot_laser)
 
 
-def _ticks(path: Path, recording: _Recording, scans: Sequence[Scan]) -> list[Tick]:
-    """One tick per message, and one for odometry and scan with the same stamp, from the first odometry on."""
-    odometry, stamped = recording.odometry, recording.scans
-    left = iter(scans)
-    entries: list[tuple[int, Pose | Scan, int]] = []  # time of the tick, pose or scan, stamp of the message
-    for own, value in recording.records:
-        made = value if isinstance(value, Pose) else next(left)
-        ends = own if isinstance(made, Pose) else own - sweep_ns(len(made.ranges), made.time_increment)
-        entries.append((ends, made, own))
-    if _ascends(stamped) and _ascends(odometry):
-        if stamped[0][0] > odometry[-1][0] or stamped[-1][0] < odometry[0][0]:
-            spans = [f"{s[0][0] * 1e-9:.3f} to {s[-1][0] * 1e-9:.3f} s" for s in (stamped, odometry)]
-            raise LogError(f"{path}: found scans from {spans[0]}, odometry from {spans[1]}, allowed: one clock")
-        entries.sort(key=lambda entry: (entry[0], isinstance(entry[1], Scan)))
-    ticks: list[Tick] = []
-    clock, last = -1, -1
-    for ends, made, own in entries:
-        if isinstance(made, Pose):
-            last += 1
-            clock = max(ends, clock + 1)
-            ticks.append(Tick(clock, made))
-        elif ticks and ticks[-1].scan is None and ends == odometry[last][0]:
-            ticks[-1] = replace(ticks[-1], scan=made, log_stamp_s=own / 1_000_000_000)
-        elif ticks:  # else the pose of the robot is not known yet
-            clock = max(ends, clock + 1)
-            ticks.append(Tick(clock, _interpolate(odometry, last, ends), made, log_stamp_s=own / 1_000_000_000))
-    if not any(tick.scan is not None for tick in ticks):
-        raise LogError(f"{path}: found no scan after the first odometry, allowed: a log with both")
-    return ticks
-
-
-def _ascends(stamped: Sequence[tuple[int, Any]]) -> bool:
-    return all(a[0] <= b[0] for a, b in itertools.pairwise(stamped))
-
-
-def _interpolate(odometry: Sequence[tuple[int, Pose]], last: int, at_ns: int) -> Pose:
-    """Odometry interpolated at a stamp between message `last` and the next; that of `last` for any other stamp."""
-    before, after = odometry[last], odometry[min(last + 1, len(odometry) - 1)]
-    return pose_between(before, after, at_ns) if before[0] < at_ns < after[0] else before[1]
+def _ascends(stamped: Sequence[Stamped]) -> bool:
+    return all(a.own_ns <= b.own_ns for a, b in itertools.pairwise(stamped))

@@ -66,8 +66,8 @@ class Record:
             stamp = Decimal("nan" if field.strip(b"0123456789+-.eE") else field.decode())
         except InvalidOperation:
             stamp = Decimal("nan")
-        if not (stamp.is_finite() and 0 <= stamp <= LAST_STAMP_S):
-            self.fail(f"found stamp {shown(field)}, allowed: 0 to {LAST_STAMP_S} s")
+        if not (stamp.is_finite() and abs(stamp) <= LAST_STAMP_S):
+            self.fail(f"found stamp {shown(field)}, allowed: {-LAST_STAMP_S} to {LAST_STAMP_S} s")
         return round(stamp * 1_000_000_000)
 
     def whole(self, column: int, name: str) -> int:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -10,11 +11,13 @@ import numpy as np
 
 from sixthsense.config.section import shown_name
 from sixthsense.core.geometry import Array, Pose
+from sixthsense.sources.logs.refused import Refused
 from sixthsense.sources.logs.ros_messages import checked_stamp, frame_name, mount, planar_of, stamp_ns, transform
 from sixthsense.sources.logs.text_lines import LogError
 
 TRANSFORM_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 OPTION = "--odometry-frames PARENT,CHILD"
+_STILL = 1e-6  # m, and entries of a rotation, by which a transform of /tf differs that does not move
 
 
 class FramePair(NamedTuple):
@@ -59,23 +62,30 @@ class TransformTree:
         """stamp, ns, and (4, 4) T_parent_child of all transforms of /tf"""
         self._odometry: FramePair | None = None  # whose link is not constant, even if it never changes
 
-    def take(self, where: str, topic: str, message: Any, record_ns: int) -> list[int]:
-        """Add the transforms of a message; the rows of those of /tf. LogError that begins with `where`."""
+    def take(self, where: str, topic: str, message: Any, record_ns: int, refused: Refused | None = None) -> list[int]:
+        """Add the transforms of a message; the rows of those of /tf.
+
+        A transform that cannot be used is counted in `refused`; without that it is a LogError that begins with `where`.
+        """
         rows = []
         for one in message.transforms:
             parent, child = frame_name(one.header.frame_id), frame_name(one.child_frame_id)
             try:
                 T_parent_child = transform(one.transform)
+                own = checked_stamp(where, stamp_ns(one) or record_ns)
             except ValueError as error:
-                raise LogError(f"{where} {topic}: {error}") from None
+                if refused is None:
+                    raise LogError(f"{where} {topic}: {error}") from None
+                refused.add(topic, error)
+                continue
             if topic.endswith("tf_static"):
                 self.add_static(parent, child, T_parent_child)
                 continue
             link = self.links.setdefault(child, {}).setdefault(parent, Link(T_parent_child))
-            link.moves |= not np.array_equal(link.first, T_parent_child)
+            link.moves |= bool(np.abs(link.first - T_parent_child).max() > _STILL)
             rows.append(len(self.stamped))
             link.rows.append(rows[-1])
-            self.stamped.append((checked_stamp(where, stamp_ns(one) or record_ns), T_parent_child))
+            self.stamped.append((own, T_parent_child))
         return rows
 
     def add_static(self, parent: str, child: str, T_parent_child: Array) -> None:
@@ -85,28 +95,45 @@ class TransformTree:
 
     def root(self, frame: str) -> str:
         """The root of a frame's chain of constant transforms; ValueError for transforms in a circle."""
-        return self._root(frame)[0]
+        for _ in range(len(self.links) + 1):
+            parents = self.links.get(frame, {}).items()
+            constant = [name for name, link in parents if not link.moves and (name, frame) != self._odometry]
+            if not constant:
+                return frame
+            frame = constant[0]
+        raise ValueError(f"found frames in a circle at {frame!r}, allowed: a tree")
 
     def mount(self, robot: str, laser: str) -> tuple[Pose, bool] | None:
         """`T_robot_laser`, and whether the laser is upside down; None if no constant transforms connect them.
 
-        Raises ValueError for a laser that is not level, and for transforms in a circle.
+        They may lead either way: some robots send the laser as the parent. Raises ValueError for a laser that is not
+        level.
         """
-        if robot == laser:
-            return Pose(), False
-        root, T_root_robot = self._root(robot)
-        other, T_other_laser = self._root(laser)
-        return mount(np.linalg.inv(T_root_robot) @ T_other_laser) if root == other else None
+        T_robot_frame, waiting = {robot: np.eye(4)}, deque([robot])
+        while waiting and laser not in T_robot_frame:
+            frame = waiting.popleft()
+            for other, T_frame_other in self._beside(frame):
+                if other not in T_robot_frame:
+                    T_robot_frame[other] = T_robot_frame[frame] @ T_frame_other
+                    waiting.append(other)
+        return mount(T_robot_frame[laser]) if laser in T_robot_frame else None
+
+    def frames(self) -> list[str]:
+        """The names of all frames."""
+        return sorted({*self.links, *(parent for of in self.links.values() for parent in of)})
 
     def odometry(self, laser: str, named: FramePair | None) -> tuple[FramePair, dict[int, Pose]]:
         """The frames of odometry, named or found, and by row of its transforms `T_parent_child`.
 
-        It is found as the first transform that changes on the way from the laser to the root; without a way, as the
-        only one that changes and whose child nothing moves in. All others that never change count as constant: drivers
-        of ROS 1 send the mount so. Raises ValueError where there is no such pair, several, or a frame with two parents.
+        It is found as the first transform that changes on the way from the laser to the root; without one, as the only
+        one that changes away from what the laser is fixed to, sent from the robot to the frame of odometry; or else as
+        the only one that changes and whose child nothing moves in. All others that never change count as constant:
+        drivers of ROS 1 send the mount so. Raises ValueError where there is no such pair, several, or a frame with two
+        parents.
         """
-        pair = named or self._found(laser)
-        chain = self.chain(pair) if named else [pair]
+        pair, is_inverted = (named, self._is_inverted(named)) if named else self._found(laser)
+        sent = FramePair(pair.child, pair.parent) if is_inverted else pair
+        chain = self.chain(sent) if named else [sent]
         stamped = [at for at, link in enumerate(chain) if self._link(link).rows]
         moving = [at for at in stamped if self._link(chain[at]).moves] or stamped
         if len(moving) != 1:
@@ -115,7 +142,8 @@ class TransformTree:
         at = moving[0]
         before, after = (self._product(part) for part in (chain[:at], chain[at + 1 :]))
         self._odometry = chain[at]
-        return pair, {row: planar_of(before @ self.stamped[row][1] @ after) for row in self._link(chain[at]).rows}
+        found = {row: planar_of(before @ self.stamped[row][1] @ after) for row in self._link(chain[at]).rows}
+        return pair, {row: pose.inverse() for row, pose in found.items()} if is_inverted else found
 
     def chain(self, pair: FramePair) -> list[FramePair]:
         """The links from the parent of a pair to its child; ValueError where there is no way or several."""
@@ -135,8 +163,19 @@ class TransformTree:
         link = self._link(pair)
         return [self.stamped[row] for row in link.rows] or [(0, link.first)]
 
-    def _found(self, laser: str) -> FramePair:
-        """The pair of odometry that the laser's frame leads to, or the only one that could be it."""
+    def _is_inverted(self, pair: FramePair) -> bool:
+        """Whether transforms lead from the child of a pair to its parent, and none the other way."""
+        try:
+            self.chain(pair)
+        except ValueError:
+            try:
+                return bool(self.chain(FramePair(pair.child, pair.parent)))
+            except ValueError:
+                return False
+        return False
+
+    def _found(self, laser: str) -> tuple[FramePair, bool]:
+        """The pair of odometry that the laser's frame leads to, or the only one that could be it; whether inverted."""
         frame, still = laser, None
         for _ in range(len(self.links) + 1):
             parent = self._parent(frame)
@@ -144,17 +183,20 @@ class TransformTree:
                 break
             pair = FramePair(parent, frame)
             if self._link(pair).moves:
-                return pair
+                return pair, False
             still = still or (pair if self._link(pair).rows else None)
             frame = parent
+        body = [pair for pair in self._pairs() if self._link(pair).moves and self.mount(pair.parent, laser) is not None]
+        if len(body) == 1:
+            return FramePair(body[0].child, body[0].parent), True
         if still is not None:
-            return still
+            return still, False
         moving = [pair for pair in self._pairs() if self._link(pair).moves] or self._pairs()
         leaves = [pair for pair in moving if all(pair.child != other.parent for other in moving)]
         if len(leaves) != 1:
             found = ", ".join(map(str, leaves)) or "no transform"
             raise ValueError(f"found {found}, of which none leads to the laser, allowed: one named by {OPTION}")
-        return leaves[0]
+        return leaves[0], False
 
     def _pairs(self) -> list[FramePair]:
         """The pairs of frames of /tf, those that change first."""
@@ -176,19 +218,13 @@ class TransformTree:
             raise ValueError(f"found {shown_name(frame)} with the parents {both}, allowed: one, or two frames by name")
         return next(iter(parents), None)
 
-    def _root(self, frame: str) -> tuple[str, Array]:
-        """The root of a frame's chain of constant transforms, and (4, 4) T_root_frame."""
-        T_root_frame = np.eye(4)
-        for _ in range(len(self.links) + 1):
-            constant = [pair for pair in self._parents(frame) if not self._link(pair).moves and pair != self._odometry]
-            if not constant:
-                return frame, T_root_frame
-            T_root_frame = self._link(constant[0]).first @ T_root_frame
-            frame = constant[0].parent
-        raise ValueError(f"found frames in a circle at {frame!r}, allowed: a tree")
-
-    def _parents(self, frame: str) -> list[FramePair]:
-        return [FramePair(parent, frame) for parent in self.links.get(frame, {})]
+    def _beside(self, frame: str) -> Iterator[tuple[str, Array]]:
+        """The frames that a constant transform connects with one, and (4, 4) T_frame_other."""
+        for child, parents in self.links.items():
+            for parent, link in parents.items():
+                if frame in (parent, child) and not link.moves and (parent, child) != self._odometry:
+                    T_child_parent = np.asarray(np.linalg.inv(link.first), dtype=np.float64)
+                    yield (child, link.first) if frame == parent else (parent, T_child_parent)
 
     def _product(self, chain: Sequence[FramePair]) -> Array:
         """(4, 4) of a chain of constant transforms."""
