@@ -7,22 +7,17 @@ has the costs of going, `path_driver.py` drives.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from sixthsense.core.geometry import Pose
 from sixthsense.navigation.exploration_task import ExplorationTask
-from sixthsense.navigation.frontier import centre_cell
-from sixthsense.navigation.gridsearch import Prices, cheapest_way, costs_from
 from sixthsense.navigation.map_view import MapView
 from sixthsense.navigation.navigator import Outcome
 from sixthsense.navigation.path_driver import PATIENT_TURNS, DriveEvent, PathDriver
 from sixthsense.navigation.path_planner import DrivingMap, margin_m
 from sixthsense.navigation.pose_history import PoseHistory
-from sixthsense.navigation.regions import Cells
-from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.unseen_places import UnseenPlace, unseen_places
 from sixthsense.navigation.view_planner import NO_TARGET, Target, ViewPlanner
 from sixthsense.navigation.viewpoints import Viewpoints
@@ -54,7 +49,7 @@ class Exploration:
         self._sensor = SensorModel.of(config.laser, config.grid.cell_m, config.keyframes.turn_rad)
         self._gain, self._known_views = ViewGain(self._view, self._sensor), KnownViews()
         self._history = PoseHistory(task.config.explore)
-        self._ways_home = 0  # over dear cells, that were tried
+        self._ways_home = 0  # that were tried again
         self._stuck = False  # since the last arrival
         self._blocked_paths = self._waits = 0  # since the robot has seen anything new
         self._seen_m2 = 0.0
@@ -66,15 +61,13 @@ class Exploration:
         """Take in a map that has changed: choose another view if the target is seen, replan if the path is blocked."""
         pose = estimate.pose
         self._map = self._driving_map(grid, estimate)
-        has_come_through = self._view.ways.moved(pose.position)
+        self._view.moved(pose.position)
         self.driver.update_map(self._map, pose)
         self._history.add(pose, estimate.pose_cov)
         if self.state == "viewing":
             self._go_on(grid, pose)
         elif self.state == "closing a loop" and self._history.is_certain:
             self._choose_view(pose)
-        elif self.state == "going home" and has_come_through:
-            self._choose_view(pose)  # there may be views on this side of where it was shut in
         elif not self.driver.path_is_free(pose):
             self.driver.plan(pose)
 
@@ -91,6 +84,15 @@ class Exploration:
         elif not self._turning and not self.driver.path_is_free(pose):
             self._replan_or_choose_view(pose)
 
+    def guard_stopped(self, pose: Pose) -> None:
+        """Take in that the guard has stopped the robot: it turns, and another path avoids what it did not fit through.
+
+        What stops it has come into the map by then, or the robot does not fit though the map says so.
+        """
+        self._view.count_stop(self.driver.ahead(pose, 3.0 * self._view.cell_m))
+        self.driver.update_map(self._map, pose)
+        self.driver.guard_stopped(pose)
+
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """React to an event of the drive; whether the exploration is over."""
         if event == "stuck" and self._stuck:
@@ -98,7 +100,7 @@ class Exploration:
         elif self.state == "closing a loop":
             self._choose_view(pose)
         elif self.state == "going home":
-            self._finish() if event == "arrived" else self._go_home_as_it_came(pose)
+            self._finish() if event == "arrived" else self._look_for_a_way_home(pose)
         elif event == "arrived":
             if not self._turning:
                 self._turning = True
@@ -115,10 +117,10 @@ class Exploration:
         return self.outcome is not None
 
     def _choose_view(self, pose: Pose) -> None:
-        """Head for the first view of a tour, through dear cells if no other is left, or home when none is left."""
+        """Head for the first view of a tour, or home when none is left."""
         self.driver.stop()
         self.state, self._turning = "viewing", False
-        self._target = self._next_target(pose) or self._target_outside(pose) or self._dear_target(pose) or NO_TARGET
+        self._target = self._next_target(pose) or self._target_outside(pose) or NO_TARGET
         if self._target is not NO_TARGET:
             if len(self._target.tour):
                 stops = (self._target.tour[:, ::-1] + 0.5) * self._view.cell_m
@@ -166,14 +168,12 @@ class Exploration:
         obstacles, unknown = view.obstacles[part].copy(), ~(view.seen[part] | view.obstacles[part])
         visible = visible_cells(obstacles, unknown, row - top, col - left, self._sensor.gapless_reach)
         cells = np.argwhere(visible) + np.add(view.first, (top, left))
-        view.count_attempt(np.concatenate([self._target.cells, cells]), self._target.dear)
+        view.count_attempt(np.concatenate([self._target.cells, cells]))
         self._choose_view(pose)
 
     def _give_up_target(self, pose: Pose) -> None:
         """Count a target that the robot has not come to as not seen, then choose another view."""
-        self._view.close_ways()
-        self.driver.update_map(self._map, pose)
-        self._view.count_attempt(self._target.cells, self._target.dear)
+        self._view.count_attempt(self._target.cells)
         self._choose_view(pose)
 
     def _look_again(self, pose: Pose) -> None:
@@ -194,14 +194,13 @@ class Exploration:
         self.driver.head_for(places[int(np.argmin(lengths))], pose)
         return True
 
-    def _go_home_as_it_came(self, pose: Pose) -> None:
-        """Without a path home, open the cheapest way over dear cells, those where the robot has been included."""
+    def _look_for_a_way_home(self, pose: Pose) -> None:
+        """Without a path home, try again where the guard has stopped the robot, which has come through somewhere."""
         if self._ways_home < self._task.config.explore.tries:
             self._ways_home += 1
-            prices = self._view.dear_prices(self._history.positions)
-            costs = costs_from(prices, *self._here(pose))
-            self._open_way(cheapest_way(prices, costs, *self._view.cell(self._task.home)), prices, pose)
-            self.driver.head_for(self._task.home, pose)
+            self._view.forget_stops()
+            self.driver.update_map(self._map, pose)
+            self.driver.plan(pose)
             if self.driver.following:
                 return
         if self._may_wait():
@@ -227,28 +226,6 @@ class Exploration:
         if target is None:
             self._view.widen(False)
         self.driver.update_map(self._map, pose)
-        return target
-
-    def _dear_target(self, pose: Pose) -> Target | None:
-        """A target behind a gap that only the clearance closes, and the cheapest way through it, opened."""
-        view, known = self._view, self._known_views
-        view.draw_views(self._here(pose))
-        prices = view.dear_prices()
-        costs = costs_from(prices, *self._here(pose))
-        reachable, ways = view.reached | (costs >= 0), TileWays(view.tile_ways.tile)
-        ways.update(reachable)
-        viewpoints = Viewpoints(reachable & ~view.reached, view.obstacles, self._sensor.reach)
-        task = self._task
-        planner = ViewPlanner(
-            self._gain, pose, reachable, viewpoints, ways, task.config, task.home, KnownViews(), dear=True
-        )
-        candidates = planner.candidates()
-        # What free cells have in view was ignored, as long as all of it is dust.
-        hidden = [cells for cells in candidates.clusters if not known.ignores(planner.key(centre_cell(cells)))]
-        dust = candidates.dust - known.shown_by_ignored
-        target = planner.next_target(replace(candidates, clusters=hidden, dust=dust), task.rng)
-        if target is not None:
-            self._open_way(cheapest_way(prices, costs, *planner.local(target.viewpoint)), prices, pose)
         return target
 
     def _make_view_planner(self, pose: Pose) -> ViewPlanner:
@@ -278,12 +255,8 @@ class Exploration:
             self._blocked_paths = self._waits = 0
         self._seen_m2 = max(seen_m2, self._seen_m2)
 
-    def _open_way(self, way: Cells, prices: Prices, pose: Pose) -> None:
-        """Let the robot drive over the cells (N, 2) of a way over such prices (H, W)."""
-        self._view.open_way(way, prices)
-        self.driver.update_map(self._map, pose)
-
     def _driving_map(self, grid: Grid, estimate: Estimate) -> DrivingMap:
         """The map as a path planner sees it."""
         self._view.update(grid)
-        return DrivingMap(grid, self._view.free_space, margin_m(estimate.pose_cov, self._task.config))
+        margin = self._view.spare_m + margin_m(estimate.pose_cov, self._task.config)
+        return DrivingMap(grid, self._view.free_space, margin)

@@ -49,6 +49,10 @@ class GoalDrive:
         if not self.driver.path_is_free(estimate.pose):
             self.driver.plan(estimate.pose)
 
+    def guard_stopped(self, pose: Pose) -> None:
+        """Turn on the spot until another path is found."""
+        self.driver.guard_stopped(pose)
+
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """At a goal take the next one; without a path or without progress the drive is over."""
         if event == "arrived":
@@ -64,6 +68,6 @@ class GoalDrive:
 
 def _driving_map(grid: Grid, estimate: Estimate, config: Config) -> DrivingMap:
     def free_space(margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
-        return grid.free_space(*places, margin_m=margin_m, within=within)
+        return grid.free_space(margin_m=margin_m, within=within).covering(*places)
 
     return DrivingMap(grid, free_space, margin_m(estimate.pose_cov, config))

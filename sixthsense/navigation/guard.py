@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.config import Config
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.laser import Scan
+from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.se2 import Triple
 from sixthsense.core.source import Command
 
@@ -59,6 +59,14 @@ def stopping_distance(speed: float, latency_s: float, deceleration: float) -> fl
 def latency_s(config: Config) -> float:
     """Longest time from an event to the command that reacts to it: a scan's period and a control tick."""
     return (config.laser.period_ticks + 1) * config.robot.control_period_s
+
+
+def sees_beside(radius_m: float, config: Config) -> bool:
+    """Whether no obstacle ahead of or beside the disc of a guarded robot, within its buffer, is between two beams."""
+    laser, buffer_m = config.laser, config.safety.buffer_m
+    spacing = abs(float(np.subtract(*beam_bearings(laser)[:2])))
+    is_around = laser.fov >= math.pi and spacing * (radius_m + buffer_m) <= buffer_m
+    return config.safety.guard and is_around and config.grid.clearance_m > buffer_m
 
 
 @numba.njit(cache=True, error_model="numpy")

@@ -16,20 +16,20 @@ from sixthsense.config import Config
 from sixthsense.core.geometry import Array
 from sixthsense.navigation.exploration_task import AreaToSee, Counts, Region
 from sixthsense.navigation.frontier import close_gaps, dilated
-from sixthsense.navigation.gridsearch import Prices, Reached, far_from
+from sixthsense.navigation.gridsearch import Reached, far_from
 from sixthsense.navigation.gridsearch.reached import SQUARE, TILE
+from sixthsense.navigation.guard import sees_beside
 from sixthsense.navigation.regions import Cells, Nodes, frontier_cells
 from sixthsense.navigation.tour import TileWays
 from sixthsense.navigation.viewpoints import mark_tiles
-from sixthsense.navigation.ways import Ways
+from sixthsense.navigation.ways import track_cells
 from sixthsense.slam.mapping.changes import Box, Revision, box_of
 from sixthsense.slam.mapping.freespace import Bools, Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
-from sixthsense.slam.mapping.inflation import give_way
 
 _UNKNOWN_M = 0.2  # unknown cells farther than this from all that was seen are no way
 _WALL_HITS, _WALL_PASSES = 3, 15  # a wall cell has at least so many hits, and at most so many passes per hit
-_MASKS = "seen", "free", "obstacles", "opaque", "wanted", "blocked", "passable", "_barred"
+_MASKS = "seen", "free", "obstacles", "opaque", "wanted", "blocked", "passable", "_barred", "_driven"
 _NOWHERE, _NO_CELLS = Box(0, 0, 0, 0), np.zeros((0, 0), dtype=np.bool_)
 
 
@@ -58,6 +58,8 @@ class MapView:
     """the one of the latest update"""
     _barred: Bools
     """far into the unknown, or outside the limits"""
+    _driven: Bools
+    """where the robot has been, and beside it"""
     _changed: Bools
 
     def __init__(self, region: Region, radius_m: float, config: Config) -> None:
@@ -67,8 +69,8 @@ class MapView:
         """of the robot, in cells"""
         self.frame = _NOWHERE
         """the cells of the masks"""
-        self.ways = Ways(radius_m, config)
-        """over dear cells"""
+        self.spare_m = config.grid.clearance_m - config.safety.buffer_m if sees_beside(radius_m, config) else 0.0
+        """how much of the clearance the robot gives up in narrow places: it goes where the guard lets it pass"""
         self.tile_ways = TileWays(max(1, math.floor(2.0 * self.radius)))
         """lengths of ways over the cells reached; no way over tiles of the robot's width leads through a wall"""
         self._area = AreaToSee(region, config)
@@ -81,7 +83,10 @@ class MapView:
         self._due = _NOWHERE  # where views are to be drawn again
         self._ignored: Nodes = np.zeros(0, dtype=np.int64)
         self._space: FreeSpace | None = None
-        self._attempts: dict[bool, Counts] = {dear: np.zeros((0, 0), dtype=np.uint8) for dear in (False, True)}
+        self._attempts: Counts = np.zeros((0, 0), dtype=np.uint8)
+        self._stops: Counts = np.zeros((0, 0), dtype=np.uint8)  # of the guard, on the way to each cell
+        self._tries, self._config = config.explore.tries, config
+        self._last: Array | None = None  # where the robot was at the latest keyframe
         self._reached = Reached(_NO_CELLS)
         self._make_masks(self.frame)
 
@@ -142,8 +147,7 @@ class MapView:
         inside = np.zeros_like(barred)
         inside[self._area.limits.within((inner.top, inner.left), barred.shape)] = True
         barred |= ~inside
-        blocked = barred | (self.grid.part("cover", inner) > 0)
-        self.ways.unblock(blocked, inner, self.grid)
+        blocked = barred | self._without_room(part, inner)
         self.seen[part], self._barred[part], self.blocked[part] = outer[own], barred, blocked
         self.passable[part] = self.seen[part] & ~blocked
         self._due, self._space = _joined(self._due, inner), None
@@ -174,26 +178,21 @@ class MapView:
         self._changed = np.zeros_like(changed)
         return changed
 
-    def dear_wanted(self) -> Bools:
-        """(H, W) unknown cells that are to be seen from where only dear ways lead to."""
-        return self._area.to_see(~(self.seen | self.obstacles), self.frame, self._attempts[True])
+    def given_up(self) -> Bools:
+        """(H, W) the cells not seen from as many viewpoints as are tried."""
+        return self._area.given_up(self._attempts)
 
-    def given_up(self, dear: bool) -> Bools:
-        """(H, W) the cells not seen from as many viewpoints as are tried; by `dear` ways, or over free cells."""
-        return self._area.given_up(self._attempts[dear])
-
-    def count_attempt(self, cells: Cells, dear: bool) -> None:
+    def count_attempt(self, cells: Cells) -> None:
         """Count one more viewpoint from which (N, 2) cells, from the world's origin, were not seen, if unknown now."""
         rows, cols = np.unique(cells, axis=0).T - np.array(self.first)[:, None]
-        counts = self._attempts[dear]
+        counts = self._attempts
         missed = ~(self.seen | self.obstacles)[rows, cols] & (counts[rows, cols] < np.iinfo(counts.dtype).max)
         counts[rows[missed], cols[missed]] += 1
         self._due = _joined(self._due, box_of(cells))
 
     def forget_attempts(self) -> None:
         """Begin to count as if no viewpoint had been tried."""
-        for counts in self._attempts.values():
-            counts[:] = 0
+        self._attempts[:] = 0
         self._due = self.frame
 
     def widen(self, is_wide: bool) -> None:
@@ -202,23 +201,49 @@ class MapView:
         self.redraw(self.frame)
         self._due = self.frame
 
-    def dear_prices(self, been: Array | None = None) -> Prices:
-        """(H, W) what the cells cost a robot that may drive over dear ones, as of `Ways.prices`."""
-        return self.ways.prices(self.frame, self.passable, self.free & self.blocked, self.grid, been)
+    def moved(self, position: Array) -> None:
+        """Take in where the robot is, (2,)."""
+        cells = track_cells(np.array([position if self._last is None else self._last, position]), self.cell_m)
+        self._last, at = position, self._inside(cells)
+        if self.blocked[at].any() or not self._driven[at].all():
+            self._driven[at] = True
+            self.redraw(box_of(cells))
 
-    def open_way(self, way: Cells, prices: Prices) -> None:
-        """Let the robot drive over the cells (N, 2) of a way over such prices (H, W)."""
-        cells = way + np.array(self.first)
-        self.ways.open(cells, prices[way[:, 0], way[:, 1]])
+    def count_stop(self, ahead: Array) -> None:
+        """Count that the guard has stopped the robot before (N, 2) places: after a few stops a tight one is closed.
+
+        It is opened again where the whole clearance is free, after a wall has moved.
+        """
+        cells = track_cells(ahead, self.cell_m)
+        self._stops[self._inside(cells)] += 1
         self.redraw(box_of(cells))
 
-    def close_ways(self) -> None:
-        """Close the ways over dear cells that the robot has not come through."""
-        for way in self.ways.close_untried():
-            self.redraw(box_of(way.cells))
+    def forget_stops(self) -> None:
+        """Open what is closed because the guard has stopped the robot there."""
+        self._stops[:] = 0
+        self.redraw(self.frame)
+
+    def _inside(self, cells: Cells) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows and columns of those cells (N, 2), from the world's origin, that are in the masks."""
+        rows, cols = (cells - np.array(self.first)).T
+        inside = (rows >= 0) & (rows < self.shape[0]) & (cols >= 0) & (cols < self.shape[1])
+        return rows[inside], cols[inside]
+
+    def _without_room(self, part: tuple[slice, slice], box: Box) -> Bools:
+        """(H, W) the cells of a part of the masks, a box, in which the robot does not fit, or was stopped.
+
+        It fits where it has been, whatever is drawn there later. Without a guard it goes through nothing else that is
+        tight.
+        """
+        covered = self.grid.part("cover", box) > 0
+        driven, stopped = self._driven[part], self._stops[part] >= self._tries
+        if self._config.safety.guard:
+            return np.asarray((self.grid.inflated(box, -self.spare_m) & ~driven) | (covered & stopped))
+        touching = self.grid.inflated(box, -self._config.grid.clearance_m)
+        return np.asarray(covered & (touching | ~driven))
 
     def free_space(self, margin_m: float, places: Array, within: Ellipse | None) -> FreeSpace:
-        """Where the robot may drive; with a margin, the cells about an ellipse, which gives way near (K, 2) places."""
+        """Where the robot may drive, (K, 2) places covered; with a margin, the cells about an ellipse."""
         cell_m, origin = self.cell_m, (self.frame.left * self.cell_m, self.frame.top * self.cell_m)
         if self._space is None:
             self._space = FreeSpace(self.blocked, self.seen, origin, cell_m)
@@ -227,10 +252,7 @@ class MapView:
         part = within.rows_and_cols(self.shape, origin, cell_m)
         box = self._box(*part)
         corner = box.left * cell_m, box.top * cell_m
-        blocked = self.grid.inflated(box, margin_m)
-        for point in places:
-            give_way(blocked, corner, self._space, point, margin_m)
-        blocked |= self._barred[part]
+        blocked = self.grid.inflated(box, margin_m - self.spare_m) | self.blocked[part]
         within.block_beyond(blocked, corner, cell_m)
         return FreeSpace(blocked, self.seen[part], corner, cell_m).covering(*places)
 
@@ -244,7 +266,7 @@ class MapView:
             setattr(self, name, _moved(getattr(self, name, _NO_CELLS), before, frame))
         for name in ("occupied", "_changed"):
             setattr(self, name, _moved(getattr(self, name, _NO_CELLS), before, frame, TILE))
-        self._attempts = {dear: _moved(counts, before, frame) for dear, counts in self._attempts.items()}
+        self._attempts, self._stops = (_moved(counts, before, frame) for counts in (self._attempts, self._stops))
         self._reached = Reached(_moved(self._reached.cells, before, frame))
 
     def _draw_views(self, rows: slice, cols: slice) -> None:
@@ -258,7 +280,7 @@ class MapView:
         for _ in range(self._sight_margin):
             opaque = dilated(opaque)
         unknown = ~(seen | closed)
-        attempts = _moved(self._attempts[False], self.frame, outer)
+        attempts = _moved(self._attempts, self.frame, outer)
         wanted = self._area.to_see(unknown, outer, attempts)[own]
         edge = np.argwhere(frontier_cells(seen & ~closed, unknown)[own]) + np.array([rows.start, cols.start])
         differs = (self.wanted[part] != wanted) | (self.obstacles[part] != closed[own])

@@ -30,6 +30,10 @@ class Task(Protocol):
         """Take in a map that has changed, and the estimate of the robot's pose."""
         ...
 
+    def guard_stopped(self, pose: Pose) -> None:
+        """Take in that the guard has stopped the last command."""
+        ...
+
     def handle(self, event: DriveEvent, pose: Pose) -> bool:
         """React to an event of the drive, perhaps with another goal; whether the task is over."""
         ...
@@ -92,7 +96,7 @@ class Navigator:
     def guard_stopped(self, pose: Pose) -> None:
         """Take in that the guard has stopped the last command: turn on the spot until another path is found."""
         if self._task is not None:
-            self._task.driver.guard_stopped(pose)
+            self._task.guard_stopped(pose)
 
     def step(self, pose: Pose, stamp_ns: int) -> Command:
         """The command for the next control tick."""

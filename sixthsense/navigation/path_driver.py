@@ -246,6 +246,14 @@ class PathDriver:
         steps = np.diff(self.drive.following.remaining(pose), axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
+    def ahead(self, pose: Pose, length_m: float) -> Array:
+        """(2, 2) half and all of so many metres along the rest of the path; none without one."""
+        if not self.following:
+            return np.zeros((0, 2))
+        way = self.drive.following.remaining(pose)
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way, axis=0).T))])
+        return np.column_stack([np.interp([0.5 * length_m, length_m], along, way[:, axis]) for axis in (0, 1)])
+
     def stop(self) -> None:
         """Drop the path, and end a turn."""
         self.drive = self.drive._replace(is_following=False, is_turning=False)

@@ -28,9 +28,12 @@ from sixthsense.navigation.planners.shortcut import path_is_free, shortcut
 from sixthsense.navigation.ways import way_out
 from sixthsense.slam.mapping.freespace import Ellipse, FreeSpace
 from sixthsense.slam.mapping.grid import Grid
+from sixthsense.slam.mapping.inflation import giving_way
+
+_HALVINGS = 3  # steps from no margin to the one that is wanted, each twice the one before
 
 FreeSpaceFunction = Callable[[float, Array, Ellipse | None], FreeSpace]
-"""The free space with a margin, metres, that is reduced to the inflation around (K, 2) places, within an ellipse."""
+"""The free space with a margin, metres, that covers (K, 2) places, within an ellipse."""
 
 
 def margin_m(pose_cov: Array, config: Config) -> float:
@@ -53,15 +56,15 @@ def plan_with_margin(
     """Plan between (2,) points with the wanted margin, or less: the plan, its space, the least margin in it, metres.
 
     The margin is reduced if there is no path with it, or none that is at most `detour` times as long as the shortest.
-    It is halved first, then dropped at the gaps of the shortest path that it closes, then dropped everywhere. The
-    second planner plans with margins and the first without: each reuses its last search, in a similar space.
+    Then the space is made narrower step by step, up to the margin. At each step it stays as wide as before about the
+    gaps that the step would close, and about both ends: so a path goes through the middle of a gap. The second planner
+    plans with margins and the first without: each reuses its last search, in a similar space.
     """
     ends = np.array([start, goal])
     widest = free_space(0.0, ends, None)
     shortest = planners[0].plan(widest, start, goal)
     if not shortest.found or wanted_m <= 0.0:
         return shortest, widest, 0.0
-
     longest = detour * shortest.cost
     near = Ellipse(start, goal, longest)  # cells that cannot be part of so short a path are not searched
 
@@ -73,17 +76,21 @@ def plan_with_margin(
     plan = within(whole)
     if plan is not None:
         return plan, whole, wanted_m
-    half = free_space(0.5 * wanted_m, ends, near)
-    plan = within(half)
-    if plan is not None:
-        return plan, half, 0.5 * wanted_m
-    gaps = _gaps(whole, shortest.path_world, 0.5 * wanted_m)
-    if len(gaps):
-        about = free_space(wanted_m, np.vstack([ends, gaps]), near)
-        plan = within(about)
-        if plan is not None:
-            return plan, about, 0.0
-    return shortest, widest, 0.0
+    best, space, kept_m, has_gaps = shortest, widest, 0.0, False
+    for k in range(_HALVINGS, -1, -1):
+        margin = wanted_m / 2**k
+        narrower = whole if k == 0 else free_space(margin, ends, near)
+        gaps = np.vstack(
+            [_gaps(narrower, best.path_world, 0.5 * margin), *(p[None] for p in ends if narrower.is_blocked(p))]
+        )
+        if len(gaps):
+            narrower = giving_way(narrower, space, gaps, margin)
+        plan = within(narrower)
+        if plan is None:
+            break
+        has_gaps |= len(gaps) > 0
+        best, space, kept_m = plan, narrower, kept_m if has_gaps else margin
+    return best, space, kept_m
 
 
 def _gaps(space: FreeSpace, path_world: Array, spacing_m: float) -> Array:

@@ -56,7 +56,7 @@ def unseen_places(planner: ViewPlanner, candidates: Candidates) -> list[UnseenPl
     """
     view, explore = planner.view, planner.config.explore
     unseen = view.unseen
-    given_up = unseen & view.given_up(planner.dear)
+    given_up = unseen & view.given_up()
     for cells in candidates.clusters:
         if planner.viewpoints.nearest(centre_cell(cells)) is None:  # there was nowhere to look from
             given_up[tuple(adjacent_cells(candidates.wanted, cells).T)] = True

@@ -33,8 +33,6 @@ class Target:
     """(N, 2) unseen cells"""
     viewpoint: Cell
     """the cell to see them from"""
-    dear: bool = False
-    """whether only ways over dear cells lead to the viewpoint"""
     tour: Cells = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     """(K, 2) the stops of the tour that begins with it; empty for one that no tour has chosen"""
 
@@ -77,8 +75,6 @@ class ViewPlanner:
     """(2,) where the tour ends, world frame"""
     known: KnownViews
     """views of the clusters' centres; centres that no reachable cell of this map sees, or whose view shows nothing"""
-    dear: bool = False
-    """whether the robot looks from where only ways over dear cells lead to"""
 
     @property
     def view(self) -> MapView:
@@ -96,15 +92,12 @@ class ViewPlanner:
     def candidates(self) -> Candidates:
         """What may be looked at: unseen cells that were not given up, beside free cells that are not noise."""
         view, explore = self.view, self.config.explore
-        wanted = view.dear_wanted() if self.dear else view.wanted
+        wanted = view.wanted
         edge = view.edge[are_beside(wanted, view.edge)]
         edge = edge[in_large_regions(view.free, edge, self.glimpsed_cells(), view.cell(self.pose.position))]
         dust = explore.dust * np.count_nonzero(view.seen)
         ignored = smallest_regions(wanted, edge, dust)
-        if self.dear:
-            wanted.ravel()[ignored] = False
-        else:
-            self.known.forget(view.ignore(ignored), view.first)
+        self.known.forget(view.ignore(ignored), view.first)
         edge = edge[are_beside(wanted, edge)]
         first = np.array(view.first)
         return Candidates(wanted, [cells - first for cells in frontier_clusters(edge + first, self.tile)], dust)
@@ -177,7 +170,7 @@ class ViewPlanner:
 
     def target_of(self, wanted: Bools, cells: Cells, view: Cell) -> Target:
         """The cells of `wanted` beside a cluster, to be seen from a cell of the frame."""
-        return Target(adjacent_cells(wanted, cells) + self.view.first, self.key(view), self.dear)
+        return Target(adjacent_cells(wanted, cells) + self.view.first, self.key(view))
 
     def key(self, cell: Cell) -> Cell:
         """A cell of the frame, counted from the world's origin."""

@@ -138,8 +138,10 @@ def test_the_averaged_nees_has_the_band_of_the_group_with_the_fewest_runs(ax):
 
 
 def test_relative_errors_are_drawn_at_the_median_with_the_distances_to_ten_and_ninety_per_cent(ax):
-    rows = [{f"rpe_{part}_{m}m": scale * value * m for part, scale in (("trans_m", 1), ("rot_deg", 7)) for m in (1, 2, 5)}
-            for value in (0.1, 0.4, 0.2)]  # fmt: skip
+    parts = (("trans_m", 1), ("rot_deg", 7))
+    rows = [
+        {f"rpe_{part}_{m}m": scale * value * m for part, scale in parts for m in (1, 2, 5)} for value in (0.1, 0.4, 0.2)
+    ]
     groups.draw_relative_errors(ax, [group([1, 2, 3], rows)], "rot_deg")
     (bars,) = ax.containers
     np.testing.assert_allclose(bars[0].get_ydata(), [1.4, 2.8, 7.0, np.nan])

@@ -2,7 +2,6 @@ import csv
 import json
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -78,27 +77,15 @@ def explored(folder: Path, scene: str, **changes: Any) -> Run:
     return run(preset(scene=str(file), **given))
 
 
-@dataclass
-class Visited:
-    """What explorations have done."""
-
-    states: list[State]
-    dear_targets: int = 0
-    retraced: bool = False
-
-
 @pytest.fixture
-def visited(monkeypatch: pytest.MonkeyPatch) -> Visited:
-    """Recorded during the test."""
-    seen = Visited([])
+def states(monkeypatch: pytest.MonkeyPatch) -> list[State]:
+    """Of the explorations of the test, after each look at the map."""
+    seen: list[State] = []
     look = Exploration.look
 
     def recorded(self: Exploration, grid: Grid, estimate: Estimate) -> None:
-        target = self._target
         look(self, grid, estimate)
-        seen.states.append(self.state)
-        seen.dear_targets += self._target is not target and self._target.dear
-        seen.retraced |= self._ways_home > 0
+        seen.append(self.state)
 
     monkeypatch.setattr(Exploration, "look", recorded)
     return seen
@@ -130,7 +117,7 @@ def test_a_place_behind_a_door_that_only_the_clearance_closes_has_that_reason(tm
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_door_that_only_the_clearance_closes_is_passed_when_nothing_else_is_left(seed: int, tmp_path: Path) -> None:
+def test_a_door_that_only_the_clearance_closes_is_passed(seed: int, tmp_path: Path) -> None:
     """The door is wider than the robot by two cells, the guard's buffers and the noise of its edges."""
     made = explored(tmp_path, two_rooms(0.54), seed=seed)
     assert made.outcome == "explored"
@@ -144,19 +131,6 @@ def test_without_the_guard_no_robot_passes_a_door_that_the_clearance_closes(tmp_
     assert made.outcome == "explored in part" and made.trace.left[0].reason == "cut off by inflation only"
 
 
-def test_a_door_that_noise_has_closed_is_driven_to_and_passed(tmp_path: Path, visited: Visited) -> None:
-    """In which run a door is closed hangs on the last digits of all numbers: the first runs are driven until one is."""
-    for seed in range(6):
-        made = explored(
-            tmp_path, SIX_ROOMS, seed=seed, estimator="ekf", explore={"method": "random", "return_home": False}
-        )
-        assert made.outcome == "explored"
-        assert made.metrics["coverage"] >= 0.995
-        if visited.dear_targets > 0:
-            return
-    pytest.fail("no door was closed in six runs")
-
-
 def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path: Path) -> None:
     """With so few beams the report's filter itself is lost in one run of ten."""
     runs = [explored(tmp_path, SIX_ROOMS, seed=seed, estimator="ekf", laser={"beams": 30}) for seed in range(2, 6)]
@@ -165,20 +139,6 @@ def test_a_robot_with_few_beams_and_an_almost_closed_door_returns_home(tmp_path:
     for made in whole:
         assert math.dist(made.trace.final.pose.position, made.trace.key_truths[0][:2]) <= 0.1  # as it believes
     assert sum(made.metrics["home_error_m"] <= 0.2 for made in whole) >= 2
-
-
-def test_when_the_path_home_stays_closed_the_robot_retraces_its_own_path(tmp_path: Path, visited: Visited) -> None:
-    rooms = "start = [0.5, 0.5, 0.0]\nradius = 0.1\nwalls = [[1.0, 0.0, 1.0, 0.35], [1.0, 0.7, 1.0, 1.5],"
-    rooms += "[2.0, 0.0, 2.0, 0.9], [2.0, 1.2, 2.0, 1.5]]\n"
-    # In which run the way back closes hangs on the last digits of all numbers: runs are driven until it does in one.
-    for seed in range(32, 64):
-        made = explored(tmp_path, rooms + box(0.0, 0.0, 3.0, 1.5), seed=seed)
-        assert made.outcome in ("explored", "explored in part")
-        assert made.metrics["home_error_m"] <= 0.2 and made.metrics["collisions"] == 0
-        if visited.retraced:
-            assert np.array(made.trace.truths)[:, 0].max() > 1.2
-            return
-    pytest.fail("no way back was closed in 32 runs")
 
 
 def test_a_door_narrower_than_the_robot_leaves_a_place_that_cannot_be_reached(tmp_path: Path) -> None:
@@ -240,12 +200,12 @@ def test_the_outcome_of_a_run_that_takes_too_long_is_out_of_time(tmp_path: Path)
     assert explored(tmp_path, PILLARS, max_time=3.0).outcome == "out of time"
 
 
-def test_an_uncertain_pose_is_improved_by_a_loop_closure(tmp_path: Path, visited: Visited) -> None:
+def test_an_uncertain_pose_is_improved_by_a_loop_closure(tmp_path: Path, states: list[State]) -> None:
     threshold = {"loop_closure_sigma_m": 0.001}
     off = explored(tmp_path, two_rooms(1.0), explore=threshold | {"loop_closure": False})
-    assert "closing a loop" not in visited.states
+    assert "closing a loop" not in states
     on = explored(tmp_path, two_rooms(1.0), explore=threshold)
-    assert "closing a loop" in visited.states
+    assert "closing a loop" in states
     assert on.outcome == off.outcome == "explored"
 
 

@@ -49,7 +49,7 @@ def test_a_view_that_follows_a_map_is_the_view_of_the_map_as_it_is(seed: int) ->
         fresh.widen(view.is_wide)
         fresh.update(grid)
         for cells in attempts:
-            fresh._attempts[False][tuple(cells.T - np.array(fresh.first)[:, None])] += 1
+            fresh._attempts[tuple(cells.T - np.array(fresh.first)[:, None])] += 1
         passable = np.argwhere(view.passable)
         if len(passable) == 0:
             continue
@@ -66,7 +66,7 @@ def test_a_view_that_follows_a_map_is_the_view_of_the_map_as_it_is(seed: int) ->
             view.ignore(np.unique(ignored[:, 0] * view.shape[1] + ignored[:, 1]))
             attempts += [found[:7] + np.array(view.first)] * 2
             for _ in range(2):
-                view.count_attempt(attempts[-1], dear=False)
+                view.count_attempt(attempts[-1])
         compared += 1
     assert compared > 10
 
@@ -93,7 +93,8 @@ def test_the_masks_of_a_view_are_what_they_say() -> None:
     bounds = inside[0], inside[-1] + 1, across[0], across[-1] + 1
     assert np.array_equal(view.wanted, spread(view.unseen, unknown, 10, bounds))
     outside = (x < x0 - 0.3) | (x > x1 + 0.3) | (y < y0 - 0.3) | (y > y1 + 0.3)
-    assert np.array_equal(view.blocked, (grid.part("cover", frame) > 0) | far_from(seen, 4) | outside)
+    touched = grid.inflated(frame, CONFIG.safety.buffer_m - CONFIG.grid.clearance_m)
+    assert np.array_equal(view.blocked, touched | far_from(seen, 4) | outside)
     assert np.array_equal(view.passable, seen & ~view.blocked)
 
 
@@ -127,7 +128,7 @@ def test_spaces_with_a_margin_are_those_of_the_grid_within_the_limits() -> None:
     view.update(grid)
     ends = np.array([[-0.6, 0.2], [0.9, -0.3]])
     near = Ellipse(*ends, 2.4)
-    space, whole = view.free_space(0.1, ends, near), grid.free_space(*ends, margin_m=0.1, within=near)
+    space, whole = view.free_space(0.1 + view.spare_m, ends, near), grid.free_space(margin_m=0.1, within=near)
     rows, cols = np.indices(space.blocked.shape)
     for row, col in zip(rows.ravel().tolist(), cols.ravel().tolist(), strict=True):
         centre = space.centre(row, col)

@@ -37,7 +37,7 @@ def gap_m(grid: Grid, path: Array) -> float:
 
 def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: float = 1.2):
     def free_space(margin: float, places: Array, within: Ellipse | None) -> FreeSpace:
-        return grid.free_space(*places, margin_m=margin, within=within)
+        return grid.free_space(margin_m=margin, within=within).covering(*places)
 
     plan, space, kept = plan_with_margin((AStar(), AStar()), free_space, start, goal, wanted, detour)
     assert not plan.found or path_is_free(space, plan.path_world)

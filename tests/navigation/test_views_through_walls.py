@@ -52,7 +52,7 @@ def planner(
     view.opaque[:] = ndimage.binary_dilation(view.obstacles, np.ones((5, 5), dtype=np.bool_))
     view.free[:] = view.seen & ~view.obstacles
     view.edge = np.argwhere(frontier_cells(view.free, ~view.seen))
-    view._attempts[False][view.unseen] = tries
+    view._attempts[view.unseen] = tries
     view.wanted[:] = view.unseen & (tries < 2)
     reachable = costs_from((view.seen & ~view.blocked).astype(np.uint8), *HERE) >= 0
     ways = TileWays(8)

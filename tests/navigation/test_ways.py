@@ -1,19 +1,19 @@
-"""Prices of cells, cheapest ways, and the dear ones that are opened."""
+"""Cheapest ways over cells with prices, and the cells in which a robot fits."""
 
 import heapq
 
 import numpy as np
 import pytest
-from test_exploration_states import RADIUS, START, Stage, rectangle
+from test_exploration_states import START, Stage, estimate, rectangle
 
-from sixthsense.config import merge
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.navigation.gridsearch import Prices, cheapest_way, costs_from
-from sixthsense.navigation.ways import Ways
 
 # A door of 0.54 m, which only the clearance closes to a robot of 0.4 m, or none.
 NARROW = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 1.23]], [[4.0, 1.77], [4.0, 3.0]]])
 CLOSED = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 3.0]]])
+CLOSER = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 1.33]], [[4.0, 1.67], [4.0, 3.0]]])
+OPEN = np.array([*rectangle(0.0, 0.0, 8.0, 3.0), [[4.0, 0.0], [4.0, 0.4]], [[4.0, 2.6], [4.0, 3.0]]])
 BEHIND = np.array([6.0, 1.5])
 
 
@@ -53,65 +53,66 @@ def test_costs_are_those_of_a_plain_search_and_ways_cost_what_they_say(seed: int
     assert len(cheapest_way(prices, costs, *np.argwhere(costs < 0)[0].tolist())) == 0
 
 
-def seen_from_both_sides(walls: Array) -> Stage:
-    stage = Stage(walls)
+def seen_from_both_sides(walls: Array, guarded: bool = True) -> Stage:
+    stage = Stage(walls, {"safety": {"guard": guarded}})
     for x in (1.0, 2.5, 3.5, 4.5, 6.0, 7.0):
         stage.see(Pose(x, 1.5, 0.0))
     stage.look(START)
     return stage
 
 
-def way_behind(stage: Stage, ways: Ways) -> bool:
-    """Open the cheapest way to behind the wall; whether there is one."""
+def is_open(stage: Stage) -> bool:
+    """Whether cells in which the robot fits lead behind the wall."""
     view = stage.exploration._view
-    view.draw_views(view.cell(START.position))
-    prices = ways.prices(view.frame, view.passable, view.free & view.blocked, stage.grid)
-    way = cheapest_way(prices, costs_from(prices, *view.cell(START.position)), *view.cell(BEHIND))
-    if len(way):
-        ways.open(way + np.array(view.first), prices[tuple(way.T)])
-    return len(way) > 0
+    costs = costs_from(view.passable.astype(np.uint8), *view.cell(START.position))
+    return bool(costs[view.cell(BEHIND)] >= 0)
 
 
-def is_open(stage: Stage, ways: Ways) -> bool:
-    """Whether free cells lead behind the wall."""
-    box, view = stage.grid.box, stage.exploration._view
-    blocked = stage.grid.part("cover", box) > 0
-    ways.unblock(blocked, box, stage.grid)
-    here, there = (tuple(np.add(view.cell(point), view.first) - box[:2]) for point in (START.position, BEHIND))
-    return bool(costs_from((~blocked).astype(np.uint8), *here)[there] >= 0)
+@pytest.mark.parametrize(
+    ("walls", "guarded", "passed"), [(NARROW, True, True), (NARROW, False, False), (CLOSED, True, False)]
+)
+def test_a_gap_that_only_the_clearance_closes_is_open_to_a_robot_with_a_guard(
+    walls: Array, guarded: bool, passed: bool
+) -> None:
+    assert is_open(seen_from_both_sides(walls, guarded)) is passed
 
 
-@pytest.mark.parametrize(("walls", "guarded"), [(CLOSED, True), (NARROW, False)])
-def test_no_way_leads_through_a_wall_or_without_the_guard(walls: Array, guarded: bool) -> None:
-    stage = seen_from_both_sides(walls)
-    assert not way_behind(stage, Ways(RADIUS, merge(stage.config, {"safety": {"guard": guarded}})))
+def test_whether_a_gap_can_be_passed_does_not_depend_on_where_the_robot_stands() -> None:
+    near, far = (seen_from_both_sides(NARROW) for _ in range(2))
+    for stage, place in ((near, Pose(3.6, 1.5, 0.0)), (far, Pose(1.0, 2.4, 0.0))):
+        stage.exploration._view.redraw(stage.exploration._view.frame)
+        stage.exploration.look(stage.grid, estimate(place))
+    inside = np.s_[
+        near.exploration._view.cell(np.array([3.8, 1.2]))[0] :, near.exploration._view.cell(np.array([3.8, 0.0]))[1] :
+    ]
+    assert np.array_equal(near.exploration._view.blocked[inside], far.exploration._view.blocked[inside])
 
 
-def test_a_way_that_was_not_come_through_is_refused_after_a_few_tries() -> None:
+def test_a_gap_before_which_the_guard_stops_is_tried_a_few_times_and_then_closed_until_a_wall_moves() -> None:
     stage = seen_from_both_sides(NARROW)
-    ways = Ways(RADIUS, stage.config)
-    assert not is_open(stage, ways)
+    view = stage.exploration._view
+    across = np.array([[3.95, 1.2], [3.95, 1.8]])
     for _ in range(stage.config.explore.tries):
-        assert way_behind(stage, ways) and is_open(stage, ways)
-        ways.close_untried()
-    assert not is_open(stage, ways) and not way_behind(stage, ways)
-
-
-def test_ways_that_the_robot_has_come_through_stay_open_one_beside_the_other() -> None:
-    stage = seen_from_both_sides(NARROW)
-    ways = Ways(RADIUS, stage.config)
-    way_behind(stage, ways)
-    ways.moved(np.array([4.25, 1.5]))
-    way_behind(stage, ways)
-    ways.close_untried()
-    assert is_open(stage, ways)
-
-
-def test_no_open_way_leads_over_cells_of_obstacles() -> None:
-    stage = seen_from_both_sides(NARROW)
-    ways = Ways(RADIUS, stage.config)
-    way_behind(stage, ways)
-    for _ in range(3):
-        stage.walls = CLOSED
+        assert is_open(stage)
+        view.count_stop(across)
+    assert not is_open(stage)
+    stage.walls = OPEN
+    for _ in range(60):
         stage.see(Pose(3.5, 1.5, 0.0))
-    assert not is_open(stage, ways)
+        stage.see(Pose(4.5, 1.5, 0.0))
+    stage.look(START)
+    assert is_open(stage)
+
+
+def test_a_robot_fits_where_it_has_been_whatever_is_drawn_there_later() -> None:
+    stage = seen_from_both_sides(NARROW)
+    for x in (2.0, 3.5, 4.5, 6.0):
+        stage.look(Pose(x, 1.5, 0.0))
+    stage.walls = CLOSER
+    for _ in range(3):
+        stage.see(Pose(3.5, 1.5, 0.0))
+        stage.see(Pose(4.5, 1.5, 0.0))
+    stage.look(Pose(6.0, 1.5, 0.0))
+    assert is_open(stage)
+    other = seen_from_both_sides(CLOSER)
+    assert not is_open(other)

@@ -89,3 +89,12 @@ def give_way(blocked: Bools, origin: tuple[float, float], narrow: FreeSpace, poi
     down, across = (round((origin[k] - narrow.origin[k]) / cell_m) for k in (1, 0))
     blocked_in_narrow = narrow.window(rows + down, cols + across)
     blocked[np.ix_(rows, cols)] &= blocked_in_narrow | ~near
+
+
+def giving_way(wide: FreeSpace, narrow: FreeSpace, places: Array, radius_m: float) -> FreeSpace:
+    """The free space `wide` that gives way to `narrow` around (K, 2) places, as of `give_way`."""
+    blocked = wide.blocked.copy()
+    for point in places:
+        give_way(blocked, wide.origin, narrow, point, radius_m)
+    blocked.flags.writeable = False
+    return FreeSpace(blocked, wide.seen, wide.origin, wide.cell_m)
