@@ -1,0 +1,93 @@
+"""Through how many functions and files of the package one tick passes: a measure of how much a reader must hold.
+
+    SIXTHSENSE_DATA=FOLDER python benchmarks/keyframe_path.py     # scan matching on the Intel log
+    python benchmarks/keyframe_path.py --scene apartment          # landmarks in a scene
+
+For each kind of tick the median over a run of what `sys.setprofile` sees in one call of `Slam.take`: calls of the
+package's Python functions, different functions, and files. Compiled kernels count where Python calls them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+from harness import arguments, data_path
+
+import sixthsense
+from sixthsense.config import Config, preset
+from sixthsense.core.source import Command, Source, Tick
+from sixthsense.slam.slam import Slam
+from sixthsense.sources.mission import mission_of
+from sixthsense.sources.replay_input import open_recorded
+
+PACKAGE = str(Path(sixthsense.__file__).parent)
+TICKS = 3000
+
+
+class Passed:
+    """What one call has passed."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+        self.functions: set[tuple[str, int]] = set()
+
+    def __call__(self, frame: FrameType, event: str, _: Any) -> None:
+        """Count a call of a function of the package."""
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(PACKAGE) and not code.co_name.startswith("<"):
+            self.calls += 1
+            self.functions.add((code.co_filename, code.co_firstlineno))
+
+    def row(self) -> tuple[int, int, int]:
+        """Calls, functions and files."""
+        return self.calls, len(self.functions), len({file for file, _ in self.functions})
+
+
+def taken(slam: Slam, tick: Tick) -> tuple[str, tuple[int, int, int]]:
+    """The kind of a tick, and what it has passed."""
+    seen = Passed()
+    sys.setprofile(seen)
+    try:
+        step = slam.take(tick)
+    finally:
+        sys.setprofile(None)
+    kind = "keyframe" if step.keyframe is not None else "scan" if tick.scan is not None else "odometry"
+    return kind, seen.row()
+
+
+def source_of(scene: str | None) -> tuple[Source, Config]:
+    """The scene driven on a circle, or the Intel log."""
+    if scene is not None:
+        config, mission = mission_of(preset(scene=scene), None)
+        return mission.world(config), config
+    found = open_recorded(data_path("intel/intel.clf.bz2"), preset("log"))
+    return found.log, found.config
+
+
+def main() -> int:
+    parser = arguments(__doc__, may_keep=False)
+    parser.add_argument("--scene", help="a shipped scene")
+    options = parser.parse_args()
+    source, config = source_of(options.scene)
+    rows: dict[str, list[tuple[int, int, int]]] = defaultdict(list)
+    with Slam(config) as slam:
+        for _ in range(TICKS):
+            tick = source.step(Command(0.2, 0.3))
+            if tick is None:
+                break
+            kind, row = taken(slam, tick)
+            rows[kind].append(row)
+    print(f"{'tick':10} {'seen':>6} {'calls':>7} {'functions':>10} {'files':>6}")
+    for kind, found in rows.items():
+        calls, functions, files = np.median(found, axis=0)
+        print(f"{kind:10} {len(found):6} {calls:7.0f} {functions:10.0f} {files:6.0f}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
