@@ -24,9 +24,10 @@ from sixthsense.core.landmarks import Observation, predict
 from sixthsense.core.motion import STANDSTILL, Odometry
 from sixthsense.core.se2 import compose
 from sixthsense.slam.estimators.base import Link
-from sixthsense.slam.estimators.isam2_calibration import motion_factor
-from sixthsense.slam.estimators.isam2_solver import NONE
+from sixthsense.slam.estimators.isam2_factors import motion_factor
 
+NONE = -1
+"""number of a pose that there is not, and of a factor that the solver does not have yet"""
 _WINDOW = 5  # of the newest poses that add nothing stay: the present pose is estimated with their observations, too
 
 

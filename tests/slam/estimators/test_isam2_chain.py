@@ -30,14 +30,15 @@ def observations_from(true, rng):
     return sight(true, range(len(POINTS)), rng) | walls
 
 
-def circling(config, seed, steps=200, at=lambda estimator, k, true: None):
+def circling(config, seed, steps=200, at=lambda estimator, k, true: None, asks=True):
     """A smoother after rounds among the same landmarks, and the true poses (K, 3)."""
     rng, true, truth = np.random.default_rng(seed), START, []
     smoother = make("isam2", START, np.zeros((3, 3)), config)
     for k in range(steps):
         smoother.predict(step())
         true = true @ noisy(step(), rng)
-        smoother.joint_covariance(smoother.estimate().ids.tolist())  # as the association asks for it
+        if asks:
+            smoother.joint_covariance(smoother.estimate().ids.tolist())  # as the association asks for it
         smoother.update(observations_from(true, rng))
         truth.append(true.array())
         at(smoother, k, true)
@@ -74,6 +75,13 @@ def test_the_graph_stops_growing_where_the_robot_has_been():
     assert sizes[-1] < 1.2 * sizes[1] and sizes[-1] < 120
     assert smoother.trajectory().shape == truth.shape
     assert in_graph(circling(KEEPING, 0, 100)[0]) == 100
+
+
+def test_asking_for_a_covariance_changes_no_later_estimate():
+    asked, unasked = (circling(SPARING, 3, 120, asks=asks)[0] for asks in (True, False))
+    assert in_graph(asked) == in_graph(unasked) < 100
+    np.testing.assert_allclose(joint_state(asked)[1], joint_state(unasked)[1], rtol=1e-6)
+    np.testing.assert_allclose(asked.trajectory(), unasked.trajectory(), atol=1e-9)
 
 
 def test_the_whole_trajectory_stays_near_that_with_all_poses():
