@@ -155,36 +155,36 @@ class GoalDrive(NamedTuple):
     """stamp (ns) and that place"""
 
 
-_STEERED, _STUCK, _TURNED = range(3)
+STEERED, STUCK, TURNED = range(3)
 """what a control tick has come to"""
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _is_there(drive: GoalDrive, pose: Triple, limits: DriverLimits) -> bool:
+def is_there(drive: GoalDrive, pose: Triple, limits: DriverLimits) -> bool:
     """Whether the robot is at the goal."""
     return math.hypot(pose[0] - drive.goal[0], pose[1] - drive.goal[1]) <= limits.goal_slack_m
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _advanced(
+def advanced(
     drive: GoalDrive, pose: Triple, stamp_ns: int, limits: DriverLimits
 ) -> tuple[GoalDrive, float, float, int]:
     """The drive after a control tick that does not end at the goal, speed, turn rate and what the tick has come to."""
     is_watched, anchor, following, heading, left_rad = (
         drive.is_watched, drive.anchor, drive.following, drive.heading, drive.left_rad,
     )  # fmt: skip
-    is_turning, speed, turn_rate, event = drive.is_turning, 0.0, 0.0, _STEERED
+    is_turning, speed, turn_rate, event = drive.is_turning, 0.0, 0.0, STEERED
     if not is_watched or math.hypot(pose[0] - anchor[1], pose[1] - anchor[2]) > _STUCK_M:
         is_watched, anchor = True, (stamp_ns, pose[0], pose[1])
     elif stamp_ns - anchor[0] > limits.patience_ns:
-        is_watched, event = False, _STUCK
-    if event == _STEERED and drive.is_following:
+        is_watched, event = False, STUCK
+    if event == STEERED and drive.is_following:
         speed, turn_rate, k, is_driving = followed(pose, following, limits.follow)
         following = Following(following.path, k, is_driving)
-    elif event == _STEERED and is_turning:
+    elif event == STEERED and is_turning:
         left_rad -= abs(wrapped(pose[2] - heading))
         heading, is_turning = pose[2], left_rad > 0.0
-        turn_rate, event = (limits.turn_rate, _STEERED) if is_turning else (0.0, _TURNED)
+        turn_rate, event = (limits.turn_rate, STEERED) if is_turning else (0.0, TURNED)
     after = GoalDrive(drive.goal, drive.is_following, following, is_turning, heading, left_rad, is_watched, anchor)
     return after, speed, turn_rate, event
 
@@ -277,12 +277,12 @@ class PathDriver:
     def step(self, pose: Pose, stamp_ns: int, mission: Mission) -> Command:
         """The command of a control tick, after `mission` has handled the events."""
         place = pose.x, pose.y, pose.theta
-        if _is_there(self.drive, place, self.limits) and mission.handle("arrived", pose):
+        if is_there(self.drive, place, self.limits) and mission.handle("arrived", pose):
             return Command()
-        self.drive, speed, turn_rate, event = _advanced(self.drive, place, stamp_ns, self.limits)
-        if event == _STUCK:
+        self.drive, speed, turn_rate, event = advanced(self.drive, place, stamp_ns, self.limits)
+        if event == STUCK:
             mission.handle("stuck", pose)
-            self.drive, speed, turn_rate, event = _advanced(self.drive, place, stamp_ns, self.limits)
-        if event == _TURNED:
+            self.drive, speed, turn_rate, event = advanced(self.drive, place, stamp_ns, self.limits)
+        if event == TURNED:
             mission.handle("turned around", pose)
         return Command(speed, turn_rate)

@@ -15,17 +15,26 @@ from sixthsense.slam.mapping.freespace import Bools
 
 @numba.njit(cache=True, error_model="numpy")
 def line_of_sight(obstacles: Bools, row: int, col: int, to_row: int, to_col: int) -> bool:
-    """Whether no cell of `obstacles` lies between the centres of two cells.
+    """Whether no cell of `obstacles` lies between the centres of two cells; the same both ways.
 
-    The line is traversed from cell to cell across edges (Amanatides and Woo 1987), so that no ray passes a wall of
-    cells that touch at their corners.
+    The line is traversed from cell to cell across edges (Amanatides and Woo 1987). Where it passes through a corner,
+    both cells beside it count, so that no ray passes a wall of cells that touch at their corners.
     """
     rows, cols = abs(to_row - row), abs(to_col - col)
     step_row, step_col = (1 if to_row > row else -1), (1 if to_col > col else -1)
     # Twice the distances to the next edges, times rows and cols: whole numbers.
     ahead_row, ahead_col = cols, rows
-    for _ in range(rows + cols - 1):
-        if rows == 0 or (cols > 0 and ahead_col < ahead_row):
+    left = rows + cols
+    while left > 1:
+        left -= 1
+        if ahead_col == ahead_row and rows > 0 and cols > 0:
+            if obstacles[row + step_row, col] or obstacles[row, col + step_col]:
+                return False
+            row, col, left = row + step_row, col + step_col, left - 1
+            ahead_row, ahead_col = ahead_row + 2 * cols, ahead_col + 2 * rows
+            if left == 0:
+                return True
+        elif rows == 0 or (cols > 0 and ahead_col < ahead_row):
             col += step_col
             ahead_col += 2 * rows
         else:

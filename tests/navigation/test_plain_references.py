@@ -9,7 +9,18 @@ import pytest
 from sixthsense.navigation.gridsearch import costs_from
 from sixthsense.navigation.gridsearch.prices import cheapest_way
 from sixthsense.navigation.guard import GuardLimits, Returns, checked, stopping_distance
-from sixthsense.navigation.path_driver import DriverLimits, Following, FollowLimits, GoalDrive, followed, steered
+from sixthsense.navigation.path_driver import (
+    STEERED,
+    STUCK,
+    TURNED,
+    DriverLimits,
+    Following,
+    FollowLimits,
+    GoalDrive,
+    advanced,
+    followed,
+    is_there,
+)
 from sixthsense.navigation.tour import TileWays, shorten, stop_order, tour_length
 from sixthsense.navigation.visibility import expected_gain, line_of_sight, visible_cells
 
@@ -32,6 +43,7 @@ def test_a_line_of_sight_crosses_no_obstacle(seed):
             assert not visible[r, c]
             continue
         scale = math.gcd(down, across) or 1
+        assert line_of_sight(obstacles, 8, 11, r, c) == line_of_sight(obstacles, r, c, 8, 11)
         if down // scale % 2 and across // scale % 2:
             continue  # it meets corners
         between = crossed(8, 11, math.atan2(down, across), math.hypot(down, across))
@@ -168,20 +180,22 @@ def test_a_drive_is_stuck_after_its_patience_and_a_turn_ends_when_it_is_complete
     path = ahead(2.0, 0.0)
     goal = tuple(path.path[1].tolist())
     drive = GoalDrive(goal, True, path)
-    drive, speed, _, is_all = steered(drive, POSE, 5, limits)
-    assert speed == 0.4 and is_all and drive.anchor == (5, *POSE[:2])
+    drive, speed, _, event = advanced(drive, POSE, 5, limits)
+    assert speed == 0.4 and event == STEERED and drive.anchor == (5, *POSE[:2])
     near = (POSE[0] + 0.07, POSE[1] - 0.06, POSE[2])
-    assert steered(drive, near, 2_000_000_005, limits)[3] and not steered(drive, near, 2_000_000_006, limits)[3]
+    assert advanced(drive, near, 2_000_000_005, limits)[3] == STEERED
+    assert advanced(drive, near, 2_000_000_006, limits)[3] == STUCK
     moved = (POSE[0] + 0.08, POSE[1] - 0.07, POSE[2])
-    after, _, _, is_all = steered(drive, moved, 2_000_000_006, limits)
-    assert is_all and after.anchor == (2_000_000_006, *moved[:2])
-    assert steered(drive, (goal[0] + 0.1, goal[1] - 0.15, 0.3), 9, limits)[1:] == (0.0, 0.0, False)
+    after, _, _, event = advanced(drive, moved, 2_000_000_006, limits)
+    assert event == STEERED and after.anchor == (2_000_000_006, *moved[:2])
+    assert is_there(drive, (goal[0] + 0.1, goal[1] - 0.15, 0.3), limits)
+    assert not is_there(drive, (goal[0] + 0.1, goal[1] - 0.18, 0.3), limits)
     turning = GoalDrive((9.0, 9.0), is_turning=True, heading=3.0, left_rad=0.6)
-    turning, speed, turn_rate, is_all = steered(turning, (*POSE[:2], -3.0), 5, limits)
-    assert (speed, turn_rate, is_all) == (0.0, 0.9, True)
+    turning, speed, turn_rate, event = advanced(turning, (*POSE[:2], -3.0), 5, limits)
+    assert (speed, turn_rate, event) == (0.0, 0.9, STEERED)
     assert turning.left_rad == pytest.approx(0.6 - (2.0 * math.pi - 6.0)) and turning.heading == -3.0
-    turning, _, turn_rate, is_all = steered(turning, (*POSE[:2], -2.6), 6, limits)
-    assert turn_rate == 0.0 and not is_all and not turning.is_turning
+    turning, _, turn_rate, event = advanced(turning, (*POSE[:2], -2.6), 6, limits)
+    assert turn_rate == 0.0 and event == TURNED and not turning.is_turning
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

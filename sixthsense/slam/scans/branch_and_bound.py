@@ -19,6 +19,8 @@ from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, Pyramid
 
 STEP_RAD = 0.012
 """between two headings that are tried"""
+_MOST_POINTS = np.iinfo(np.uint16).max // PEAK
+"""whose values can be summed in two bytes"""
 MOST_PEAKS = 64
 """places that are returned at most"""
 
@@ -53,8 +55,10 @@ PLACE = Apart(0.7, 0.2)
 def peaks(pyramid: Pyramid, points: Array, window: Window, least: float, apart: Apart, most: int = MOST_PEAKS) -> Array:
     """(m, 4) score and pose in the submap's frame of the `most` best places of points (N, 2) in the window, best first.
 
-    A score is the mean value of the points' cells, 0 to 1, and above `least`. A place is the best cell of a block.
+    A score is the mean value of the points' cells, 0 to 1, and above `least`. A place is the best cell of a block. Of
+    more points than can be summed every second one stands for all, or fewer.
     """
+    points = points[:: max(1, math.ceil(len(points) / _MOST_POINTS))]
     turns, cells = 2 * int(window.half_rad / STEP_RAD) + 1, int(window.half_m / CELL_M)
     turned = Turned(*_cells(pyramid, points, window, turns), cells)
     bounds = _bounds(pyramid.blocks, turned)

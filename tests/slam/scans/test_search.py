@@ -9,7 +9,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.scans.branch_and_bound import STEP_RAD, Apart, Window, peaks
+from sixthsense.slam.scans.branch_and_bound import PLACE, STEP_RAD, Apart, Window, peaks
 from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, pyramid, submap_points
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
@@ -144,3 +144,14 @@ def test_the_bias_of_wheels_adds_up_along_a_path():
         graph.add(k, k + 1, 1e-4, 0.0, bias_m=0.02)
     sigma_m, _ = graph.sigmas(0, np.zeros((11, 3)))
     assert sigma_m[10] ** 2 == pytest.approx(10 * 1e-4 + (10 * 0.02) ** 2)
+
+
+def test_a_scan_of_many_thousand_returns_fits_where_it_was_taken(room):
+    """More points than two bytes can sum: they stand for each other."""
+    pose = Pose(0.31, -0.22, 0.17)
+    own = pose.inverse() @ room
+    window, cells = Window(pose.array() + np.array([0.2, -0.1, 0.03]), 0.8, 0.1), pyramid(room)
+    many = peaks(cells, np.repeat(own, 1 + 9000 // len(own), axis=0), window, 0.2, PLACE)
+    few = peaks(cells, own, window, 0.2, PLACE)
+    assert many[0] == pytest.approx(few[0], abs=0.01)
+    assert many[0, 1:3] == pytest.approx(pose.position, abs=2 * CELL_M)
