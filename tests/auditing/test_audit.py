@@ -6,24 +6,15 @@ import math
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from scipy.spatial.transform import Rotation
 
 import sixthsense as ss
 from sixthsense.auditing import rotations
-from sixthsense.evaluation.metrics import nees_world
 
 N = 4000
 STAMPS = 0.1 * np.arange(N)
 HEADING = 0.05 * STAMPS
 TRUTH = np.column_stack([8.0 * np.sin(HEADING), -8.0 * np.cos(HEADING), HEADING])
 COV = np.array([[64.0, 8.0, 0.0], [8.0, 9.0, 1.0], [0.0, 1.0, 1.0]]) * 1e-4
-COV6 = np.diag([0.08, 0.03, 0.05, 0.004, 0.006, 0.01]) ** 2
-TRUTH7 = np.column_stack(
-    [
-        TRUTH[:, :2], np.sin(HEADING),
-        Rotation.from_euler("zyx", np.column_stack([HEADING, 0.2 * np.sin(HEADING), 0.1 * np.cos(HEADING)])).as_quat(),
-    ]
-)  # fmt: skip
 
 
 def drawn(cov=COV, rho=0.0, seed=0, count=N):
@@ -42,11 +33,6 @@ def audited(poses, cov=COV, truth=TRUTH, **options):
     return ss.audit((STAMPS[: len(poses)], poses, covs), (STAMPS[: len(truth)], truth), **options)
 
 
-def moved6(error, truth=TRUTH7):
-    turned = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_quat(truth[:, 3:])
-    return np.column_stack([truth[:, :3] + error[:, :3], turned.as_quat()])
-
-
 def turned_by_heading(error):
     c, s = np.cos(HEADING), np.sin(HEADING)
     return np.column_stack([c * error[:, 0] - s * error[:, 1], s * error[:, 0] + c * error[:, 1], error[:, 2]])
@@ -60,29 +46,6 @@ def test_the_verdict_and_the_factor_are_right_for_white_and_for_correlated_error
     low, high = found.findings.factor.interval
     assert low < 1.0 / scale < high
     assert found.findings.samples < (1.05 * N if rho == 0.0 else 0.1 * N)
-
-
-def test_the_nees_is_that_of_world_coordinates_and_its_share_inside_is_right():
-    poses = TRUTH + drawn(seed=2)
-    found = audited(poses)
-    np.testing.assert_allclose(found.runs[0].nees, nees_world(poses - TRUTH, stated(COV)), rtol=1e-9)
-    assert found.findings.inside == pytest.approx(0.95, abs=0.02)
-    assert len(found.findings.parts) == 5 and found.findings.band[0] < 3.0 < found.findings.band[1]
-
-
-def test_a_pose_of_space_has_six_degrees_of_freedom_in_the_convention_of_ros():
-    found = audited(moved6(drawn(COV6)), COV6, TRUTH7)
-    assert (found.outcome, found.findings.dof) == ("consistent", 6)
-    assert list(found.findings.axes)[3:] == ["rotation about x", "rotation about y", "rotation about z"]
-
-
-def test_the_order_of_a_covariance_and_its_frame_are_as_told():
-    rotated = np.roll(COV6, (3, 3), axis=(0, 1))
-    assert audited(moved6(drawn(COV6)), rotated, TRUTH7, order="rotation").outcome == "consistent"
-    body = TRUTH + turned_by_heading(drawn(seed=3))
-    assert audited(body, frame="body").outcome == "consistent"
-    assert "body's axes" in repr(audited(body, frame="body")).splitlines()[0]
-    assert "world's axes" in repr(audited(body)).splitlines()[0]
 
 
 @pytest.mark.parametrize(("true", "read"), [("body", "world"), ("world", "body")])
@@ -132,36 +95,10 @@ def test_an_alignment_by_the_first_pose_adds_its_covariance_and_it_is_one_sample
     assert audited(TRUTH + error, exact, align="first").outcome == "consistent"
 
 
-def test_a_time_offset_is_found_and_reported():
-    late = np.column_stack([np.interp(STAMPS - 0.13, STAMPS, column) for column in TRUTH.T])
-    found = audited(late + drawn(np.diag([1e-4, 1e-4, 1e-6])), np.diag([1e-4, 1e-4, 1e-6]), time_offset=0.5)
-    assert found.time_offset_s[0] == pytest.approx(-0.13, abs=2e-3)
-    assert "-130" in repr(found) or "-129" in repr(found)
-    assert found.outcome == "consistent"
-
-
-def test_several_runs_are_pooled_as_independent():
-    runs = [(STAMPS, TRUTH + drawn(rho=0.95, seed=k), stated(COV)) for k in range(4)]
-    truth = (STAMPS, TRUTH)
-    found = ss.audit(runs, [truth] * 4).findings
-    assert found.poses == 4 * N and found.samples == pytest.approx(4 * N * (1.0 - 0.95**2) / (1.0 + 0.95**2), rel=0.2)
-    with pytest.raises(ss.InputError, match="found 1 for 4 estimates"):
-        ss.audit(runs, [truth])
-
-
 def test_an_error_that_lasts_the_whole_run_leaves_no_verdict():
     found = audited(TRUTH + [0.2, 0.0, 0.0] + 0.1 * drawn())
     assert found.outcome == "no verdict" and "30 are needed" in found.verdict
     assert audited(TRUTH[:20] + drawn(count=20)).outcome == "no verdict"
-
-
-def test_truth_is_interpolated_between_its_poses_and_never_across_a_gap():
-    keep = np.ones(N, dtype=bool)
-    keep[1::2] = False
-    keep[1000:1200] = False
-    found = ss.audit((STAMPS, TRUTH + drawn(), stated(COV)), (STAMPS[keep], TRUTH[keep]))
-    assert found.outcome == "consistent"
-    assert any(note.startswith("left out: 2") and "gap of the truth" in note for note in found.notes)
 
 
 def test_the_numbers_are_written_as_json_and_drawn(tmp_path):

@@ -1,18 +1,12 @@
 """NEES of landmarks: 2 if consistent, where the true wall or point is known."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.evaluation.matches import landmark_identities
-from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.metrics import landmark_covariances, nees_band, nees_landmarks
-from sixthsense.evaluation.true_identities import TrueLaser, true_identities
-from sixthsense.loop.run import run
 from sixthsense.testing.estimation import joint_state, make
 from sixthsense.testing.posterior import BOTH, MOTION, START, START_COV
 
@@ -51,36 +45,3 @@ def test_the_angle_of_a_wall_is_wrapped_and_the_coordinate_of_a_point_is_not():
     truth = np.array([[-math.pi + 0.01, 2.0], [-math.pi, 2.0]])
     found = nees_landmarks(estimate, truth, np.array([True, False]), np.stack([np.eye(2) * 1e-4] * 2))
     np.testing.assert_allclose(found, [4.0, 4.0e4 * math.pi**2], rtol=1e-3)
-
-
-@pytest.fixture(scope="module")
-def tour():
-    return run(preset(scene="apartment", task="tour", max_time=30.0, seed=3, estimator="ekf-invariant"))
-
-
-def test_a_run_measures_the_nees_of_the_landmarks_whose_truth_is_known_from_the_side_that_the_robot_saw(tour):
-    scene = true_identities(tour.scene.walls)
-    laser = TrueLaser(tour.config.laser, tour.config.assumed.laser)
-    scans = [association.observations for association in tour.associations]
-    identities = landmark_identities(scans, np.array(tour.key_truths), scene, laser)
-    expected, sides = [], []
-    for k, i in enumerate(tour.final.ids.tolist()):
-        if i in identities:
-            error = tour.final.landmarks[k] - scene.landmark(identities[i])
-            if tour.final.walls[k]:
-                error[0] = math.remainder(error[0], 2.0 * math.pi)
-                assert abs(error[0]) < 0.2
-                sides.append(identities[i][0])
-            expected.append(error @ np.linalg.inv(landmark_covariances(tour.joint_cov)[k]) @ error)
-    assert len(expected) > 0.9 * len(tour.final.ids)
-    assert measure(tour)["landmark_nees_mean"] == pytest.approx(np.mean(expected), rel=0.01)  # to first order
-    assert min(sides.count("front"), sides.count("back")) > 5
-
-
-def test_without_the_returns_of_the_observations_no_truth_is_known(tour):
-    def forgotten(association):
-        seen = {i: dataclasses.replace(s, bearings=np.empty(0)) for i, s in association.observations.items()}
-        return dataclasses.replace(association, observations=seen)
-
-    loaded = dataclasses.replace(tour, associations=[forgotten(association) for association in tour.associations])
-    assert "landmark_nees_mean" not in measure(loaded)

@@ -11,11 +11,11 @@ from scipy.stats import chi2
 
 from sixthsense import figures
 from sixthsense.config import preset
-from sixthsense.core.geometry import Pose, wrap_angle
+from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import LaserConfig, Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
-from sixthsense.evaluation.measure import measure
 from sixthsense.figures import slider
+from sixthsense.figures.panels import KINDS
 from sixthsense.figures.plot import ellipse, known_blocks, known_cells, save_map
 from sixthsense.loop.run import run
 from sixthsense.record.trace import Trace
@@ -37,35 +37,6 @@ def scan() -> Scan:
 @pytest.fixture
 def ax():
     return Figure().add_subplot()
-
-
-def line(ax, label: str):
-    return next(one for one in ax.get_lines() if str(one.get_label()).startswith(label))
-
-
-@pytest.mark.parametrize("component", range(3))
-def test_the_error_drawn_is_estimate_minus_truth_in_the_unit_of_the_axis(ax, trace, component):
-    figures.draw_error(ax, trace, component)
-    expected = np.array([e.pose.array() for e in trace.key_estimates]) - np.array(trace.key_truths)
-    expected[:, 2] = np.degrees(wrap_angle(expected[:, 2]))
-    np.testing.assert_allclose(line(ax, "error").get_ydata(), expected[:, component])
-    assert f"[{figures.COMPONENTS[component].unit}]" in ax.get_ylabel()
-    assert ax.get_xlabel() == "time [s]"
-
-
-@pytest.mark.parametrize("frame", ["world", "invariant"])
-def test_the_nees_drawn_has_the_mean_of_the_metrics(ax, trace, frame):
-    figures.draw_nees(ax, trace, frame)
-    mean = measure(trace)[f"pose_nees_{frame}_mean"]
-    assert line(ax, "mean").get_ydata().mean() == pytest.approx(mean)
-    assert ax.get_ylabel() == f"pose NEES, {frame} [1]"
-
-
-def test_the_seen_area_ends_at_the_coverage_of_the_metrics_and_never_shrinks(ax, trace):
-    figures.draw_coverage(ax, trace)
-    (drawn,) = (np.asarray(one.get_ydata()) for one in ax.get_lines())
-    assert (np.diff(drawn) >= 0.0).all()
-    assert drawn[-1] == pytest.approx(100.0 * measure(trace)["coverage"])
 
 
 def test_a_run_without_keyframes_can_be_drawn(trace):
@@ -94,6 +65,18 @@ def test_every_point_of_an_ellipse_has_the_mahalanobis_distance_that_95_percent_
     offset = ellipse(mean, cov) - mean
     squared = np.einsum("ki,ki->k", offset, np.linalg.solve(cov, offset.T).T)
     assert squared == pytest.approx(chi2.ppf(0.95, 2), rel=1e-4)
+
+
+@pytest.mark.parametrize("what", sorted({*KINDS} - {"rpe"}))
+def test_every_figure_is_drawn_on_axes_of_ones_own(explored, what) -> None:
+    panels = {"error": 3, "nees": 2}.get(what, 1)
+    own = Figure().subplots(panels, 1, squeeze=False).ravel()
+    assert explored.plot(what, ax=own) is None
+    assert all(ax.has_data() for ax in own) and "rectangle" in own[0].get_title()
+    one = Figure().add_subplot()
+    one.set_title("my own")
+    explored.plot(what, ax=one)
+    assert one.has_data() and one.get_title() == "my own"
 
 
 def test_a_map_is_written_as_a_png_with_its_folder(trace: Trace, tmp_path: Path) -> None:
