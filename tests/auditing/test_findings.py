@@ -87,7 +87,7 @@ def test_every_number_of_the_findings_is_that_of_a_few_lines(align):
 
 
 def found_with(samples, low, high, **changes):
-    axes = {name: Factor(2.0, (1.5, 2.6), 50.0) for name in ("x", "y", "heading")}
+    axes = axes_of([(2.0, 1.5, 2.6)] * 3)
     found = Findings(
         3, 400, samples, 4.2, (2.1, 4.3), 0.874, Factor(1.4, (low, high), samples), axes, (4.0,) * 5, 0.0, 0.0
     )
@@ -109,26 +109,22 @@ def verdict(found):
     return dataclasses.replace(ss.audit(*arrays(drawn(3, 2))), findings=found).verdict
 
 
+def axes_of(rows):
+    return {n: Factor(v, (low, high), 50.0) for n, (v, low, high) in zip(("x", "y", "heading"), rows, strict=True)}
+
+
 def arrays(one):
     return (one.stamps, one.estimate, one.covs), (one.stamps, one.truth)
 
 
 def test_the_sentence_has_the_interval_of_the_sigmas_and_the_axes_that_deviate_most():
     """Factors of 1.44 to 2.56 are sigmas of 1.2 to 1.6."""
-    axes = {
-        "x": Factor(6.0, (5.0, 7.0), 50.0),
-        "y": Factor(0.9, (0.8, 1.1), 50.0),
-        "heading": Factor(1.3, (1.1, 1.5), 50.0),
-    }
+    axes = axes_of([(6.0, 5.0, 7.0), (0.9, 0.8, 1.1), (1.3, 1.1, 1.5)])
     told = "overconfident: errors are 1.20 to 1.60 times the stated sigmas"
     assert verdict(found_with(60.0, 1.44, 2.56, axes=axes)) == f"{told}, mostly in x"
     assert verdict(found_with(60.0, 1.44, 2.56, axes=axes | {"x": axes["heading"]})) == f"{told}, in x and heading"
     assert verdict(found_with(60.0, 1.44, 2.56)) == f"{told}, on all axes"
-    axes = {
-        "x": Factor(0.2, (0.1, 0.3), 50.0),
-        "y": Factor(0.9, (0.8, 1.1), 50.0),
-        "heading": Factor(0.9, (0.8, 1.2), 50.0),
-    }
+    axes = axes_of([(0.2, 0.1, 0.3), (0.9, 0.8, 1.1), (0.9, 0.8, 1.2)])
     told = "cautious: errors are 0.50 to 0.80 times the stated sigmas"
     assert verdict(found_with(60.0, 0.25, 0.64, axes=axes)) == f"{told}, mostly in x"
     assert verdict(found_with(60.0, 0.64, 1.44)) == "consistent: errors are 0.80 to 1.20 times the stated sigmas"

@@ -73,7 +73,7 @@ def test_a_replay_of_the_recorded_ticks_is_the_run_itself():
         np.testing.assert_array_equal(one, other)
 
 
-def test_the_prediction_is_less_certain_than_the_update_and_both_have_their_nees():
+def test_the_prediction_is_less_certain_than_the_update():
     """The predicted pose is that of the estimator between `predict` and `update`: the motion since the last update."""
     trace = run(preset(scene="rectangle", task="tour", max_time=20.0, estimator="ekf-invariant"))
     for k, predicted in enumerate(trace.key_predicted[1:], start=1):
@@ -81,10 +81,6 @@ def test_the_prediction_is_less_certain_than_the_update_and_both_have_their_nees
         assert np.allclose(predicted.pose.array(), expected.array(), atol=1e-12)
         updated = trace.key_estimates[k].pose_cov
         assert np.linalg.eigvalsh(predicted.pose_cov - updated)[0] > -1e-12
-    values = measure(trace)
-    assert 0.0 < values["prediction_nees_world_mean"] < 10.0
-    assert 0.0 <= values["pose_nees_in_band"] <= 1.0
-    assert values["discarded_share"] < 0.05
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from sixthsense.config import merge
 from sixthsense.core.landmarks import Observation
 from sixthsense.evaluation.coverage import coverage_of
 from sixthsense.evaluation.curves import curves
+from sixthsense.evaluation.effective import effective_number, whitened_errors
 from sixthsense.evaluation.measure import measure
 from sixthsense.evaluation.measured_run import MeasuredRun
 from sixthsense.evaluation.results import Metrics
@@ -124,34 +125,12 @@ def test_the_nees_is_that_of_each_keyframe_of_full_rank_in_the_world_and_in_the_
     assert abs(np.mean(invariant) - np.mean(nees)) > 1e-3
 
 
-def worth(products, count):
-    """N / tau by Geyer's initial positive sequence, from the sums of products at each lag."""
-    rho, total = [one / products[0] for one in products], 0.0
-    for a, b in zip(rho[::2], rho[1::2], strict=False):
-        if a + b <= 0.0:
-            break
-        total += a + b
-    return min(count, count / max(1.0, 2.0 * total - 1.0))
-
-
-def test_the_effective_samples_are_by_the_autocorrelation_of_the_nees_and_of_the_whitened_errors(found):
-    def products(row):
-        return [float(np.dot(row[lag:], row[: len(row) - lag])) for lag in range(len(row))]
-
-    errors = list(key_errors(TRACE.key_estimates))
-    nees = np.array([squared(*one) for one in errors])
-    scaled = [
-        (error / np.sqrt(np.diag(cov)), cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))) for error, cov in errors
-    ]
-    white = np.array([np.linalg.inv(np.linalg.cholesky(cov)) @ error for error, cov in scaled])
-    by_axis = np.array([products(column) for column in white.T])
-    mean = by_axis.sum(axis=0) / by_axis[:, 0].sum()
-    end = next((k for k in range(0, len(nees) - 1, 2) if mean[k] + mean[k + 1] <= 0.0), len(nees))
-    squares = (by_axis[:, :end] ** 2).sum(axis=0) / (by_axis[:, 0] ** 2).sum()
-    of_errors = len(nees) / max(1.0, 2.0 * squares.sum() - 1.0)
-    of_nees = worth(products(nees - nees.mean()), len(nees))
-    assert of_errors < 0.9 * len(nees)
-    assert found["pose_nees_effective_samples"] == pytest.approx(min(of_nees, of_errors), rel=1e-6)
+def test_the_effective_samples_are_those_of_the_nees_and_of_the_whitened_errors_with_the_heading_wrapped(found):
+    errors, covs = map(np.array, zip(*key_errors(TRACE.key_estimates), strict=True))
+    nees = [np.array([squared(*one) for one in zip(errors, covs, strict=True)])]
+    expected = effective_number(nees, [whitened_errors(errors, covs)])
+    assert found["pose_nees_effective_samples"] == pytest.approx(expected)
+    assert expected < 0.8 * len(errors)
 
 
 def test_the_nis_is_per_degree_of_freedom_and_the_discarded_are_a_share_of_all_observations(found):

@@ -3,15 +3,12 @@ import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.evaluation.metrics import (
     full_rank_from,
     match_landmarks,
     nees_band,
-    nees_invariant,
-    nees_world,
     relative_pose_errors,
     share_in_band,
     true_landmarks,
@@ -27,24 +24,6 @@ def random_covariances(rng: np.random.Generator, count: int) -> Array:
     return a @ a.transpose(0, 2, 1) + 0.05 * np.eye(3)
 
 
-def matrix(pose: Array) -> Array:
-    x, y, theta = pose
-    return np.array([[math.cos(theta), -math.sin(theta), x], [math.sin(theta), math.cos(theta), y], [0, 0, 1]])
-
-
-def pose_of(matrix_: Array) -> Array:
-    return np.array([matrix_[0, 2], matrix_[1, 2], math.atan2(matrix_[1, 0], matrix_[0, 0])])
-
-
-def hat(xi: Array) -> Array:
-    return np.array([[0, -xi[2], xi[0]], [xi[2], 0, xi[1]], [0, 0, 0]])
-
-
-def to_world_error(p_hat: Array) -> Array:
-    """A of the docstring of nees_invariant: xi to the world-frame error."""
-    return np.array([[1, 0, -p_hat[1]], [0, 1, p_hat[0]], [0, 0, 1]])
-
-
 def moved(pose: Pose, poses: Array) -> Array:
     return np.array([(pose @ Pose.from_array(row)).array() for row in poses])
 
@@ -58,29 +37,6 @@ def test_a_relative_pose_error_does_not_depend_on_where_the_frames_lie() -> None
     found = relative_pose_errors(moved(Pose(3.0, -1.0, 2.0), estimate), moved(Pose(-7.0, 4.0, 1.0), truth), 2.0)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert len(expected[0]) > 250 and not np.any(relative_pose_errors(truth, truth, 2.0)[0] > 1e-12)
-
-
-def test_the_invariant_nees_does_not_depend_on_where_the_world_has_its_origin() -> None:
-    rng = np.random.default_rng(3)
-    estimate, truth, cov = random_poses(rng, 100), random_poses(rng, 100), random_covariances(rng, 100)
-    truth[::2] = estimate[::2] + rng.normal(0, 1e-4, (50, 3))
-    T_new_world = Pose(1000.0, -500.0, 2.0)
-    turn = matrix(np.array([0, 0, 2.0]))
-    shifted = nees_invariant(moved(T_new_world, estimate), moved(T_new_world, truth), turn @ cov @ turn.T)
-    assert shifted == pytest.approx(nees_invariant(estimate, truth, cov), rel=1e-6)
-
-
-def test_an_error_that_is_gaussian_in_the_group_has_an_invariant_nees_of_three() -> None:
-    rng = np.random.default_rng(5)
-    sigma = np.array([[0.09, 0.01, 0.02], [0.01, 0.04, -0.01], [0.02, -0.01, 0.25]])
-    truth = np.tile([20.0, -10.0, 2.5], (4000, 1))
-    xi = rng.multivariate_normal(np.zeros(3), sigma, len(truth))
-    estimate = np.array([pose_of(expm(hat(x)) @ matrix(t)) for x, t in zip(xi, truth, strict=True)])
-    to_world = np.array([to_world_error(p) for p in estimate[:, :2]])
-    cov_world = to_world @ sigma @ to_world.transpose(0, 2, 1)
-    low, high = nees_band(len(truth), confidence=0.999)
-    assert low < nees_invariant(estimate, truth, cov_world).mean() < high
-    assert nees_world(estimate - truth, cov_world).mean() > high
 
 
 def test_rank_is_counted_from_the_first_full_covariance() -> None:

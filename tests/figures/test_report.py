@@ -171,18 +171,6 @@ def test_every_external_text_is_escaped(tmp_path):
         assert nasty in parsed.text
 
 
-def test_several_runs_have_a_column_each_and_only_the_settings_that_differ():
-    one = shown("one", {"ate_rmse_m": 0.25, "plans": 3}, seed=1, estimator="isam2")
-    two = shown("two", {"ate_rmse_m": 0.5, "outcome": "stuck"}, seed=2, estimator="isam2")
-    text = page([one, two], {})
-    said = Page(text).text
-    assert "Runs compared: one, two" in said
-    assert "two: stuck" in said
-    changed = said.partition("different field")[2].partition("Complete configuration")[0]
-    assert "seed12" in changed
-    assert "estimator" not in changed
-
-
 def test_vector_figures_are_the_same_each_time(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("sixthsense.figures.report.KINDS", {name: KINDS[name] for name in ("map", "nees")})
     first, again = (
