@@ -93,6 +93,8 @@ def trace_of(rng: np.random.Generator, scans: int = 7, keys: int = 4) -> Trace:
     trace.relations = Relations(rng.uniform(0.0, 1e9, (2, 2)), np.array(poses_of(rng, 2)))
     trace.last_position = rng.normal(size=2)
     hits, passes, seen = rng.integers(0, 9, (5, 8)), rng.integers(0, 9, (5, 8)), rng.random((5, 8)) < 0.7
+    for counts in (hits, passes, seen):  # the map is cropped to what is known
+        counts[:1], counts[:, :2], counts[:, -1:] = 0, 0, 0
     corner = (CONFIG.grid.cell_m * -3, CONFIG.grid.cell_m * 4)
     trace.grid = restore_grid(CONFIG.grid, RADIUS_M, corner, hits.astype(np.int32), passes.astype(np.int32), seen)
     return trace

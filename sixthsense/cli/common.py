@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 from sixthsense.cli import EXIT_CODES, FAILED
 from sixthsense.cli.options import OptionalValue, Options, Table, UsageError, arg, parse, positional, positional_of
 from sixthsense.config import Config, ConfigError, load_config, merge, preset, prior_map_of
+from sixthsense.config.files import read_table
+from sixthsense.config.section import shown
 from sixthsense.core.interrupt import is_command_ended
 from sixthsense.sources.scene_files import scene_file
 from sixthsense.view import LOOPBACK, VIEW_TARGETS, is_view_target
@@ -102,16 +104,19 @@ def parse_command(
     """Parse a command's options, and the table of the Config fields that were set by flags.
 
     `base` is a function of the positional value that returns the default preset or a complete configuration; without
-    one it is the command's preset. Precedence is defaults < preset < configuration file < flags. A ConfigError names
-    the flag, or the file and its field.
+    one it is the command's preset. Precedence is defaults < preset < configuration file < flags; a file that names a
+    preset is read over that. Raises UsageError for two presets, and ConfigError that names the flag, or the file and
+    its field.
     """
     given, table = parse(args, command)
     start = command.base if base is None else base(given.get(positional_of(command)))
     settings = start if isinstance(start, Config) and "preset" not in table else preset(table.get("preset", start))
     if "config" in given:
-        is_complete = "preset" in table or isinstance(start, Config)
-        settings = load_config(given["config"], settings if is_complete else None, str(start))
-    # The preset of a configuration file takes precedence over --preset, because the file's values belong to it.
+        named = read_table(given["config"]).get("preset")
+        if named is not None and table.get("preset", named) != named:
+            found = f"--preset: found {shown(table['preset'])} with {given['config']}, which names {shown(named)}"
+            raise UsageError(f"{found}, allowed: one of the two")
+        settings = load_config(given["config"], settings if named is None else None)
     flags = {name: value for name, value in table.items() if name != "preset"}
     return command(**given, settings=merge(settings, flags, "--")), table
 

@@ -224,6 +224,10 @@ def _value_text(value: Any) -> str:
     return " ".join(map(_value_text, value)) if isinstance(value, (tuple, list)) else str(value)
 
 
+_LOGS = ("log", "merged_with")
+"""inputs of a replay that are arguments of its command"""
+
+
 def _reproduction(name: str, run: MeasuredRun) -> str:
     """The commands that repeat a run, and the versions that produced it."""
     parts, notes = [f"<p><strong>{escaped(name)}</strong></p>" if name else ""], _notes(run)
@@ -231,12 +235,16 @@ def _reproduction(name: str, run: MeasuredRun) -> str:
         config = shlex.quote(str(run.folder / "config.toml"))
         replayed = notes.get("replayed", {})
         command = f"sixthsense run --config {config}"
-        if "log" in replayed:
-            more = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in replayed.items() if name != "log")
-            command = f"sixthsense replay {shlex.quote(str(replayed['log']))} --config {config}{more}"
-        if "scan" in replayed:
-            topics = " ".join(f"--{name} {shlex.quote(str(value))}" for name, value in replayed.items())
-            command = f"sixthsense live {topics} --config {config}"
+        logs = " ".join(shlex.quote(str(replayed[name])) for name in _LOGS if name in replayed)
+        more = "".join(
+            f" --{name.replace('_', '-')} {shlex.quote(str(value))}"
+            for name, value in replayed.items()
+            if name not in _LOGS
+        )
+        if logs:
+            command = f"sixthsense {'merge' if _LOGS[1] in replayed else 'replay'} {logs} --config {config}{more}"
+        elif replayed:
+            command = f"sixthsense live{more} --config {config}"
         with_map = _prior_map_options(notes.get("prior_map", {}))
         command += with_map
         again = f"sixthsense replay {shlex.quote(str(run.folder))}{with_map}"
@@ -257,6 +265,6 @@ def _prior_map_options(note: Any) -> str:
         options += " --lost"
     for name in ("pose", "pose_sigma"):
         value = note.get(name)
-        if isinstance(value, list) and any(value):
+        if isinstance(value, list) and (name == "pose" or any(value)):  # sigmas are 0 by default
             options += f" --{name.replace('_', '-')} {' '.join(shlex.quote(str(number)) for number in value)}"
     return options

@@ -9,9 +9,6 @@ from pathlib import Path
 import pytest
 
 from sixthsense import cli
-from sixthsense.cli.common import parse_command
-from sixthsense.cli.run import Run
-from sixthsense.config import Config, preset
 
 pytestmark = pytest.mark.usefixtures("compiled", "here")
 
@@ -128,44 +125,6 @@ def test_a_run_as_a_program_prints_its_summary_and_the_folder(here: Path) -> Non
     assert entries(here / "some") == sorted(["run", *(f"run/{name}" for name in entries(here / "some" / "run"))])
 
 
-def settings(*args: str, base: str = "default") -> Config:
-    options, _ = parse_command(Run, list(args), lambda _: base)
-    return options.settings
-
-
-def test_flags_beat_the_file_which_beats_the_preset_which_beats_the_defaults(here: Path) -> None:
-    (here / "part.toml").write_text("seed = 5\nmax_time = 50\n[laser]\nmax_range = 3.0\n")
-    (here / "named.toml").write_text("preset = 'report'\nseed = 5\n")
-    assert settings() == preset()
-    assert settings(base="log") == preset("log")
-    assert settings("--preset", "report").laser == preset("report").laser
-    both = settings("--preset=report", "--config", "part.toml", "--seed", "9")
-    assert (both.preset, both.seed, both.max_time) == ("report", 9, 50.0)
-    assert (both.laser.max_range, both.laser.beams) == (3.0, preset("report").laser.beams)
-    assert settings("--seed", "9", "--config=part.toml").seed == 9
-    assert settings("--config", "part.toml", base="log").assumed == preset("log").assumed
-    assert settings("--config", "named.toml", base="log").grid == preset("report").grid
-    assert settings("--config", "named.toml", "--preset", "worn").world == preset("worn").world
-
-
-def test_a_robot_that_reaches_its_goal_exits_with_0(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
-    out, err = capsys.readouterr()
-    assert err == ""
-    assert re.match(r"outcome +goal reached: the robot reached its goal; it stands \S+ \w+ from it\n", out)
-    assert "\nmap          runs/rectangle-ekf-invariant-1/figures/map.png, " in out
-    assert "\nreport       sixthsense report runs/rectangle-ekf-invariant-1 writes figures/report.html\n" in out
-    assert out.endswith("written to runs/rectangle-ekf-invariant-1/\n")
-    assert run("rectangle", "--seed", "3", "--task", "goal") == cli.DONE
-    assert capsys.readouterr().out.endswith("written to runs/rectangle-ekf-invariant-2/\n")
-
-
-def test_a_robot_that_runs_out_of_time_exits_with_1_and_leaves_its_folder(here: Path) -> None:
-    assert run("rectangle", "--max-time", "2", "--out", "late") == cli.FAILED
-    assert metrics(here / "late")["outcome"] == "out of time"
-    assert metrics(here / "late")["sim_time_s"] == pytest.approx(2.0, abs=0.1)
-
-
 TIMED = re.compile(r"wall_time_s|realtime_factor|scan_ms_.*|stage_ms_mean\..*")
 
 
@@ -185,14 +144,3 @@ def test_a_folders_configuration_repeats_its_run_bit_for_bit(here: Path) -> None
     )
     assert one == two
     assert len(one) < len(metrics(first))
-
-
-def test_an_existing_folder_stays_unless_it_may_be_overwritten(here: Path, complaint: Callable[..., str]) -> None:
-    assert run("rectangle", "--max-time", "1", "--out", "mine") == cli.FAILED
-    before = {p: p.read_bytes() for p in (here / "mine").rglob("*") if p.is_file()}
-    said = complaint("run", "rectangle", "--out", "mine")
-    assert said == "--out: mine exists, allowed: a new folder, or --overwrite"
-    assert {p: p.read_bytes() for p in before} == before
-    assert run("rectangle", "--out", "mine", "--overwrite") == cli.DONE
-    assert metrics(here / "mine")["outcome"] == "explored"
-    assert [p.name for p in here.iterdir()] == ["mine"]

@@ -10,7 +10,7 @@ from traces import CONFIG, trace_of, written
 
 from sixthsense.config import ConfigError
 from sixthsense.core.geometry import Pose
-from sixthsense.record.load import prior_start, read_prior_map
+from sixthsense.record.load import load_record, prior_start, read_prior_map
 from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 
@@ -87,6 +87,12 @@ def test_a_map_that_is_damaged_is_refused_and_its_file_named(name: str, folder: 
     with pytest.raises(RecordError, match=said) as told:
         read_prior_map(folder)
     assert name == "landmarks without end" or file in str(told.value)
+
+
+def test_links_to_keyframes_that_are_not_there_are_refused(folder: Path) -> None:
+    change(folder / "record.npz", lambda arrays: arrays["link_ends"].__setitem__((0, 1), 4))
+    with pytest.raises(RecordError, match=r"record\.npz: found link_ends 0 to 4 of 4 keyframes"):
+        load_record(folder)
 
 
 @pytest.mark.parametrize("file", ["config.toml", "landmarks.npz", "record.npz"])

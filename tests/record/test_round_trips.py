@@ -159,6 +159,7 @@ def test_the_map_read_by_the_rule_of_map_server_is_the_grid(rng: np.random.Gener
         image = np.asarray(Image.open(folder / meta["image"]))
     x0, y0, yaw = meta["origin"]
     assert (yaw, meta["negate"], meta["mode"]) == (0.0, 0, "trinary")
+    assert (meta["occupied_thresh"], meta["free_thresh"]) == (0.65, 0.196)  # 205, unknown, is between the two
     found = {}
     for (row, column), value in np.ndenumerate(image):  # the first row is the top of the map
         occupied = (255 - int(value)) / 255.0

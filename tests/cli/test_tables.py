@@ -1,0 +1,209 @@
+"""Tables: outcome and exit code; command, preset and base configuration; option and field; what beats what."""
+
+import re
+import shlex
+import shutil
+from collections.abc import Callable, Mapping
+from html import unescape
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from settings import TOGETHER, changed, flat, nested, words
+
+import sixthsense as ss
+from sixthsense import cli
+from sixthsense.cli.common import show_end
+from sixthsense.config import PRESETS, Config, load_config, merge, preset, save_config
+from sixthsense.config.errors import InputError
+from sixthsense.figures.report import page
+
+pytestmark = pytest.mark.usefixtures("here")
+
+OUTCOMES = {
+    "goal reached": 0, "tour ended": 0, "explored": 0, "explored in part": 0, "log ended": 0, "time is up": 0,
+    "ended by the user": 0, "interrupted": 130, "collided": 1, "lost": 1, "stuck": 1, "goal unreachable": 1,
+    "out of time": 1, "anything else": 1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("outcome", OUTCOMES)
+def test_the_exit_code_follows_from_the_outcome(outcome: str, capsys: pytest.CaptureFixture[str]) -> None:
+    metrics = {"outcome": outcome, "scans": 3, "keyframes": 2}
+    run = SimpleNamespace(outcome=outcome, metrics=metrics, trace=SimpleNamespace(left=[]), folder=Path("a b"))
+    assert show_end(run) == OUTCOMES[outcome]  # type: ignore[arg-type]
+    out = capsys.readouterr().out
+    assert out.startswith(f"outcome      {outcome}") and out.endswith("written to a b/\n")
+    assert "sixthsense report 'a b' writes" in out
+
+
+class CaughtError(InputError):
+    """Ends a command where it would begin to work."""
+
+
+@pytest.fixture
+def settings(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Config]:
+    """The configuration with which a command line begins to work."""
+    import sixthsense.api  # noqa: F401, it takes the functions before they are replaced
+
+    found: list[Config] = []
+
+    def catch(*args: Any, **_: Any) -> None:
+        found.append(next(one for one in args if isinstance(one, Config)))
+        raise CaughtError("caught")
+
+    for name in (
+        "running.runs.simulate", "sources.replay_input.open_recorded", "live.session.Session",
+        "live.simulated.SimulatedRobot", "evaluation.calibrate.calibrate", "running.merging.open_merged",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"sixthsense.{name}", catch)
+
+    def of(*args: str) -> Config:
+        found.clear()
+        cli.main([word for arg in args for word in shlex.split(arg)])
+        (config,) = found
+        return config
+
+    return of
+
+
+def saved(name: str, config: Config, replayed: Mapping[str, str] | None = None) -> Config:
+    """Save a configuration as the folder of a run has it."""
+    Path(name).mkdir()
+    save_config(config, Path(name) / "config.toml", replayed)
+    return config
+
+
+DRIVEN = {"estimator": "ekf-invariant", "front_end": "landmarks", "association": {"proposed_by": "estimate"}}
+DRIVE, REGION = "live --drive --region -1 -2 3 4", {"region": (-1.0, -2.0, 3.0, 4.0)}
+BASES: dict[str, Config] = {
+    "run": preset(),
+    "simulate": preset(),
+    "calibrate --out noise.toml": preset(),
+    "replay a.clf": preset("log"),
+    "replay a.log.gz": preset("log"),
+    "replay a.bag": preset("log"),
+    "replay a.graph": preset("victoria"),
+    "replay a.g2o.bz2": preset("victoria"),
+    "replay robots": preset("mrclam"),
+    "replay first": preset("report", seed=3),
+    "merge first second": preset("report", seed=3),
+    "live": preset("log"),
+    DRIVE: merge(preset("log"), DRIVEN | REGION),
+}
+
+
+@pytest.mark.parametrize("line", BASES)
+def test_each_command_begins_with_its_base(line: str, settings: Callable[..., Config]) -> None:
+    saved("first", preset("report", seed=3))
+    saved("second", preset("worn", seed=4))
+    Path("robots").mkdir()
+    Path("robots/Robot1_Odometry.dat").touch()
+    assert settings(line) == BASES[line]
+    assert settings(line, "--association.cull-period 7") == merge(BASES[line], {"association": {"cull_period": 7}})
+    for name in () if "first" in line else ("default", "report") if line == DRIVE else PRESETS:
+        assert settings(line, "--preset", name) == merge(preset(name), REGION if line == DRIVE else {}), name
+
+
+def test_flags_beat_the_file_which_beats_the_preset_which_beats_the_defaults(settings: Callable[..., Config]) -> None:
+    Path("part.toml").write_text("seed = 5\nmax_time = 50\n[laser]\nmax_range = 3.0\n")
+    Path("named.toml").write_text("preset = 'report'\nseed = 5\n")
+    file, laser = "--config part.toml", {"laser": {"max_range": 3.0}}
+    assert settings("run", file) == preset(seed=5, max_time=50.0, **laser)  # type: ignore[arg-type]
+    assert settings("run --seed 9", file, "--preset report") == preset("report", seed=9, max_time=50.0, **laser)  # type: ignore[arg-type]
+    assert settings("replay a.log", file) == preset("log", seed=5, max_time=50.0, **laser)  # type: ignore[arg-type]
+    driven = merge(preset("log"), {**DRIVEN, **REGION, "seed": 5, "max_time": 50.0, **laser})
+    assert settings(DRIVE, file) == driven
+    for line in ("run", "replay a.log", "run --preset report", "live"):
+        assert settings(line, "--config named.toml") == preset("report", seed=5)
+
+
+def test_a_file_that_names_a_preset_is_read_over_that_and_not_over_another(complaint: Callable[..., str]) -> None:
+    Path("named.toml").write_text("preset = 'report'\nseed = 5\n")
+    said = complaint("run", "--config", "named.toml", "--preset", "worn")
+    assert said == "--preset: found 'worn' with named.toml, which names 'report', allowed: one of the two"
+
+
+def test_every_field_is_an_option_a_field_of_the_call_and_one_of_the_file() -> None:
+    values = {name: value for name, value in {**changed(), **TOGETHER}.items() if value is not None}
+    assert cli.main(["run", *words(values), "--out", "flags"]) == cli.DONE
+    Path("all.toml").write_bytes((Path("flags") / "config.toml").read_bytes().replace(b"[versions]", b"[other]"))
+    assert {name: value for name, value in flat(load_config("flags/config.toml")).items() if name in values} == values
+    given = nested({name: value for name, value in values.items() if name != "scene"})
+    run = ss.run(values["scene"], out="call", progress=False, **given)
+    assert run.trace.config == load_config("call/config.toml") == load_config("flags/config.toml")
+    one = {"goal": (1.25, -0.75), "explore.loop_closure": False, "grid.walls": False, "laser.mount": (0.1, -0.2, 0.3)}
+    line = "run rectangle --goal 1.25 -0.75 --explore.no-loop-closure --grid.walls=false --laser.mount 0.1 -0.2 0.3"
+    assert cli.main([*line.split(), "--max-time", "0.1", "--out", "goal"]) == cli.FAILED
+    expected = merge(preset(), nested({**one, "scene": "rectangle", "task": "goal", "max_time": 0.1}))
+    assert load_config("goal/config.toml") == expected
+
+
+FLASER = "FLASER 4 1.0 2.0 3.0 {far} {x} 0.0 0.0 {x} 0.0 0.0 {stamp} nohost {stamp}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "reach_m"),
+    [
+        ("laser.max_range = 10.0\n", 10.0),  # the default, and stated
+        ("seed = 3\n", 34.0),  # what the log says
+        ("laser.max_range = 10.0\nversions.sixthsense = '0'\n", 34.0),  # all fields of a simulated run
+        ("laser.max_range = 10.0\nversions.sixthsense = '0'\nreplayed.log = 'a'\n", 10.0),
+    ],
+)
+def test_the_laser_that_a_file_states_beats_that_of_the_log(text: str, reach_m: float) -> None:
+    lines = (FLASER.format(x=0.1 * k, stamp=float(k), far=34.0 if k != 2 else 4.0) for k in range(5))
+    Path("a.log").write_text("PARAM laser_max_range 34.0 nohost 0\n" + "".join(lines))
+    Path("a.toml").write_text(text)
+    words = "replay a.log --laser.beams 4 --laser.fov 1.5 --config a.toml --out x"
+    assert cli.main(words.split()) == cli.DONE
+    assert load_config("x/config.toml").laser.max_range == pytest.approx(reach_m)
+
+
+# What a report says of its run
+
+
+@pytest.fixture(scope="module")
+def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a short run."""
+    out = tmp_path_factory.mktemp("runs") / "tour"
+    ss.run("rectangle", task="tour", max_time=0.5, out=out, progress=False)
+    return out
+
+
+@pytest.mark.parametrize(
+    ("replayed", "prior_map", "command", "again"),
+    [
+        (None, None, "run --config x/config.toml", "replay x"),
+        ({"log": "a b.log"}, None, "replay 'a b.log' --config x/config.toml", "replay x"),
+        (
+            {"log": "a.bag", "topic": "/s,/o", "odometry_frames": "odom,base"}, None,
+            "replay a.bag --config x/config.toml --topic /s,/o --odometry-frames odom,base", "replay x",
+        ),
+        (
+            {"log": "mon", "merged_with": "tue", "relations": "r.txt"}, None,
+            "merge mon tue --config x/config.toml --relations r.txt", "replay x",
+        ),
+        ({"scan": "/s", "odom": "/o"}, None, "live --scan /s --odom /o --config x/config.toml", "replay x"),
+        (
+            None, {"name": "first", "pose": [0.0, 0.0, 0.0], "pose_sigma": [0.0, 0.0, 0.0]},
+            "run --config x/config.toml --prior-map first --pose 0.0 0.0 0.0",
+            "replay x --prior-map first --pose 0.0 0.0 0.0",
+        ),
+        (
+            None, {"name": "first", "pose_sigma": [0.1, 0.2, 0.0]},
+            "run --config x/config.toml --prior-map first --pose-sigma 0.1 0.2 0.0",
+            "replay x --prior-map first --pose-sigma 0.1 0.2 0.0",
+        ),
+        (
+            None, {"name": "first", "lost": True},
+            "run --config x/config.toml --prior-map first --lost", "replay x --prior-map first --lost",
+        ),
+    ],
+)  # fmt: skip
+def test_a_report_has_the_commands_that_repeat_its_run(replayed, prior_map, command, again, tour: Path) -> None:
+    shutil.copytree(tour, "x")
+    save_config(load_config("x/config.toml"), "x/config.toml", replayed, prior_map)
+    found = [unescape(one) for one in re.findall(r"<pre>(sixthsense .*?)</pre>", page([ss.load("x")], {}))]
+    assert found == [f"sixthsense {command}", f"sixthsense {again}"]
