@@ -126,22 +126,13 @@ def test_a_record_is_written_while_the_run_goes_on_and_whole_when_its_block_is_l
     assert scans() == len(trace.stamps_ns)
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"", b"{", b"[]", b"3", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"scan": 1}', b'{"plan": [[1]]}',
-        b'{"plan": [["x", 1]]}', b'{"plan": [[1e999, 0]]}', b'{"plan": {}}', b'{"end": 3}', b'{"end": "x"}',
-        b'{"keyframe": "x"}', b'{"keyframe": 1, "motion": null}', b'{"scan": 1' + b"0" * 400 + b"}",
-    ],
-)  # fmt: skip
-def test_a_damaged_line_is_named(folder, tmp_path, line, number=12):
+@pytest.mark.parametrize("line", [b"", b"[]", b"{}", b"\xff\xfe", b"[" * 100_000, b'{"plan": [[1]]}', b'{"end": 3}'])
+def test_a_line_that_says_nothing_is_named(folder, tmp_path, line):
     damaged = copied(folder, tmp_path / "damaged")
     lines = (damaged / FILE).read_bytes().splitlines()
-    lines[number - 1] = line
+    lines[11] = line
     (damaged / FILE).write_bytes(b"\n".join(lines) + b"\n")
-    with pytest.raises(
-        ss.InputError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"
-    ) as told:
+    with pytest.raises(ss.InputError, match=r"record\.jsonl: line 12: found .*, allowed: a line of a run") as told:
         ss.load(damaged)
     assert "\n" not in str(told.value) and len(str(told.value)) < 600
 
@@ -159,13 +150,6 @@ def test_files_with_changed_bytes_are_read_or_named(folder, tmp_path, name, seed
         ss.load(damaged)
     except ss.InputError as error:
         assert "\n" not in str(error) and name in str(error)
-
-
-def test_arrays_of_another_run_are_refused(simulated, folder, tmp_path):
-    mixed = copied(folder, tmp_path / "mixed")
-    shutil.copy(simulated.folder / "record.npz", mixed)
-    with pytest.raises(ss.InputError, match=r"record.npz: "):
-        ss.load(mixed)
 
 
 def test_a_folder_keeps_the_true_tracks_of_people_and_repeats_the_run(tmp_path):

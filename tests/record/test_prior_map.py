@@ -95,6 +95,12 @@ def test_links_to_keyframes_that_are_not_there_are_refused(folder: Path) -> None
         load_record(folder)
 
 
+def test_landmarks_of_another_run_are_refused(folder: Path) -> None:
+    change(folder / "landmarks.npz", lambda arrays: arrays["ids"].__setitem__(1, 99))
+    with pytest.raises(RecordError, match=r"landmarks\.npz: found landmarks that record\.npz does not know"):
+        load_record(folder)
+
+
 @pytest.mark.parametrize("file", ["config.toml", "landmarks.npz", "record.npz"])
 def test_a_folder_without_a_part_of_the_map_is_refused(file: str, folder: Path) -> None:
     (folder / file).unlink()

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import itertools
+import json
 import math
 import tempfile
 from collections.abc import Callable, Iterator
@@ -27,6 +28,7 @@ from sixthsense.core.source import Tick
 from sixthsense.record.bag import BagWriter
 from sixthsense.record.load import load_record
 from sixthsense.record.messages import Messages
+from sixthsense.record.reading import RecordError
 from sixthsense.record.trace import Trace
 from sixthsense.slam.estimators import Estimate
 from sixthsense.sources.logs.runfolder import read_run
@@ -72,6 +74,7 @@ def test_every_column_of_a_record_comes_back_to_the_bit(rng: np.random.Generator
     assert back.grid is not None and trace.grid is not None and back.grid.origin == trace.grid.origin
     for name in ("hits", "passes", "seen", "obstacles"):
         assert np.array_equal(getattr(back.grid, name), getattr(trace.grid, name))
+    assert np.array_equal(back.grid.free_space().blocked, trace.grid.free_space().blocked)
 
 
 @few
@@ -86,11 +89,54 @@ def test_the_record_of_a_log_has_no_truth_and_keeps_the_last_place_of_a_killed_r
         (folder / "record.jsonl").write_text("".join(lines[:-1]))
         killed, missing = load_record(folder)
         assert not (folder / "truth.tum").exists()
+        for name in ("record.npz", "landmarks.npz", "grid.npz"):
+            (folder / name).unlink()
+        bare, _ = load_record(folder)
+    assert (plain(bare.final), plain(bare.joint_cov)) == (plain(trace.key_estimates[-1]), plain(bare.final.pose_cov))
+    assert np.array_equal(bare.trajectory, [estimate.pose.array() for estimate in trace.key_estimates])
     names = ("truths", "walkers", "touches", "scene", "plans_below_margin", "plans_by_astar", "guard_stops")
     assert [getattr(back, name) for name in names] == [getattr(trace, name) for name in names]
     assert [part.name for part in missing] == ["END"] and killed.outcome == "interrupted"
     assert np.array_equal(killed.last_position, trace.odometry[-1][:2])
     assert killed.path_length_m == trace.path_length_m and killed.stopwatch.totals == trace.stopwatch.totals
+
+
+def test_a_killed_run_ends_at_its_last_true_place() -> None:
+    trace = trace_of(np.random.default_rng(4))
+    with written(trace) as folder:
+        lines = (folder / "record.jsonl").read_bytes().splitlines(keepends=True)
+        (folder / "record.jsonl").write_bytes(b"".join(lines[:-2]) + lines[-2][:-1])  # the last scan is cut
+        for name in ("record.npz", "landmarks.npz"):
+            (folder / name).unlink()
+        killed, _ = load_record(folder)
+    assert len(killed.stamps_ns) == len(trace.stamps_ns) - 1
+    assert np.array_equal(killed.last_position, trace.truths[-2][:2])
+
+
+DAMAGES: dict[str, Callable[[list[dict[str, Any]]], int]] = {
+    "another format": lambda lines: lines[0].update(format=2) or 0,
+    "a keyframe before it is there": lambda lines: lines[-2].update(last_key=4) or -2,
+    "a scan at the time of the last": lambda lines: lines[-2].update(scan=lines[-3]["scan"]) or -2,
+    "a keyframe at the time of the last": lambda lines: lines[2].update(keyframe=lines[1]["keyframe"]) or 2,
+    "a scan without truth": lambda lines: lines[-2].pop("truth") and -2,
+    "a number that is not finite": lambda lines: lines[-2].update(estimate=[0.5, math.inf, 0.5]) or -2,
+    "a line after the end": lambda lines: lines.append(lines[-2]) or -1,
+    "a count below 0": lambda lines: lines[-1].update(culled=-1) or -1,
+    "a count missing": lambda lines: lines[-1].pop("guard_stops") and -1,
+    "an unknown stage": lambda lines: lines[1].update(ms={"rest": 1.0}) or 1,
+    "an unknown reason": lambda lines: lines[-1].update(left=[[1.0, 2.0, 3.0, "dark"]]) or -1,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_line_is_named(name: str) -> None:
+    with written(trace_of(np.random.default_rng(2))) as folder:
+        file = folder / "record.jsonl"
+        lines = [json.loads(line) for line in file.read_text().splitlines()]
+        number = DAMAGES[name](lines) % len(lines) + 1
+        file.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+        with pytest.raises(RecordError, match=rf"record.jsonl: line {number}: found .*, allowed: a line of a run"):
+            load_record(folder)
 
 
 # Files for other programs
