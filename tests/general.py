@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from hypothesis import Phase, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from sixthsense.core.geometry import Pose
+
+some = settings(max_examples=15, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+"""examples of slow tests, which are not made smaller"""
 
 
 def numbers(low: float = 0.2, high: float = 30.0) -> st.SearchStrategy[float]:

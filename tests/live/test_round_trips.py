@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from general import covariances, matrix, numbers, poses, stamps_ns, tilts, turned
-from hypothesis import given, settings
+from general import covariances, matrix, numbers, poses, some, stamps_ns, tilts, turned
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +37,7 @@ def tilt(orientation: Any, quaternion: list[float]) -> None:
     orientation.x, orientation.y, orientation.z, orientation.w = quaternion
 
 
-@settings(max_examples=25)
+@some
 @given(stamps_ns, poses, tilts, st.floats(0.3, 3.0))
 def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilted_quaternion(
     stamp, pose, tilted, size
@@ -50,7 +50,7 @@ def test_odometry_comes_back_to_the_nanosecond_and_its_heading_is_that_of_a_tilt
     assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
 
 
-@settings(max_examples=25)
+@some
 @given(stamps_ns, poses, poses, tilts)
 def test_odometry_in_tf_is_the_last_transform_of_its_frames(stamp, pose, other, tilted):
     links = [
@@ -66,7 +66,7 @@ def test_odometry_in_tf_is_the_last_transform_of_its_frames(stamp, pose, other, 
     assert found.T_odom_robot.array() == pytest.approx(pose.array(), abs=1e-9)
 
 
-@settings(max_examples=25)
+@some
 @given(poses, poses, tilts, st.booleans())
 def test_a_mount_is_the_product_of_tilted_static_transforms(plate, mount, tilted, is_upside_down):
     level = turned(mount.theta, (0.0, math.pi if is_upside_down else 0.0))
@@ -126,7 +126,7 @@ def a_trace(estimate: Pose, key: Pose, key_cov: np.ndarray, since: Pose, since_c
     )
 
 
-@settings(max_examples=30)
+@some
 @given(poses, poses, covariances, poses, covariances, poses)
 def test_what_is_published_is_the_pose_its_covariance_the_frame_of_odometry_and_the_map(
     T_old_odom, key, key_cov, since, since_cov, odometry
@@ -181,7 +181,7 @@ def test_a_map_is_sent_again_with_a_new_keyframe_after_two_seconds_unless_it_is_
     assert len(sink.sent["/map"]) == 3 and len(sink.sent["/pose"]) == 6
 
 
-@settings(max_examples=25)
+@some
 @given(stamps_ns.map(lambda ns: ns + HOUR), poses, numbers(0.1, 0.4), numbers(0.1, 0.9), poses, st.integers(1, 9))
 def test_scans_are_joined_to_the_line_that_odometry_draws_also_after_it_has_begun_anew(began, start, v, w, jump, part):
     def pose_at(ns: int) -> Pose:

@@ -204,16 +204,6 @@ def test_the_configuration_of_a_replay_reads_the_same_log_again(tmp_path: Path) 
     assert all(np.array_equal(a.bearings, b.bearings) for a, b in zip(again.scans, log.scans, strict=True))
 
 
-@pytest.mark.parametrize("mount", [Pose(), Pose(-0.04, 0.0, 0.0), Pose(0.2, -0.1, 0.4), Pose(0.1, 0.0, math.pi)])
-def test_the_mount_is_the_difference_of_the_two_poses_of_a_scan(tmp_path: Path, mount: Pose) -> None:
-    log = read(tmp_path, "".join(flaser(k, [1, 2, 3, 4], p, mount) for k, p in enumerate(path_of(40))))
-    found = log.scans[0].T_robot_laser
-    assert (found.x, found.y) == pytest.approx((mount.x, mount.y), abs=2e-6)
-    assert math.cos(found.theta - mount.theta) == pytest.approx(1.0, abs=1e-9)
-    assert log.ticks[3].odometry.array() == pytest.approx(path_of(4)[3].array(), abs=1e-6)
-    assert not any("laser.mount" in line for line in log.remarks())
-
-
 @pytest.mark.parametrize("max_range", [4.0, 80.0])
 @pytest.mark.parametrize("beyond", [0.0, 0.02])
 def test_the_value_that_beams_without_a_return_repeat_is_found(max_range: float, beyond: float) -> None:

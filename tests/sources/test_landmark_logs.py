@@ -10,12 +10,12 @@ import pytest
 
 from sixthsense import cli
 from sixthsense.config import AssumedConfig, LaserConfig, merge, preset
-from sixthsense.core.geometry import Pose, rotation
+from sixthsense.core.geometry import Pose
 from sixthsense.loop.run import replay
 from sixthsense.sources.logs import open_log
 from sixthsense.sources.logs.graph import read_graph
 from sixthsense.sources.logs.log import Log
-from sixthsense.sources.logs.mrclam import polar_observation, read_mrclam
+from sixthsense.sources.logs.mrclam import polar_observation
 from sixthsense.sources.logs.runfolder import read_run
 
 CIRCLED = {1000: (3.0, 1.0), 1001: (0.0, 4.0), 1002: (-2.0, 2.0), 1003: (1.0, -2.0)}
@@ -48,29 +48,6 @@ def drive(poses: int = 30, order: int = 1) -> str:
             if math.hypot(x, y) < 4.0:
                 lines.append(f"LANDMARK {k} {i} {x!r} {y!r} 0.01 0.001 0.02\n")
     return "".join(lines)
-
-
-def test_poses_are_ticks_one_second_apart(tmp_path):
-    log = read_graph(graph(SMALL, tmp_path))
-    assert [tick.stamp_ns for tick in log.ticks] == [0, 10**9, 2 * 10**9]
-    assert log.start == Pose() and log.ticks[2].odometry == Pose(1.0, 0.1, 0.2) @ Pose(1.0, 0.1, 0.2)
-    assert [list(tick.observations) for tick in log.ticks] == [[], [5], [5]]
-    assert log.ticks[1].observations[5].z.tolist() == [2.0, 1.0]
-    assert np.array_equal(log.ticks[1].observations[5].cov, 0.01 * np.eye(2))
-    assert log.ticks[0].increment_cov is None
-
-
-def test_motion_tags_differ_in_the_order_and_the_meaning_of_their_numbers(tmp_path):
-    own = np.array([[4.0, 0.1, 0.2], [0.1, 3.0, 0.3], [0.2, 0.3, 2.0]])
-    information = np.linalg.inv(own)
-    rows, toro = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)), ((0, 0), (0, 1), (1, 1), (2, 2), (0, 2), (1, 2))
-    turn = np.eye(3)
-    turn[:2, :2] = rotation(0.7)
-    for tag, matrix, order in (("ODOMETRY", own, rows), ("EDGE_SE2", information, rows), ("EDGE2", information, toro)):
-        numbers = " ".join(repr(float(matrix[place])) for place in order)
-        log = read_graph(graph(f"{tag} 3 4 1 2 0.7 {numbers}\n", tmp_path))
-        assert log.ticks[1].odometry == Pose(1, 2, 0.7)
-        assert log.ticks[1].increment_cov == pytest.approx(turn @ own @ turn.T, abs=1e-9)
 
 
 def test_landmark_tags_differ_in_the_meaning_of_their_numbers(tmp_path):
@@ -121,27 +98,6 @@ def folder(path: Path, robot: int = 3, steps: int = 40, order: int = 1) -> Path:
         seen.append((f"{t:.3f}", BARCODES[1], 2.0, 0.1))
     (path / f"Robot{robot}_Measurement.dat").write_text(rows(*seen))
     return path
-
-
-def test_odometry_and_measurements_give_ticks_in_the_order_of_time(tmp_path):
-    log = read_mrclam(folder(tmp_path), ASSUMED)
-    stamps = [tick.stamp_ns for tick in log.ticks]
-    assert len(stamps) == 40 + 7 and np.all(np.diff(stamps) > 0)
-    assert [len(tick.observations) for tick in log.ticks if tick.observations] == [3] * 7
-    assert all(tick.observations is not None and tick.truth is not None and tick.scan is None for tick in log.ticks)
-
-
-def test_odometry_begins_at_the_first_true_pose_and_follows_the_rates(tmp_path):
-    log = read_mrclam(folder(tmp_path), ASSUMED)
-    for tick in log.ticks:
-        assert tick.odometry.array() == pytest.approx(driven(1e-9 * tick.stamp_ns - 1000.0).array(), abs=1e-6)
-        assert tick.truth.array() == pytest.approx(tick.odometry.array(), abs=1e-4)
-
-
-def test_ids_are_subjects_robots_are_skipped_and_depths_become_distances(tmp_path):
-    for tick in read_mrclam(folder(tmp_path), ASSUMED).ticks:
-        for i, observation in (tick.observations or {}).items():
-            assert (tick.odometry @ observation.z) == pytest.approx(np.array(PLACES[i]), abs=1e-3)
 
 
 def test_a_noisy_range_and_bearing_give_an_unbiased_observation_with_the_correct_covariance():

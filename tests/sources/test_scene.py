@@ -1,3 +1,4 @@
+import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -7,17 +8,25 @@ import pytest
 from PIL import Image
 from scipy import ndimage
 
-from sixthsense.config import preset
-from sixthsense.core.geometry import Pose
+from sixthsense.config import ConfigError, preset
+from sixthsense.core.geometry import Pose, point_segment_distance
 from sixthsense.core.ray_casting import cast_rays
+from sixthsense.core.source import Command
 from sixthsense.sources.campus import Campus, campus_walls
-from sixthsense.sources.mission import connected, mission
-from sixthsense.sources.ros_map import outline_corners
+from sixthsense.sources.mission import connected, mission, mission_of
+from sixthsense.sources.ros_map import outline_corners, simplified
 from sixthsense.sources.scene import Scene, SceneError, check_placement, load_scene, shipped_scenes
 
 SHIPPED = ["apartment", "block", "campus", "loop", "office", "rectangle"]
-GOOD = "start = [1, 1, 0]\nradius = 0.2\ngoal = [3, 1]\ntour = [[3, 1], [1, 1]]\nregion = [0, 0, 4, 2]\n"
-ROOM = "walls = [[0, 0, 4, 0], [4, 0, 4, 2], [4, 2, 0, 2], [0, 2, 0, 0]]\n"
+GOOD = """
+start = [2.3, 3.4, 0.7]
+radius = 0.2
+goal = [4.5, 3.9]
+tour = [[4.5, 3.6], [2.5, 4.1]]
+region = [1.6, 2.8, 5.4, 4.3]
+"""
+SIDES = [[1.5, 2.5, 5.5, 2.5], [5.5, 2.5, 5.5, 4.5], [5.5, 4.5, 1.5, 4.5], [1.5, 4.5, 1.5, 2.5]]
+ROOM = f"walls = {SIDES}\n"
 SMALL = Campus((3, 2), 27.0, 3.0, 0.3, 1.0, 4)
 CELL_M = 0.1
 SQUARE = [[[0, 0], [6, 0]], [[6, 0], [6, 6]], [[6, 6], [0, 6]], [[0, 6], [0, 0]]]
@@ -68,14 +77,38 @@ def test_no_ray_leaks_out_of_a_scene(name: str) -> None:
 
 
 def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
-    polygon = "[[polygons]]\npoints = [[0, 0], [4, 0], [4, 2], [0, 2]]\n"
+    polygon = "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5], [5.5, 4.5], [1.5, 4.5]]\n"
     a = load_scene(write(tmp_path, "a.toml", GOOD + ROOM))
     b = load_scene(write(tmp_path, "b.toml", GOOD + polygon))
     c = load_scene(str(write(tmp_path, "c.toml", GOOD + polygon + "closed = false\n")))
+    assert a.walls.reshape(-1, 4).tolist() == SIDES
     assert sides(a) == sides(b) and len(c.walls) == 3 and sides(c) < sides(b)
-    assert (a.name, a.radius, a.goal, a.tour, a.region) == ("a", 0.2, (3, 1), ((3, 1), (1, 1)), (0, 0, 4, 2))
-    assert a.start == Pose(1, 1, 0)
+    assert (a.name, a.radius, a.goal, a.tour) == ("a", 0.2, (4.5, 3.9), ((4.5, 3.6), (2.5, 4.1)))
+    assert (a.start, a.region) == (Pose(2.3, 3.4, 0.7), (1.6, 2.8, 5.4, 4.3))
     assert a.walls.dtype == np.float64 and not a.walls.flags.writeable
+    bare = write(tmp_path, "d.toml", GOOD.split("region")[0] + ROOM)
+    assert load_scene(bare).region == (1.5, 2.5, 5.5, 4.5)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("start = [2.3, 3.4, 0.7]", "start = [2.3, 4.4, 0.7]", "start: found (2.3, 4.4), outside the region"),
+        ("tour = [[4.5, 3.6]", "tour = [[4.5, 4.35]", "tour, entry 1: found (4.5, 4.35), outside the region"),
+        ("goal = [4.5, 3.9]", "goal = [5.35, 3.9]", "goal: found (5.35, 3.9), 0.15 m from a wall"),
+        ("region = [1.6, 2.8, 5.4, 4.3]", "region = [1.6, 4.3, 5.4, 2.8]", "region: found [1.6, 4.3, 5.4, 2.8]"),
+        ("radius = 0.2", "radius = 0", "radius: found 0, allowed: a number above 0"),
+        ("radius = 0.2", "radius = 2e6", "radius: found 2000000.0, allowed: a number above 0"),
+        ("[1.5, 2.5, 5.5, 2.5]", "[1.5, 2e6, 5.5, 2.5]", "walls, entry 1: found [1.5, 2000000.0, 5.5, 2.5]"),
+        (ROOM, "[[polygons]]\npoints = [[1.5, 2.5], [5.5, 2.5]]\n", "polygons, entry 1, points: found 2, allowed"),
+        (ROOM, f"walls = {[[1.5, 2.5, 5.5, 2.5]] * 52_100}\n", "walls: found "),
+    ],
+)  # fmt: skip
+def test_a_scene_that_cannot_be_is_refused_by_its_field(tmp_path: Path, old: str, new: str, said: str) -> None:
+    assert old in GOOD + ROOM
+    with pytest.raises(SceneError) as caught:
+        load_scene(write(tmp_path, "a.toml", (GOOD + ROOM).replace(old, new)))
+    assert said in str(caught.value)
 
 
 # --- start and goal from outside
@@ -83,24 +116,19 @@ def test_walls_and_polygons_give_the_same_segments(tmp_path: Path) -> None:
 
 def test_a_placement_is_checked_against_the_scene() -> None:
     scene = load_scene("apartment")
-    check_placement(scene)
-    check_placement(scene, (1.0, 5.0, 3.0), (13.0, 5.0), (0, 0, 14, 9), 0.25)
+    assert check_placement(scene) == scene.start
+    placed = check_placement(scene, (1.0, 5.0, 3.0), (13.0, 5.0), (0, 0, 14, 9), 0.25)
+    assert placed == Pose(1.0, 5.0, 3.0)
     for given, said in [
-        (
-            {"start": (0.05, 5.0, 0.0)},
-            "start: found (0.05, 5), 0.05 m from a wall, allowed: at least the robot's radius 0.18 m",
-        ),
+        ({"start": (0.05, 5.0, 0.3)}, "0.05 m from a wall, allowed: at least the robot's radius 0.18 m"),
         ({"start": Pose(0.2, 5.0), "radius": 0.3}, "0.2 m from a wall, allowed: at least the robot's radius 0.3 m"),
         ({"start": (1.0, 2.0)}, "start: found (1.0, 2.0), allowed: 3 numbers"),
         ({"start": (math.nan, 2.0, 0.0)}, "start: found (nan, 2.0, 0.0)"),
-        ({"goal": (15.0, 5.0)}, "goal: found (15, 5), outside the region"),
         ({"goal": (5.0, 5.0), "region": (6.0, 0.0, 14.0, 9.0)}, "outside the region, allowed: x 6 to 14, y 0 to 9"),
-        ({"goal": (2.0, 4.3)}, "goal: found (2, 4.3), 0.1 m from a wall"),
+        ({"goal": (7.0, 8.0), "region": (6.0, 0.0, 14.0, 7.0)}, "outside the region, allowed: x 6 to 14, y 0 to 7"),
         ({"tour": [(1.0, 5.0), (0.0, 5.0)]}, "tour, entry 2: found (0, 5), 0 m from a wall"),
-        ({"region": (6.0, 0.0, 5.0, 9.0)}, "region: found [6, 0, 5, 9]"),
-        ({"radius": -1.0}, "radius: found -1.0"),
         ({"radius": 0.9}, "start: found (11.6, 0.8), 0.8 m from a wall"),
-    ]:  # fmt: skip
+    ]:
         with pytest.raises(SceneError) as caught:
             check_placement(scene, **given)
         assert said in str(caught.value)
@@ -110,9 +138,12 @@ def test_a_placement_is_checked_against_the_scene() -> None:
 
 
 def test_a_scn_file_is_a_start_a_radius_and_walls(tmp_path: Path) -> None:
-    scene = load_scene(write(tmp_path, "r.scn", "0 0.5 1 0.1\r\n-2 -1 -2 1\n-2 1 2 1\n\n2 1 2 -1\n2 -1 -2 -1\n"))
-    assert (scene.start, scene.radius, scene.goal, scene.tour) == (Pose(0, 0.5, 1), 0.1, None, ())
-    assert scene.region == (-2, -1, 2, 1) and len(scene.walls) == 4
+    walls = "-2 -1.5 -2 2\n-2 2 3 2\n\n3 2 3 -1.5\n3 -1.5 -2 -1.5\n"
+    scene = load_scene(write(tmp_path, "r.scn", "0.3 0.5 1.2 0.15\r\n" + walls))
+    assert (scene.start, scene.radius, scene.goal, scene.tour) == (Pose(0.3, 0.5, 1.2), 0.15, None, ())
+    assert scene.region == (-2, -1.5, 3, 2) and len(scene.walls) == 4
+    with pytest.raises(SceneError, match=r"start: found .*, 0\.1 m from a wall"):
+        load_scene(write(tmp_path, "r.scn", "2.9 0.5 1.2 0.15\n" + walls))
 
 
 # --- maps
@@ -151,27 +182,48 @@ def test_outlines_are_the_edges_between_occupied_and_free_cells() -> None:
         assert found == expected
 
 
-def test_the_pose_of_a_map_is_that_of_map_server(tmp_path: Path) -> None:
-    pixels = np.full((4, 6), 254)
-    pixels[3, 1] = 0  # the bottom row
-    scene = load_scene(write_map(tmp_path, pixels, resolution="0.5", origin="[10, 20, 0]"))
-    assert scene.region == (10.5, 20.0, 11.0, 20.5)
-    assert len(scene.walls) == 4 and scene.start is None and scene.goal is None and scene.radius == 0.2
-    turned = load_scene(write_map(tmp_path, pixels, resolution="0.5", origin=f"[10, 20, {math.pi / 2}]"))
-    assert turned.region == pytest.approx((9.5, 20.5, 10.0, 21.0))
-    moved = Pose(10, 20, math.pi / 2) @ (scene.walls - [10, 20])
-    assert np.allclose(np.sort(moved.reshape(-1, 2), axis=0), np.sort(turned.walls.reshape(-1, 2), axis=0))
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_a_slanted_wall_is_a_straight_one_and_no_corner_is_farther_off_than_half_a_cell(run: int) -> None:
+    rows, cols = np.indices((60, 60))
+    solid = cols >= rows // run + 7
+    traced, ends = outline_corners(solid)
+    kept, _ = simplified(traced.astype(np.float64), ends)
+    assert len(kept) <= 8 < len(traced)
+    off = [point_segment_distance(c, np.stack([kept, np.roll(kept, -1, axis=0)], axis=1)).min() for c in traced]
+    assert max(off) <= 0.5 + 1e-9
 
 
-def test_unknown_cells_are_walls_unless_they_are_said_to_be_free(tmp_path: Path) -> None:
-    pixels = np.full((30, 30), 205)
-    pixels[5:25, 5:25] = 254
-    pixels[5, 5:25] = 0  # one wall of four was seen
-    file = write_map(tmp_path, pixels, resolution="0.1")
-    assert load_scene(file).region == pytest.approx((0.0, 0.0, 3.0, 3.0))
-    inside = cast_rays(Pose(1.5, 1.5), np.linspace(-3.1, 3.1, 50), load_scene(file).walls, 10.0)
-    assert inside.max() < 1.5
-    assert load_scene(file, "free").region == pytest.approx((0.5, 2.4, 2.5, 2.5))
+def test_a_wall_one_cell_thick_keeps_its_ends_and_a_corner_its_place() -> None:
+    solid = np.zeros((9, 30), dtype=bool)
+    solid[4, 3:25] = True
+    solid[4:8, 24] = True
+    traced, ends = outline_corners(solid)
+    kept, _ = simplified(traced.astype(np.float64), ends)
+    expected = [[3.0, 4.0], [25.0, 4.0], [25.0, 8.0], [24.0, 8.0], [24.0, 5.0], [3.0, 5.0]]
+    assert sorted(kept.tolist()) == sorted(expected)
+
+
+def test_a_place_in_a_solid_or_on_glass_is_not_free(tmp_path: Path) -> None:
+    pixels = np.full((40, 60), 254)
+    pixels[10:30, 20:45] = 0
+    scene = load_scene(write_map(tmp_path, pixels, origin="[-1.3, 2.7, 0]"))
+    assert check_placement(scene, (0.2, 3.5, 0.4)) == Pose(0.2, 3.5, 0.4)
+    with pytest.raises(SceneError, match=r"start: found \(1.5, 4.9\), inside a wall, 0.8 m deep"):
+        check_placement(scene, (1.5, 4.9, 0.4))
+    assert len(load_scene(write_map(tmp_path, pixels), "free").walls) == 4
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"free_thresh": "0.7"}, "free_thresh: found 0.7, allowed: at most occupied_thresh"),
+        ({"origin": "[0.3, 0.4]"}, "origin: "),
+        ({"resolution": "0"}, "resolution: "),
+    ],
+)
+def test_a_map_with_a_field_that_is_not_allowed_is_refused(tmp_path: Path, fields: dict, said: str) -> None:
+    with pytest.raises(SceneError, match=said):
+        load_scene(write_map(tmp_path, np.full((4, 6), 254), **fields))
 
 
 def test_the_same_pixels_give_the_same_walls_in_every_format(tmp_path: Path) -> None:
@@ -207,17 +259,14 @@ def test_the_real_maps_load(data_dir: Path) -> None:
 
 
 def test_glass_is_solid_and_no_wall(tmp_path: Path) -> None:
-    file = tmp_path / "glazed.toml"
-    file.write_text(GOOD + ROOM + "glass = [[2, 0, 2, 0.5]]\n")
-    scene = load_scene(file)
+    scene = load_scene(write(tmp_path, "glazed.toml", GOOD + ROOM + "glass = [[3.5, 2.5, 3.5, 3.2]]\n"))
     assert len(scene.walls) == 4
-    assert scene.glass.tolist() == [[[2.0, 0.0], [2.0, 0.5]]]
+    assert scene.glass.tolist() == [[[3.5, 2.5], [3.5, 3.2]]]
     assert len(scene.solid) == 5
     with pytest.raises(SceneError, match="goal"):
-        check_placement(scene, goal=(2.1, 0.4))
-    file.write_text(GOOD + ROOM + "glass = [[2, 0, 2]]\n")
+        check_placement(scene, goal=(3.6, 3.1))
     with pytest.raises(SceneError, match="glass, entry 1: found"):
-        load_scene(file)
+        load_scene(write(tmp_path, "glazed.toml", GOOD + ROOM + "glass = [[2, 0, 2]]\n"))
     with pytest.raises(SceneError, match="glass: expected shape"):
         Scene("s", scene.walls, None, 0.2, None, (), scene.region, glass=np.zeros((1, 4)))
 
@@ -244,7 +293,121 @@ def test_every_room_and_hall_is_reached_through_doors():
 
 def test_one_seed_is_one_campus_and_another_is_another():
     assert np.array_equal(campus_walls(SMALL), campus_walls(SMALL))
-    assert not np.array_equal(campus_walls(SMALL), campus_walls(replace(SMALL, seed=5)))
+    assert len({campus_walls(replace(SMALL, seed=seed)).tobytes() for seed in range(4, 8)}) == 4
+
+
+def doors(walls):
+    """Widths of the gaps between the two parts of a wall."""
+    found = []
+    for (a, b), (c, d) in itertools.pairwise(walls):
+        first, gap, last, whole = (float(np.hypot(*(q - p))) for p, q in ((a, b), (b, c), (c, d), (a, d)))
+        if gap > 0.3 and first + gap + last == pytest.approx(whole, abs=1e-9):
+            found.append(gap)
+    return found
+
+
+def test_a_campus_has_its_size_its_share_of_halls_and_its_doors():
+    bare = Campus((6, 4), 27.0, 3.0, 0.0, 0.0, 4)
+    walls = campus_walls(bare)
+    assert (walls.min(axis=(0, 1)).tolist(), walls.max(axis=(0, 1)).tolist()) == ([0.0, 0.0], [183.0, 123.0])
+    xs = np.unique(walls[4:, :, 0].round(9))
+    assert xs[0] == 3.0 and xs[-1] == 180.0  # a corridor goes around all blocks
+    assert 0.9 <= min(doors(walls)) < 0.95 and 1.15 < max(doors(walls)) <= 1.2
+    halls = campus_walls(replace(bare, halls=1.0))
+    assert len(halls) == 4 + 24 * (8 + 4 * 9)  # four sides with a door, and 3 x 3 pillars
+    assert doors(halls[4:12]) == pytest.approx([2.0] * 4)
+    pillars = halls[12:48].reshape(9, 8, 2)
+    assert np.ptp(pillars, axis=1) == pytest.approx(np.full((9, 2), 0.6))
+    assert np.diff(np.unique(pillars[:, 0, 0].round(6))).tolist() == [6.0, 6.0]
+    some = np.concatenate([campus_walls(replace(bare, halls=0.25, seed=seed)) for seed in range(8)])
+    sides_of_pillars = np.isclose(np.linalg.norm(some[:, 1] - some[:, 0], axis=1), 0.6, atol=1e-9).sum()
+    assert 30 < sides_of_pillars / 36 < 66  # of 192 blocks
+
+
+def test_furniture_has_its_mean_number_and_stands_apart_from_walls_and_other_pieces():
+    walls = campus_walls(Campus((3, 2), 27.0, 3.0, 0.0, 2.5, 4))
+    boxes = [walls[k : k + 4] for k in range(len(walls) - 3)
+             if np.array_equal(walls[k + 3, 1], walls[k, 0]) and np.ptp(walls[k : k + 4, :, 0]) < 1.6]  # fmt: skip
+    pieces = np.array([[b[:, :, 0].min(), b[:, :, 1].min(), b[:, :, 0].max(), b[:, :, 1].max()] for b in boxes])
+    assert 6 * 16 < len(pieces) < 2.5 * 6 * 16  # in 16 rooms of a block; some find no place
+    low, high = pieces[:, None, :2], pieces[:, None, 2:]
+    gaps = np.maximum(pieces[None, :, :2] - high, low - pieces[None, :, 2:]).max(axis=2)
+    assert (gaps + 9.0 * np.eye(len(pieces))).min() >= 1.0
+    others = np.array([w for w in walls if not any(w is side or np.array_equal(w, side) for b in boxes for side in b)])
+    centres = 0.5 * (pieces[:, :2] + pieces[:, 2:])
+    reach = 0.5 * np.ptp(pieces.reshape(-1, 2, 2), axis=1).min(axis=1) + 1.0
+    assert all(point_segment_distance(c, others).min() >= least - 1e-9 for c, least in zip(centres, reach, strict=True))
+
+
+def test_a_campus_has_at_most_four_hundred_blocks():
+    with pytest.raises(ConfigError, match="blocks: found 21 x 20, allowed: at most 400 in all"):
+        replace(SMALL, blocks=(21, 20))
+
+
+# --- missions
+
+
+def hall(folder: Path, extra: str = "") -> Path:
+    return write(folder, "hall.toml", GOOD + ROOM + extra)
+
+
+def test_a_mission_has_what_the_configuration_says_and_else_what_the_scene_says(tmp_path: Path) -> None:
+    name = str(hall(tmp_path))
+    for task, goals in (("goal", [(4.5, 3.9)]), ("tour", [(4.5, 3.6), (2.5, 4.1)]), ("explore", [])):
+        config, task_ = mission_of(preset(scene=name, task=task))
+        assert task_.goals.tolist() == [list(goal) for goal in goals] and config.people is None
+        assert (task_.start, task_.radius_m, task_.walkers) == (Pose(2.3, 3.4, 0.7), 0.2, None)
+    own = {"scene": name, "start": (2.1, 3.1, -0.4), "robot": {"radius": 0.15}}
+    for task, given, goals in (
+        ("goal", {"goal": (3.5, 3.2)}, [[3.5, 3.2]]),
+        ("tour", {"tour": ((3.4, 3.2), (4.1, 3.3))}, [[3.4, 3.2], [4.1, 3.3]]),
+    ):
+        task_ = mission_of(preset(task=task, **own, **given))[1]
+        assert (task_.start, task_.radius_m, task_.goals.tolist()) == (Pose(2.1, 3.1, -0.4), 0.15, goals)
+    assert mission_of(preset(task="goal", scene="rectangle"), load_scene(name))[1].goals.tolist() == [[4.5, 3.9]]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"task": "explore", "goal": (3.5, 3.2)}, "goal: found (3.5, 3.2) with task explore"),
+        ({"task": "goal", "tour": ((3.5, 3.2),)}, "tour: found 1 goals with task goal"),
+        ({"task": "goal", "robot": {"radius": 0.7}}, "goal: found (4.5, 3.9), 0.6 m from a wall"),
+        ({"task": "goal", "region": (1.6, 2.8, 4.4, 4.3)}, "goal: found (4.5, 3.9), outside the region"),
+        ({"task": "explore", "start": (9.0, 3.0, 0.4), "laser": {"max_range": 3.4}}, "start: found (9, 3), outside th"),
+        ({"task": "goal", "world": {"walkers": 90}}, "world.walkers: found 90, allowed: at most "),
+    ],
+)  # fmt: skip
+def test_a_mission_that_cannot_be_is_refused_by_its_field(tmp_path: Path, given: dict, said: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        mission_of(preset(scene=str(hall(tmp_path)), **given))
+    assert said in str(caught.value)
+
+
+def test_a_start_outside_region_and_building_is_allowed_where_the_laser_reaches_a_wall(tmp_path: Path) -> None:
+    name = str(hall(tmp_path))
+    for laser_m, start, region in ((3.6, (9.0, 3.0, 0.4), None), (0.3, (3.5, 3.5, 0.4), (1.6, 2.8, 2.5, 4.3))):
+        mission_of(preset(scene=name, task="explore", start=start, region=region, laser={"max_range": laser_m}))
+
+
+def test_the_world_of_a_mission_has_its_seed_its_glass_and_its_people(tmp_path: Path) -> None:
+    name = str(hall(tmp_path, "glass = [[3.5, 2.5, 3.5, 4.5]]\n[[walkers]]\npoints = [[3.0, 3.0]]\n"))
+    config, task = mission_of(preset(scene=name, task="explore", seed=7))
+    assert config.people and mission_of(preset(scene=name, task="explore", people=False))[0].people is False
+    assert mission_of(preset(scene="rectangle", world={"walkers": 1}, task="explore"))[0].people
+    one, other, third = (task.world(replace(config, seed=seed)).step(Command()) for seed in (7, 7, 8))
+    assert np.array_equal(one.scan.ranges, other.scan.ranges) and not np.array_equal(one.scan.ranges, third.scan.ranges)
+    assert one.walkers.shape == (1, 3) and one.walkers[0, :2].tolist() == [3.0, 3.0]
+    world = replace_walkers(task).world(replace(config, start=None))
+    while not (tick := world.step(Command(0.3, -0.14))).collided:
+        last = tick
+    assert last.truth.x < 3.4
+    with pytest.raises(SceneError, match=r"goal: found .*, which no way leads to"):
+        mission_of(preset(scene=name, task="goal"))
+
+
+def replace_walkers(task):
+    return task._replace(walkers=None)
 
 
 # --- goals that no way leads to
@@ -258,16 +421,9 @@ def test_a_shaft_is_reached_through_a_door_that_the_robot_fits_through(gap, is_r
 
 def test_goals_of_every_shipped_scene_are_reached():
     for name in SHIPPED:
+        if name == "campus":
+            continue  # takes longer than all others together
         scene = load_scene(name)
         for task, given in (("goal", scene.goal), ("tour", scene.tour)):
             if given:
                 mission(scene, preset(scene=name, task=task))
-
-
-def test_a_goal_in_a_shaft_without_a_door_is_told_in_one_line(tmp_path):
-    walls = [*SQUARE, *SHAFT, [[3, 3], [3, 4.5]]]
-    rows = ", ".join(str([x for point in wall for x in point]) for wall in walls)
-    (tmp_path / "shaft.toml").write_text(f"start = [1.0, 1.0, 0.0]\nradius = 0.2\nwalls = [{rows}]\n")
-    config = preset(scene=str(tmp_path / "shaft.toml"), task="goal", goal=(3.8, 3.8))
-    with pytest.raises(SceneError, match=r"goal: found \(3.8, 3.8\), which no way leads to from the start \(1, 1\)"):
-        mission(load_scene(config.scene), config)
