@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sixthsense.config import Config, FollowConfig, RobotConfig
-from sixthsense.core.geometry import Array, Pose, wrap_angle
+from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.path_driver import Following, FollowLimits, followed
+from sixthsense.navigation.path_driver import DriverLimits, Following, FollowLimits, GoalDrive, followed, steered
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 
@@ -50,31 +50,80 @@ def drive(
     raise AssertionError("the follower never stood still")
 
 
-def test_without_a_path_the_robot_stands_still() -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    assert follower.step(Pose(1.0, 2.0, 0.3)) == Command()
-    for path in (np.zeros((0, 2)), np.array([[1.0, 2.0]])):
-        follower.follow(path)
-        assert follower.step(Pose(1.0, 2.0, 0.3)) == Command()
+OWN = FollowLimits(distance_slack_m=0.03, heading_slack_rad=0.04, speed=0.7, turn_rate=1.3, period_s=0.05)
+AT = (1.7, -2.4, 0.6)
+WAY = np.array([[1.2, -2.9], [1.7 + 3.0 * math.cos(0.6), -2.4 + 3.0 * math.sin(0.6)], [5.3, 2.2]])
 
 
-def test_it_orients_on_the_spot_and_then_translates() -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    follower.follow(np.array([[0.0, 0.0], [0.0, 2.0]]))
-    rows = drive(follower, Pose())
-    turning = [command.speed == 0.0 and command.turn_rate != 0.0 for _, command in rows[:-1]]
-    first = turning.index(False)
-    assert all(turning[:first])
-    assert not any(turning[first:])
-    assert rows[first][0].position == pytest.approx([0.0, 0.0])
-    assert abs(wrap_angle(rows[first][0].theta - math.pi / 2)) <= FOLLOW.heading_slack_rad
+def followed_from(off_m: float = 3.0, off_rad: float = 0.0, is_driving: bool = False) -> tuple[float, float, int, bool]:
+    """One tick at so many metres from the way point, and so far turned away from it."""
+    back = 3.0 - off_m
+    pose = (AT[0] + back * math.cos(AT[2]), AT[1] + back * math.sin(AT[2]), AT[2] - off_rad)
+    return followed(pose, Following(WAY, 1, is_driving), OWN)
 
 
-@pytest.mark.parametrize("goal", [(-1.0, 1e-3), (-1.0, -1e-3)])
-def test_it_turns_in_the_direction_of_the_smaller_angle(goal: tuple[float, float]) -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    follower.follow(np.array([(0.0, 0.0), goal]))
-    assert math.copysign(1.0, follower.step(Pose()).turn_rate) == math.copysign(1.0, goal[1])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_it_turns_on_the_spot_beyond_the_slack_of_heading_and_drives_within_it(side: float) -> None:
+    """At most as fast as it can, and not beyond the direction of the way point in one tick."""
+    assert followed_from(off_rad=side * 0.0399) == (0.7, pytest.approx(side * 2.0 * 0.0399 * 0.7 / 3.0), 1, True)
+    assert followed_from(off_rad=side * 0.0401) == (0.0, pytest.approx(side * 0.0401 / 0.05), 1, False)
+    assert followed_from(off_rad=side * 3.1) == (0.0, side * 1.3, 1, False)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_robot_that_drives_turns_on_the_spot_beyond_five_times_the_slack(side: float) -> None:
+    assert followed_from(off_rad=side * 0.199, is_driving=True)[0] == 0.7
+    assert followed_from(off_rad=side * 0.201, is_driving=True) == (0.0, side * 1.3, 1, False)
+    near = followed_from(0.2, side * 0.19, is_driving=True)  # a way point that is near does not make it swing
+    assert near == (0.7, pytest.approx(side * 2.0 * 0.19 * 0.7 / 0.25), 1, True)
+
+
+def test_a_way_point_within_the_slack_of_distance_is_reached_and_none_is_overshot() -> None:
+    assert followed_from(0.0301, is_driving=True) == (
+        pytest.approx(0.0301 / 0.05),
+        pytest.approx(0.0, abs=1e-9),
+        1,
+        True,
+    )
+    assert followed_from(0.0299, is_driving=True)[2:] == (2, False)
+    for path in (WAY[:2], WAY[:1], WAY[:0]):
+        assert followed((WAY[1, 0], WAY[1, 1], 0.6), Following(path, 1, True), OWN)[:2] == (0.0, 0.0)
+
+
+DRIVER = DriverLimits(goal_slack_m=0.06, patience_ns=7e9, turn_rate=1.1, follow=OWN)
+DRIVE = GoalDrive((4.1, 2.0), True, Following(WAY, 1, True), is_watched=True, anchor=(3 * 10**9, AT[0], AT[1]))
+TURN = DRIVE._replace(is_following=False, is_turning=True, heading=AT[2] - 0.02, left_rad=0.05)
+
+
+def at_goal(off_m: float) -> tuple[float, float, float]:
+    return 4.1 + off_m * math.cos(2.2), 2.0 + off_m * math.sin(2.2), 0.6
+
+
+@pytest.mark.parametrize(
+    ("drive", "pose", "stamp_ns", "is_all"),
+    [
+        (DRIVE, at_goal(0.0601), 4 * 10**9, True),
+        (DRIVE, at_goal(0.0599), 4 * 10**9, False),
+        (DRIVE, AT, 10 * 10**9, True),
+        (DRIVE, AT, 10 * 10**9 + 1, False),
+        (DRIVE._replace(is_watched=False), AT, 10 * 10**9 + 1, True),
+        (DRIVE, (AT[0] + 0.0999 * 0.8, AT[1] - 0.0999 * 0.6, 0.6), 10 * 10**9 + 1, False),
+        (DRIVE, (AT[0] + 0.1001 * 0.8, AT[1] - 0.1001 * 0.6, 0.6), 10 * 10**9 + 1, True),
+        (TURN, (AT[0], AT[1], AT[2] + 0.0299), 4 * 10**9, True),
+        (TURN, (AT[0], AT[1], AT[2] + 0.0301), 4 * 10**9, False),
+        (TURN, (AT[0], AT[1], AT[2] - 0.0701), 4 * 10**9, False),
+    ],
+    ids=["before", "at goal", "patient", "stuck", "not watched", "no progress", "progress", "turns", "turned", "back"],
+)
+def test_the_mission_is_asked_at_the_goal_without_progress_and_after_a_turn_alone(
+    drive: GoalDrive, pose: tuple[float, float, float], stamp_ns: int, is_all: bool
+) -> None:
+    after, speed, turn_rate, found = steered(drive, pose, stamp_ns, DRIVER)
+    assert found == is_all
+    if is_all and drive.is_following:
+        assert (speed, turn_rate) == followed(pose, drive.following, OWN)[:2] and not after.is_turning
+    elif is_all:
+        assert (speed, turn_rate, after.left_rad) == (0.0, 1.1, pytest.approx(0.0001))
 
 
 @settings(max_examples=40, deadline=None)
@@ -138,14 +187,6 @@ def test_a_slow_control_loop_overshoots_no_way_point(control_period_s: float) ->
     poses = [pose for pose, _ in drive(follower, Pose(), robot)]
     assert max(pose.x for pose in poses) == pytest.approx(1.3, abs=1e-5)
     assert poses[-1].position == pytest.approx([1.3, 0.7], abs=1e-5)
-
-
-def test_a_new_path_replaces_the_old_one() -> None:
-    follower = Follower(FOLLOW, ROBOT)
-    follower.follow(np.array([[0.0, 0.0], [5.0, 0.0]]))
-    follower.step(Pose())
-    follower.follow(np.array([[0.0, 0.0], [0.0, 1.0]]))
-    assert drive(follower, Pose())[-1][0].position == pytest.approx([0.0, 1.0], abs=2 * FOLLOW.distance_slack_m)
 
 
 def test_the_path_given_is_copied_and_what_remains_starts_at_the_robot() -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 from sixthsense.config import Config, merge, preset
 from sixthsense.core.geometry import Array, Pose
@@ -119,57 +120,107 @@ def test_a_robot_that_obeys_the_guard_tick_by_tick_never_touches_what_it_has_see
         assert np.linalg.norm(seen - pose.position, axis=1).min() > RADIUS
 
 
-def test_a_robot_may_always_turn_on_the_spot() -> None:
+def test_a_robot_may_always_turn_on_the_spot_and_is_counted_once_for_each_stop() -> None:
     guard, _ = guard_before(np.array([[0.201, 0.0], [0.0, 0.201], [-0.201, 0.0], [0.0, -0.201]]))
-    assert guard.check(Command(0.0, 1.0)) == Command(0.0, 1.0)
-    assert not guard.stopped
-    assert guard.check(Command(0.3, 0.5)) == Command(0.0, 0.5)
-    assert guard.stopped and guard.stops == 1
+    assert guard.check(Command(0.0, 0.7)) == Command(0.0, 0.7) and (guard.stopped, guard.stops) == (False, 0)
+    for speed, stops in ((0.3, 1), (0.4, 1), (0.0, 1), (0.3, 2)):
+        assert guard.check(Command(speed, 0.6)) == Command(0.0, 0.6)
+        assert (guard.stopped, guard.stops) == (speed > 0.0, stops)
 
 
-def test_a_robot_may_move_away_from_a_return_that_it_almost_touches() -> None:
-    guard, _ = guard_before(np.array([[0.19, 0.0]]))
-    assert guard.check(Command(0.5, 0.0)).speed == 0.0
-    assert guard.check(Command(-0.5, 0.0)).speed == -0.5
+OWN = merge(CONFIG, {"robot": {"deceleration": 1.3, "control_period_s": 0.03},
+                     "safety": {"buffer_m": 0.04, "body_m": 0.17, "creep": 0.12},
+                     "laser": {"period_ticks": 3, "mount": (0.12, -0.07, 0.3)}})  # fmt: skip
+LATENCY_S, KEPT_M = 4 * 0.03, RADIUS + 0.04
+ARC = Command(0.55, 0.33)
 
 
-def corridor(width: float) -> Array:
-    x = np.linspace(-1.0, 1.0, 400)
-    return np.concatenate([np.column_stack([x, np.full(400, y)]) for y in (-0.5 * width, 0.5 * width)])
+def distance_to_stop(speed: float) -> float:
+    """Plain reference: constant speed while nothing happens, then constant braking."""
+    return speed * LATENCY_S + speed**2 / (2 * 1.3)
 
 
-def test_the_speed_decreases_with_the_width_of_a_corridor_down_to_creep_speed() -> None:
-    speeds = [guard_before(corridor(width))[0].check(Command(0.5, 0.0)).speed for width in (0.45, 0.5, 0.6, 0.7, 0.9)]
-    assert speeds == sorted(speeds)
-    assert speeds[0] == pytest.approx(CONFIG.safety.creep)
-    assert speeds[0] < speeds[2] < speeds[-1] == 0.5
+def fastest(distance: float) -> float:
+    return float(brentq(lambda speed: distance_to_stop(speed) - distance, 0.0, 9.0, xtol=1e-14))
 
 
-def test_a_slowed_command_stays_on_its_arc() -> None:
-    guard, _ = guard_before(corridor(0.55))
-    slow = guard.check(Command(0.4, 0.1))
-    assert 0.0 < slow.speed < 0.4
-    assert slow.turn_rate / slow.speed == pytest.approx(0.1 / 0.4)
+def seen_at(distance: float, bearing: float, moves: bool = False) -> Guard:
+    """A guard that has seen one return, in the robot's frame, by a laser that is mounted aside and turned."""
+    guard, mount = Guard(OWN, RADIUS), Pose(*OWN.laser.mount)
+    point = distance * np.array([math.cos(bearing), math.sin(bearing)])
+    x, y = mount.inverse() @ point
+    row = np.array([math.hypot(x, y), np.inf], dtype=np.float32)
+    guard.see(Scan(row, math.atan2(y, x), 0.7, 9.0, mount), point[None] if moves else np.zeros((0, 2)))
+    return guard
 
 
-def test_a_better_brake_and_a_faster_scanner_allow_more_speed() -> None:
-    def speed(deceleration: float, ticks: int) -> float:
-        config = merge(CONFIG, {"robot": {"deceleration": deceleration}, "laser": {"period_ticks": ticks}})
-        return guard_before(np.array([[0.27, 0.0]]), config)[0].check(Command(0.5, 0.0)).speed
-
-    assert speed(0.5, 5) < speed(2.0, 5) < speed(2.0, 1)
-
-
-def test_without_the_guard_every_command_is_unchanged() -> None:
-    guard, _ = guard_before(np.array([[0.21, 0.0]]), merge(CONFIG, {"safety": {"guard": False}}))
-    assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
+def contact_at(arc_m: float, aside_m: float = 0.1) -> tuple[float, float]:
+    """Range and bearing of a return that the disc touches, beside its middle, when it has driven so far on `ARC`."""
+    centre = rk4(Pose(), ARC.speed, ARC.turn_rate, arc_m / ARC.speed)
+    x, y = centre @ np.array([math.sqrt(KEPT_M**2 - aside_m**2), aside_m])
+    return math.hypot(x, y), math.atan2(y, x)
 
 
-def test_before_the_first_scan_and_without_returns_every_command_is_unchanged() -> None:
-    guard = Guard(CONFIG, RADIUS)
-    assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
+def test_a_return_ahead_beside_the_way_slows_to_the_speed_that_stops_before_it() -> None:
+    assert stopping_distance(0.55, LATENCY_S, 1.3) == pytest.approx(distance_to_stop(0.55))
+    for ratio in (0.6, 0.999, 1.001):
+        gap = ratio * distance_to_stop(ARC.speed)
+        found = seen_at(KEPT_M + gap, -1.4).check(ARC)
+        assert found.speed == pytest.approx(fastest(gap) if ratio < 1.0 else ARC.speed, rel=1e-5)
+        assert found.turn_rate / found.speed == pytest.approx(ARC.turn_rate / ARC.speed)
+
+
+def test_a_return_ahead_slows_to_creep_speed_and_one_behind_does_not_slow() -> None:
+    for bearing, speed in ((1.5, 0.12), (-1.5, 0.12), (1.64, 0.55), (-1.64, 0.55)):
+        guard, away = seen_at(KEPT_M + 0.003, bearing), -math.copysign(0.02, bearing)
+        assert guard.check(Command(0.55, away)).speed == pytest.approx(speed) and not guard.stopped
+        assert guard.check(Command(-0.55, -away)).speed == pytest.approx(speed - 0.67) and not guard.stopped
+
+
+def test_a_return_on_the_way_stops_where_creep_speed_would_touch_it() -> None:
+    for ratio, is_stopped in ((0.97, True), (1.03, False)):
+        guard = seen_at(*contact_at(ratio * distance_to_stop(0.12)))
+        found = guard.check(ARC)
+        assert (guard.stopped, found.turn_rate == ARC.turn_rate) == (is_stopped, is_stopped)
+        assert found.speed == (0.0 if is_stopped else pytest.approx(0.12, rel=0.05))
+        assert guard.check(Command(-ARC.speed, ARC.turn_rate)).speed == -ARC.speed
+
+
+def test_what_moves_is_kept_a_body_away_and_is_waited_for_only_if_it_is_nearest() -> None:
+    for moves, ratio in ((True, 1.001), (True, 0.95), (False, 0.95)):
+        gap = ratio * distance_to_stop(ARC.speed)
+        found = seen_at(KEPT_M + 0.17 + gap, 0.1, moves).check(ARC).speed
+        assert found == pytest.approx(fastest(gap) if moves and ratio < 1.0 else ARC.speed, rel=1e-5)
+    for moves, is_stopped in ((True, True), (False, False)):
+        guard = seen_at(KEPT_M + 0.16, 0.1, moves)
+        assert guard.check(ARC).speed == 0.0 or not is_stopped
+        assert guard.stopped == guard.waits_for_moving == is_stopped
+    guard.see(scan_of(np.array([[KEPT_M + 0.001, 0.02]])), np.array([[KEPT_M + 0.3, 0.02]]))
+    assert guard.check(ARC).speed == 0.0 and not guard.waits_for_moving
+
+
+def test_the_motion_since_the_scan_counts_until_the_next_one() -> None:
+    far, motion = KEPT_M + 1.3 * distance_to_stop(ARC.speed), Pose(0.07, 0.01, 0.05)
+    guard, point = seen_at(far, 0.2), far * np.array([math.cos(0.2), math.sin(0.2)])
+    assert guard.check(ARC) == ARC
+    guard.moved(motion)
+    guard.moved(motion)
+    gap = float(np.linalg.norm((motion @ motion).inverse() @ point)) - KEPT_M
+    assert guard.check(ARC).speed == pytest.approx(fastest(gap), rel=1e-5)
     guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
-    assert guard.check(Command(0.5, 0.1)) == Command(0.5, 0.1)
+    assert guard.since == Pose() and guard.check(ARC) == ARC
+
+
+def test_without_the_guard_or_a_scan_and_with_beams_that_return_nothing_a_command_is_unchanged() -> None:
+    near = np.array([[0.21, 0.01]])
+    assert guard_before(near)[0].check(ARC) != ARC
+    assert guard_before(near, merge(CONFIG, {"safety": {"guard": False}}))[0].check(ARC) == ARC
+    guard, mount = Guard(OWN, RADIUS), Pose(*OWN.laser.mount)
+    assert guard.check(ARC) == ARC
+    guard.see(Scan(np.array([0.0, 0.375, np.inf], dtype=np.float32), 0.6, 0.3, 0.375, mount))  # at most 0.375 m
+    assert guard.check(ARC) == ARC
+    guard.see(Scan(np.array([0.0, 0.374, np.inf], dtype=np.float32), 0.6, 0.3, 0.375, mount))
+    assert guard.check(ARC) != ARC
 
 
 class SuddenWall(World):
@@ -217,34 +268,28 @@ def test_a_robot_much_noisier_than_assumed_touches_nothing(name: str, changes: d
     assert measure(driven(config, SuddenWall))["collisions"] == 0
 
 
-def moving_ahead(distance_m: float) -> Array:
-    return np.array([[distance_m, 0.0], [distance_m, 0.05]])
-
-
-def test_the_guard_keeps_a_body_from_what_moves_and_less_from_a_wall() -> None:
-    ahead = moving_ahead(RADIUS + 0.15)
-    guard, _ = guard_before(ahead)
-    assert guard.check(Command(0.1, 0.0)).speed > 0.0 and not guard.waits_for_moving
-    guard.see(scan_of(ahead), ahead)
-    assert guard.check(Command(0.1, 0.0)) == Command(0.0, 0.0) and guard.waits_for_moving
-    assert guard.check(Command(-0.1, 0.0)) == Command(-0.1, 0.0)
-
-
-def test_a_robot_that_someone_stops_waits_for_three_seconds_before_it_seeks_another_way() -> None:
+@pytest.mark.parametrize(("distance_m", "moves", "told_s"), [(0.02, False, 0.7), (0.1, True, 3.7)])
+def test_a_robot_that_someone_stops_waits_for_three_seconds_before_it_seeks_another_way(
+    distance_m: float, moves: bool, told_s: float
+) -> None:
     told: list[float] = []
 
     class Ahead(Navigator):
+        now_s = 0.0
+
         def step(self, pose: Pose, stamp_ns: int) -> Command:
             self.now_s = 1e-9 * stamp_ns
-            return Command(0.5, 0.0)
+            return Command(0.5, 0.1)
 
         def guard_stopped(self, pose: Pose) -> None:
             told.append(self.now_s)
 
-    for distance_m, moves, expected_s in ((0.02, False, 0.0), (0.1, True, 3.0)):
+    pilot, ahead = Pilot(Ahead(), Guard(CONFIG, RADIUS)), np.array([[RADIUS + distance_m, 0.0]])
+    for begin_s in (0.7, 10.7):  # someone who has gone, and comes again, is waited for again
         told.clear()
-        pilot, ahead = Pilot(Ahead(), Guard(CONFIG, RADIUS)), moving_ahead(RADIUS + distance_m)
-        pilot.guard.see(scan_of(ahead), ahead if moves else np.zeros((0, 2)))
-        for k in range(50):
-            assert pilot.command(Pose(), k * 100_000_000) == Command()
-        assert told[0] == pytest.approx(expected_s)
+        pilot.guard.see(scan_of(ahead), ahead if moves else ahead[:0])
+        for k in range(40):
+            assert pilot.command(Pose(), round((begin_s + 0.1 * k) * 1e9)).speed == 0.0
+        assert told[0] == pytest.approx(told_s + begin_s - 0.7)
+        pilot.guard.see(Scan.from_config(np.full(360, np.inf), CONFIG.laser))
+        assert pilot.command(Pose(), round((begin_s + 4.0) * 1e9)) == Command(0.5, 0.1)
