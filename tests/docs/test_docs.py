@@ -83,16 +83,6 @@ def test_every_field_that_a_page_names_as_an_option_exists():
     assert {flag for flag in named if flag.replace("_", "-").replace(".no-", ".") not in flags | sections} == set()
 
 
-def test_every_command_has_a_part_with_its_options():
-    import reference
-
-    from sixthsense.cli import COMMANDS
-
-    page = reference.command_line()
-    assert all(f"\n## {name}\n" in page for name in COMMANDS)
-    assert "| `--overwrite` | Replace the folder if it exists. |" in page
-
-
 class Page:
     class file:  # noqa: N801
         src_uri = "some.md"

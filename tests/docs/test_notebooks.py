@@ -53,26 +53,5 @@ def test_a_notebook_shows_no_place_of_the_machine_that_ran_it(notebook: Path) ->
     assert not [match.group() for text in words for match in PLACE.finditer(text)]
 
 
-def test_the_first_cell_installs_in_colab_alone(notebook: Path) -> None:
-    first = json.loads(notebook.read_text(encoding="utf-8"))["cells"][0]
-    assert first["cell_type"] == "code" and "setup" in first["metadata"]["tags"] and not first["outputs"]
-    assert '"google.colab" in sys.modules' in "".join(first["source"])
-
-
-def test_a_notebook_begins_with_its_title_its_badges_and_its_picture(notebook: Path) -> None:
-    title, picture = json.loads(notebook.read_text(encoding="utf-8"))["cells"][1:3]
-    text = "".join(title["source"])
-    assert text.startswith("# ") and text.count(f"notebooks/{notebook.name})") == 2
-    assert any("image/png" in output.get("data", {}) for output in picture["outputs"])
-
-
-def test_a_notebook_has_a_slider_and_an_exercise_with_its_answer_folded(notebook: Path) -> None:
-    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
-    code = "".join("".join(cell["source"]) for cell in code_cells(notebook))
-    text = "".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "markdown")
-    assert len(re.findall(r"(?<!import )slider\(", code)) == 1
-    assert text.count("## Exercise") == text.count("<summary>Answer</summary>") == 1
-
-
 def test_a_notebook_is_small_enough_to_be_kept_in_every_version(notebook: Path) -> None:
     assert notebook.stat().st_size < MOST_BYTES

@@ -9,15 +9,7 @@ from sixthsense.cli import COMMANDS, main
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-MOST_LINES = 120
-MOST_FILM_BYTES = 2_000_000
 GENERAL = ("", "--help", "--version")
-
-
-def test_readme_is_short_and_begins_with_a_small_film() -> None:
-    assert TEXT.count("\n") <= MOST_LINES
-    alternative, film = re.findall(r"!\[(.*?)\]\((.*?)\)", TEXT)[0]
-    assert len(alternative) > 20 and (ROOT / film).stat().st_size <= MOST_FILM_BYTES
 
 
 def test_the_lines_of_python_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
