@@ -37,8 +37,6 @@ class Tick:
     increment_cov: Array | None = None
     """(3, 3) of the motion since the last tick, frame before, if the log states it; else it follows from the assumed
     noise."""
-    is_unmeasured: bool = False
-    """Whether nothing has measured the motion since the last tick: `odometry` is held, and the scan alone tells it."""
     truth: Pose | None = None
     """`T_world_robot`, for the record only."""
     collided: bool = False
@@ -49,6 +47,8 @@ class Tick:
     """How often the robot and a person have touched so far, by the robot's fault and by the person's."""
     log_stamp_s: float | None = None
     """The log's own stamp of the scan, which relations refer to."""
+    is_unmeasured: bool = False
+    """Whether nothing has measured the motion since the last tick: `odometry` is held, and the scan alone tells it."""
     sightings = OldName("sightings", "observations")
 
 

@@ -11,18 +11,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sixthsense.config import Config, ConfigError, KeyframeConfig
-from sixthsense.config.names import KEEP_POSES
+from sixthsense.config import KeyframeConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.landmarks import LandmarkId, Observation
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import Odometry
-from sixthsense.core.random_streams import random_streams
-from sixthsense.slam.association.associator import Associator
 from sixthsense.slam.association.records import Association
-from sixthsense.slam.estimators import Estimate, Estimator, Smoother
+from sixthsense.slam.estimators import Estimate
 from sixthsense.slam.features import NO_FEATURES, Features
-from sixthsense.slam.motion_source import MotionSource, Wheels
 
 Clock = Callable[[str], AbstractContextManager[object]]
 """Times a stage: `with clock("extract"):`"""
@@ -125,25 +121,3 @@ def is_due(motion: Pose, odometry: Odometry, limits: KeyframeConfig) -> bool:
     """Whether a scan after this `motion` since the last keyframe is far enough to be one; `odometry` since then."""
     is_far = math.hypot(motion.x, motion.y) >= limits.distance_m or abs(motion.theta) >= limits.turn_rad
     return is_far and not odometry.is_standstill()
-
-
-def make_front_end(
-    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: MotionSource, clock: Clock
-) -> FrontEnd:
-    """The configured front end at `start`, `T_world_robot`; ConfigError for one that the estimator cannot use."""
-    if config.front_end == "scan-matching":
-        if not isinstance(estimator, Smoother):
-            raise ConfigError(f"front_end: found scan-matching with {config.estimator}, {KEEP_POSES}")
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        return ScanFrontEnd(config, estimator, start, motion, clock)
-    from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
-
-    guide = None
-    if config.association.proposed_by == "scan-matching":
-        from sixthsense.slam.estimators.isam2 import ISAM2
-        from sixthsense.slam.scans.front_end import ScanFrontEnd
-
-        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
-        guide = ScanFrontEnd(config, smoother, start, Wheels(config.assumed), clock, is_guide=True)
-    return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

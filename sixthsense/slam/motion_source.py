@@ -16,11 +16,13 @@ from typing import Protocol
 
 import numpy as np
 
-from sixthsense.config import AssumedConfig
+from sixthsense.config import AssumedConfig, Config, ConfigError
+from sixthsense.config.names import NEEDS_FILTER
 from sixthsense.core.geometry import Array, Pose, rotation, wrap_angle
 from sixthsense.core.motion import Odometry, WheelOdometry, compose_jacobians, odometry
 from sixthsense.core.source import Tick
-from sixthsense.core.wheels import WheelEstimate
+from sixthsense.core.wheels import WheelEstimate, wheel_prior
+from sixthsense.slam.estimators import Estimator, Filter
 
 # Sigmas grow with the way, not with its square root.
 _SIGMA_M, WHEELS_M_PER_M = 0.01, 0.05
@@ -64,6 +66,21 @@ class MotionSource(Protocol):
     def at_keyframe(self, wheels: WheelEstimate | None) -> None:
         """Begin anew at a keyframe, with the wheels' parameters if they are estimated."""
         ...
+
+
+def make_motion_source(config: Config, estimator: Estimator) -> MotionSource:
+    """The configured source of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
+    if config.no_odometry:
+        return LastVelocity()
+    if not config.calibrate_wheels:
+        return Wheels(config.assumed)
+    if not isinstance(estimator, Filter):
+        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
+    prior = wheel_prior(config.assumed)
+    estimator.estimate_wheels(prior)
+    source = CalibratedWheels(config.assumed)
+    source.at_keyframe(prior)
+    return source
 
 
 class Wheels:

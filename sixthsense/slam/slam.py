@@ -12,23 +12,25 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from sixthsense.config import Config, ConfigError
-from sixthsense.config.names import NEEDS_FILTER
+from sixthsense.config.names import KEEP_POSES
 from sixthsense.config.platform import DEFAULT_ROBOT_RADIUS_M
 from sixthsense.core.arguments import as_array, as_pose
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.core.motion import STANDSTILL, Odometry
+from sixthsense.core.random_streams import random_streams
 from sixthsense.core.sensor import SensorEstimate
 from sixthsense.core.source import Tick
-from sixthsense.core.wheels import WheelEstimate, wheel_prior
+from sixthsense.core.wheels import WheelEstimate
 from sixthsense.slam.association.associator import Associator
-from sixthsense.slam.estimators import Estimate, Estimator, Filter, make_estimator
+from sixthsense.slam.estimators import Estimate, Estimator, Filter, Smoother, make_estimator
 from sixthsense.slam.features.deskew import Deskewer
-from sixthsense.slam.front_end import Clock, Evidence, Keyframe, LoopClosureCounts, make_front_end, untimed
+from sixthsense.slam.front_end import Clock, Evidence, FrontEnd, Keyframe, LoopClosureCounts, untimed
+from sixthsense.slam.landmark_front_end import LandmarkFrontEnd
 from sixthsense.slam.mapping.grid import Grid
 from sixthsense.slam.mapping.mapper import Mapper
 from sixthsense.slam.mapping.straight_gaps import straight_gaps
-from sixthsense.slam.motion_source import CalibratedWheels, LastVelocity, MotionSource, Wheels
+from sixthsense.slam.motion_source import MotionSource, Wheels, make_motion_source
 from sixthsense.slam.moving import NOTHING_MOVES, Moving, MovingReturns
 from sixthsense.slam.prior_map import PriorMap, begin_with
 from sixthsense.slam.result import SlamResult, Step
@@ -72,7 +74,7 @@ class Slam:
         self._mapper = Mapper(config.grid, self._radius_m, config.safety.body_m)
         records = None if prior_map is None else prior_map.fresh_records()
         self.associator = Associator(config.association, records, self._mapper.are_free)
-        self._motion = motion_source(config, self.estimator)
+        self._motion = make_motion_source(config, self.estimator)
         self._deskew = Deskewer(config.features.deskew)
         self._moving = MovingReturns(config.grid.no_return_passes) if config.people else None
         self._sensor = SensorCalibration(config, self.estimator, self._start)
@@ -250,16 +252,21 @@ class Slam:
         self._mapper.add(keyframe.index, self.trajectory, scan, walls, moving.standing_robot)
 
 
-def motion_source(config: Config, estimator: Estimator) -> MotionSource:
-    """The configured source of motion; ConfigError for an estimator that cannot estimate the wheels, if it is to."""
-    if config.no_odometry:
-        return LastVelocity()
-    if not config.calibrate_wheels:
-        return Wheels(config.assumed)
-    if not isinstance(estimator, Filter):
-        raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
-    prior = wheel_prior(config.assumed)
-    estimator.estimate_wheels(prior)
-    source = CalibratedWheels(config.assumed)
-    source.at_keyframe(prior)
-    return source
+def make_front_end(
+    config: Config, estimator: Estimator, associator: Associator, start: Pose, motion: MotionSource, clock: Clock
+) -> FrontEnd:
+    """The configured front end at `start`, `T_world_robot`; ConfigError for one that the estimator cannot use."""
+    if config.front_end == "scan-matching":
+        if not isinstance(estimator, Smoother):
+            raise ConfigError(f"front_end: found scan-matching with {config.estimator}, {KEEP_POSES}")
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+        return ScanFrontEnd(config, estimator, start, motion, clock)
+    guide = None
+    if config.association.proposed_by == "scan-matching":
+        from sixthsense.slam.estimators.isam2 import ISAM2
+        from sixthsense.slam.scans.front_end import ScanFrontEnd
+
+        smoother = ISAM2(start, np.zeros((3, 3)), config.isam2)
+        guide = ScanFrontEnd(config, smoother, start, Wheels(config.assumed), clock, is_guide=True)
+    return LandmarkFrontEnd(config, estimator, associator, random_streams(config.seed).ransac, start, clock, guide)

@@ -10,7 +10,7 @@ from sixthsense.config import merge
 from sixthsense.core.geometry import Pose
 from sixthsense.core.landmarks import Kind
 from sixthsense.core.motion import Odometry
-from sixthsense.core.source import ControlTicks, Tick
+from sixthsense.core.source import Tick
 from sixthsense.record.trace import Live, Trace
 from sixthsense.slam.association.records import Association
 from sixthsense.slam.estimators import Estimate
@@ -39,29 +39,21 @@ def test_the_way_is_that_of_the_true_pose_if_there_is_one_and_leaves_out_where_t
     assert trace.path_length_m == pytest.approx(6.5) and trace.last_position == pytest.approx(WAY[-1])
 
 
-def test_the_way_of_ticks_at_once_is_that_of_the_same_ticks_one_by_one(trace: Trace) -> None:
-    trace.add_tick(Tick(0, Pose(), truth=Pose(*WAY[0])), Pose())
-    truths = np.array([(*place, 0.7) for place in WAY[1:]])
-    covs = np.array([np.eye(3) * 1e-6, CARRIED, np.eye(3) * 1e-6])
-    trace.add_ticks(ControlTicks(np.arange(3), -truths, truths, truths, covs, np.zeros(3, bool)))
-    assert trace.path_length_m == pytest.approx(6.5) and trace.last_position == pytest.approx(WAY[-1])
-
-
 def test_a_scan_and_its_keyframe_are_added_with_what_was_believed_before_and_after(trace: Trace) -> None:
     rng = np.random.default_rng(3)
     motion = Odometry(pose_of(rng), cov_of(rng))
     predicted, estimate = (Estimate.of_pose(pose_of(rng), cov_of(rng)) for _ in range(2))
     found = Association({4: observation_of(rng, Kind.END)}, 3, 2.5, 2, 1)
     features = dataclasses.replace(NO_FEATURES, walls=rng.normal(size=(2, 2, 2)))
-    keyframe = Keyframe(motion, predicted, estimate, found, features)
+    keyframe = Keyframe(0, motion, predicted, estimate, found, features)
     people = rng.normal(size=(2, 3))
     poses = [pose_of(rng) for _ in range(8)]
     grid = Grid(CONFIG.grid, 0.23)
-    before = Step(5, poses[0], poses[1], None, poses[2], cov_of(rng), None, None, grid)
+    before = Step(5, poses[0], poses[1], None, Odometry(poses[2], cov_of(rng)), None, None, grid)
     trace.add_scan(Tick(5, poses[3], truth=poses[4], walkers=people, touches=(1, 2)), before)
     tick = Tick(9, poses[3], truth=poses[7], walkers=2 * people, touches=(3, 5), log_stamp_s=1.25)
     trace.add_keyframe(tick, keyframe)
-    trace.add_scan(tick, Step(9, poses[5], poses[6], motion, Pose(), cov_of(rng), None, keyframe, grid))
+    trace.add_scan(tick, Step(9, poses[5], poses[6], motion, Odometry(Pose(), cov_of(rng)), None, keyframe, grid))
     assert trace.stamps_ns == [5, 9] and np.array_equal(trace.log_stamps_s, [np.nan, 1.25], equal_nan=True)
     rows = {"estimates": (0, 5), "odometry": (1, 6), "truths": (4, 7)}
     for name, indices in rows.items():

@@ -4,13 +4,15 @@ import time
 from collections import Counter
 from contextlib import redirect_stderr
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import pytest
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import rotation
 from sixthsense.record.trace import Trace
-from sixthsense.running.progress import LiveStatus, Progress
+from sixthsense.running.progress import LiveStatus, Progress, combined_hooks, seen_area
 
 
 def a_live_trace(scans: int) -> Trace:
@@ -44,3 +46,66 @@ def test_nothing_is_written_where_no_terminal_is():
         bar(at(0.0), Trace(preset(), None, 0.2))
         bar(at(5.0), Trace(preset(), None, 0.2))
     assert err.getvalue() == ""
+
+
+class Bar:
+    """What a bar is told."""
+
+    def __init__(self, shown: bool | None, **options: Any) -> None:
+        self.options, self.disable, self.seconds, self.texts = options, False, [], []
+
+    def update(self, seconds: float) -> None:
+        self.seconds.append(seconds)
+
+    def set_postfix_str(self, text: str, refresh: bool) -> None:
+        self.texts.append(text)
+
+    def set_description_str(self, text: str) -> None:
+        self.texts.append(text)
+
+    def close(self) -> None:
+        raise OSError("the terminal has been closed")
+
+
+def test_a_bar_advances_by_the_time_of_the_source_and_asks_for_the_status_once_a_second(monkeypatch):
+    now_s, slept = [100.0], []
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(time, "sleep", slept.append)
+    monkeypatch.setattr("sixthsense.running.progress.progress_bar", Bar)
+    trace = Trace(preset(), None, 0.2)
+    with Progress("hall", 10.0, realtime=True, status=lambda trace: f"at {now_s[0]:g}") as progress:
+        bar = progress._bar
+        progress.say("compiling")
+        progress.say("")
+        progress(at(3.0), trace)
+        for source_s, wall_s in ((3.05, 100.1), (3.15, 100.2), (4.0, 100.6), (5.0, 101.7)):
+            now_s[0] = wall_s
+            progress(at(source_s), trace)
+        progress(at(5.6), trace)
+    assert (bar.options["total"], bar.options["desc"], bar.disable) == (10.0, "hall", True)
+    assert bar.seconds == pytest.approx([0.15, 0.85, 1.0, 0.6])
+    assert bar.texts == ["hall: compiling", "hall", "at 100.2", "at 101.7"]
+    assert slept == pytest.approx([0.0, 0.0, 0.0, 0.4, 0.3, 0.9])
+
+
+def test_hooks_are_called_in_their_order() -> None:
+    said: list[tuple[str, Any, Any]] = []
+    hooks = [lambda tick, trace, name=name: said.append((name, tick, trace)) for name in ("a", "b")]
+    combined_hooks(*hooks)("tick", "trace")  # type: ignore[arg-type]
+    assert said == [("a", "tick", "trace"), ("b", "tick", "trace")]
+
+
+def test_an_exploration_shows_the_seen_area_beside_that_of_the_region():
+    grid = SimpleNamespace(seen_area_m2=0.0)
+    trace = SimpleNamespace(grid=grid, scene=None, config=preset(region=(-1.5, 2.0, 2.5, 5.0)))
+    assert seen_area(trace) == ""
+    grid.seen_area_m2 = 4.0
+    assert seen_area(trace) == "4 of at most 12 m² seen"
+    trace.scene = SimpleNamespace(region=(-7.0, 1.0, -2.0, 5.0))
+    assert seen_area(trace) == "4 of at most 12 m² seen"
+    trace.config = preset()
+    assert seen_area(trace) == "4 of at most 20 m² seen"
+    grid.seen_area_m2 = 25.0
+    assert seen_area(trace) == "25 of at most 25 m² seen"
+    trace.config = preset(task="tour")
+    assert seen_area(trace) == "25 m² seen"
