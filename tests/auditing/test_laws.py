@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
+from scipy.stats import chi2
 
 import sixthsense as ss
 
@@ -99,7 +100,10 @@ def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(see
         own = turn.T @ error(estimate, truth) if frame == "body" else error(estimate, truth)
         ratios.append(own**2 / np.diag(cov))
     assert run.nees == pytest.approx(squares) and found.findings.nees == pytest.approx(np.mean(squares))
-    assert [one.value for one in found.findings.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
+    told, dof = found.findings, 3 if n == 2 else 6
+    assert told.inside == np.mean(np.array(squares) <= chi2.ppf(0.95, dof)) and told.factor.value == told.nees / dof
+    assert told.band == pytest.approx(chi2.ppf((0.025, 0.975), dof * told.samples) / told.samples)
+    assert [one.value for one in told.axes.values()] == pytest.approx(np.mean(ratios, axis=0))
 
 
 @few

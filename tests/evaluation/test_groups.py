@@ -5,7 +5,7 @@ import pytest
 
 import sixthsense as ss
 from sixthsense.evaluation.curves import Curves
-from sixthsense.evaluation.groups import GroupError, Sample, grouped, resampled, usual_grouping
+from sixthsense.evaluation.groups import GroupError, Sample, differences, grouped, resampled, usual_grouping
 
 
 def curve(values, step_s=1.0):
@@ -55,3 +55,10 @@ def test_a_metric_of_a_group_is_of_the_runs_that_have_it_and_finite():
     rows = [{"plans": 3}, {"plans": 4.5}, {"plans": float("nan")}, {"plans": "none"}, {}]
     (group,) = grouped([sample(row, seed=k) for k, row in enumerate(rows)], "scene")
     assert group.metric("plans").tolist() == [3.0, 4.5]
+
+
+def test_a_title_has_what_differs_with_the_number_of_its_values_and_what_is_the_same():
+    rows = [sample(seed=k, estimator=name).fields for k, name in ((2, "ekf"), (3, "isam2"), (4, "isam2"))]
+    told = "same: block, landmarks, default, astar, explore"
+    assert differences(rows) == f"differs: estimator (2), seed (3) — {told}"
+    assert differences(rows[:1]) == "same: block, ekf, landmarks, default, astar, explore, seed 2"

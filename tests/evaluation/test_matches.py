@@ -99,7 +99,10 @@ def test_an_observation_over_two_faces_spans_and_is_not_right_whatever_covarianc
     assert found.wrong == ()
 
 
-def test_an_observation_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it():
+@pytest.mark.parametrize("mount", [MOUNT, (1.6, -1.2, 0.7)])
+def test_an_observation_over_a_bend_spans_unless_its_fit_is_too_short_to_show_it(mount, monkeypatch):
+    monkeypatch.setitem(globals(), "MOUNT", mount)
+    monkeypatch.setitem(globals(), "LASER", TrueLaser(LaserConfig(mount=mount), LASER.noise))
     turn = np.deg2rad(1.4)
     tip = np.array([3.0, 0.0]) + 3.0 * np.array([np.cos(turn), np.sin(turn)])
     scene, pose = true_identities(np.array([[[0.0, 0.0], [3.0, 0.0]], [[3.0, 0.0], tip]])), Pose(3.0, 2.0, 0.3)
