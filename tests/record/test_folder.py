@@ -178,7 +178,7 @@ def test_a_place_that_is_no_folder_of_a_run_is_refused(name: str, here: Path) ->
         made(out)
     before = content(here)
     with pytest.raises(FolderError, match=r"^--out: "):
-        RunFolder(Path("..") if name == "no name" else out, Config(), overwrite=name != "no overwrite")
+        RunFolder(Path() if name == "no name" else out, Config(), overwrite=name != "no overwrite")
     assert content(here) == before
 
 
