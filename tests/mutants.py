@@ -11,6 +11,7 @@ import ast
 import contextlib
 import difflib
 import hashlib
+import itertools
 import json
 import os
 import queue
@@ -25,7 +26,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = "sixthsense"
@@ -36,6 +37,7 @@ OPERATORS = {name: (old, new) for name, old, new in (one.replace("_", " ").split
 PAIRS = """min:max minimum:maximum sin:cos argmin:argmax any:all floor:ceil logical_and:logical_or x:y row:col rows:cols
     width:height zeros:ones first:last begin:end lower:upper std:var"""
 NEIGHBOURS = {name: other for a, b in (one.split(":") for one in PAIRS.split()) for name, other in ((a, b), (b, a))}
+SYMMETRIC = ("min", "max", "minimum", "maximum", "hypot", "allclose", "array_equal", "dist")
 
 Change = tuple[int, int, bytes, str]
 """first byte, byte behind the last, what is written in their place, kind of mutation"""
@@ -59,32 +61,28 @@ def changes(text: str) -> dict[Change, bool]:
         (a, b), (c, d) = span(first), span(second)
         return a, d, source[c:d] + source[b:c] + source[a:b], kind
 
-    def between(left: Any, operator: Any, right: Any) -> Iterator[Change]:
-        if (name := type(operator).__name__) in OPERATORS:
-            old, new = OPERATORS[name]
+    def between(operands: list[Any], operators: list[Any]) -> Iterator[Change]:
+        for (left, right), operator in zip(itertools.pairwise(operands), operators, strict=False):
+            old, new = OPERATORS.get(type(operator).__name__, (" ", " "))
             a, b = span(left)[1], span(right)[0]
             yield a, b, source[a:b].replace(old.encode(), new.encode(), 1), "operator"
 
     def of(node: Any) -> Iterator[Change]:
         match node:
             case ast.Compare():
-                for left, operator, right in zip(
-                    [node.left, *node.comparators], node.ops, node.comparators, strict=False
-                ):
-                    yield from between(left, operator, right)
+                yield from between([node.left, *node.comparators], node.ops)
             case ast.BoolOp():
-                for left, right in zip(node.values, node.values[1:], strict=False):
-                    yield from between(left, node.op, right)
+                yield from between(node.values, [node.op] * len(node.values))
             case ast.BinOp(op=ast.MatMult()):
                 yield swap("swapped factors", node.left, node.right)
             case ast.BinOp():
-                yield from between(node.left, node.op, node.right)
+                yield from between([node.left, node.right], [node.op])
                 if isinstance(node.op, ast.Add | ast.Sub | ast.Mult | ast.Div):
                     yield *span(node), b"(" + code(node.left) + b")", "dropped term"
                     if isinstance(node.op, ast.Add | ast.Mult):
                         yield *span(node), b"(" + code(node.right) + b")", "dropped term"
             case ast.AugAssign():
-                yield from between(node.target, node.op, node.value)
+                yield from between([node.target, node.value], [node.op])
                 yield *span(node), b"pass", "dropped statement"
             case ast.UnaryOp(op=ast.USub() | ast.Not() | ast.Invert()):
                 yield *span(node), code(node.operand), "sign"
@@ -93,30 +91,22 @@ def changes(text: str) -> dict[Change, bool]:
             case ast.Constant(value=int() | float()):
                 other = node.value + 1 if isinstance(node.value, int) or node.value == 0 else 2 * node.value
                 yield *span(node), repr(other).encode(), "constant"
-            case ast.If(body=[ast.Raise()], orelse=[]):
-                yield *span(node.test), b"False", "removed guard"
-                yield *span(node.test), b"not (" + code(node.test) + b")", "condition"
             case ast.If() | ast.While() | ast.IfExp():
                 yield *span(node.test), b"not (" + code(node.test) + b")", "condition"
+                if isinstance(node, ast.If) and isinstance(node.body[0], ast.Raise):
+                    yield *span(node.test), b"False", "removed guard"
             case ast.comprehension():
                 yield from ((*span(one), b"not (" + code(one) + b")", "condition") for one in node.ifs)
             case ast.Call():
-                for one, other in zip(node.args, node.args[1:], strict=False):
-                    if (
-                        not isinstance(one, ast.Starred)
-                        and not isinstance(other, ast.Starred)
-                        and code(one) != code(other)
-                    ):
-                        yield swap("swapped arguments", one, other)
+                plain = [one for one in node.args if not isinstance(one, ast.Starred)]
+                if ast.unparse(node.func).rpartition(".")[2] not in SYMMETRIC:
+                    yield from (swap("swapped arguments", *pair) for pair in itertools.pairwise(plain))
             case ast.Slice():
-                for bound in (node.lower, node.upper):
-                    if bound is not None:
-                        yield *span(bound), code(bound) + b" + 1", "slice"
+                bounds = [bound for bound in (node.lower, node.upper) if bound is not None]
+                yield from ((*span(bound), code(bound) + b" + 1", "slice") for bound in bounds)
             case ast.Return(value=ast.Tuple(elts=[one, other, *_])):
                 yield swap("swapped results", one, other)
-            case (
-                ast.Return(value=ast.BinOp() | ast.Subscript()) | ast.Assign(value=ast.BinOp(op=ast.Mult() | ast.Div()))
-            ):
+            case ast.Return(value=ast.BinOp()) | ast.Assign(value=ast.BinOp(op=ast.Mult() | ast.Div())):
                 yield *span(node.value), b"-(" + code(node.value) + b")", "sign"
             case ast.Return(value=ast.Name() | ast.Attribute() | ast.Call()):
                 yield *span(node.value), b"None", "returned value"
@@ -139,9 +129,7 @@ def changes(text: str) -> dict[Change, bool]:
                     if isinstance(child, ast.AST):
                         yield from visit(child, compiled)
 
-    return dict(
-        sorted((one, compiled) for one, compiled in visit(ast.parse(text)) if one[2] != source[slice(*one[:2])])
-    )
+    return {one: compiled for one, compiled in visit(ast.parse(text)) if one[2] != source[slice(*one[:2])]}
 
 
 def importers(path: str) -> set[str]:
@@ -190,32 +178,26 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-class Trial(NamedTuple):
-    path: str
-    text: str
-    mutated: str
-    compiled: bool
-    """whether a kernel may hold the change"""
-    tests: list[str]
+Trial = tuple[str, str, str, bool, list[str]]
+"""path, text, mutated text, whether a kernel may hold the change, and tests"""
 
 
 def outcome(copy: Path, trial: Trial, limit: float) -> str:
     """What the tests of a file's room say to a mutant. Kernels that may hold it are compiled anew."""
-    found = importers(trial.path) if trial.compiled else ()
-    stems = [(copy / one).parent / "__pycache__" / Path(one).stem for one in found]
+    path, text, mutated, compiled, tests = trial
+    files = [copy / one for one in (importers(path) if compiled else ())]
 
     def kernels() -> list[Path]:
-        return [kernel for one in stems for kernel in one.parent.glob(f"{one.name}.*.nb[ic]")]
+        return [kernel for one in files for kernel in one.parent.glob(f"__pycache__/{one.stem}.*.nb[ic]")]
 
-    kept = [kernel.rename(f"{kernel}.kept") for kernel in kernels()]
-    file = copy / trial.path
-    times = file.stat()
-    file.write_text(trial.mutated)
+    kept, file = [kernel.rename(f"{kernel}.kept") for kernel in kernels()], copy / path
+    time_ns = file.stat().st_mtime_ns
+    file.write_text(mutated)
     try:
-        return run_tests(copy, trial.tests, limit)
+        return run_tests(copy, tests, limit)
     finally:
-        file.write_text(trial.text)
-        os.utime(file, ns=(times.st_atime_ns, times.st_mtime_ns))
+        file.write_text(text)
+        os.utime(file, ns=(time_ns, time_ns))
         for kernel in kernels():
             kernel.unlink()
         for kernel in kept:
@@ -234,31 +216,24 @@ def digest(*texts: str) -> str:
 
 
 def mutants(paths: list[str], since: str | None) -> list[dict[str, Any]]:
-    """All mutants of the files, with where they are, how they differ and what their result depends on."""
+    """All mutants of the files: where they are, what their result depends on, and the trial."""
     files = {file for one in map(Path, paths) for file in (one.rglob("*.py") if one.is_dir() else [one])}
     found = []
     for path in sorted(str(file.resolve().relative_to(ROOT)) for file in files):
-        text = (ROOT / path).read_text()
-        tests = tests_of(path)
-        holds_for = digest(*((ROOT / one).read_text() for one in tests))
+        text, tests, source = (ROOT / path).read_text(), tests_of(path), (ROOT / path).read_bytes()
+        key = {"tests": digest(*((ROOT / one).read_text() for one in tests))}
+        changed = since and lines_since(since, path)
         for (begin, end, new, kind), compiled in changes(text).items():
-            source = text.encode()
             mutated, line = (source[:begin] + new + source[end:]).decode(), source[:begin].count(b"\n") + 1
-            if since is None or line in lines_since(since, path):
-                diff = difflib.unified_diff(text.splitlines(), mutated.splitlines(), n=0, lineterm="")
-                told = {"where": f"{path}:{line}", "kind": kind, "diff": list(diff)[3:]}
-                key = {"mutant": digest(path, mutated), "tests": holds_for}
-                found.append({**told, **key, "now": Trial(path, text, mutated, compiled, tests)})
+            if changed is None or line in changed:
+                key["mutant"] = digest(path, mutated)
+                trial = path, text, mutated, compiled, tests
+                found.append({"where": f"{path}:{line}", "kind": kind, **key, "trial": trial})
     return found
 
 
-def is_kept(mutant: dict[str, Any], kept: dict[str, dict[str, Any]]) -> bool:
-    old = kept.get(mutant["mutant"])
-    return old is not None and (old["outcome"] != "survived" or old["tests"] == mutant["tests"])
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("paths", nargs="*", default=[PACKAGE])
     parser.add_argument("--since", metavar="REV", help="only lines that have changed since this commit")
     parser.add_argument("--sample", type=int, metavar="N", help="so many at random (default: all)")
@@ -269,11 +244,15 @@ def main() -> None:
     if chosen.sample is not None and chosen.sample < len(found):
         found = sorted(random.Random(chosen.seed).sample(found, chosen.sample), key=lambda one: str(one["where"]))
     chosen.out.parent.mkdir(parents=True, exist_ok=True)
-    known = [json.loads(line) for line in chosen.out.read_text().splitlines()] if chosen.out.exists() else []
-    kept = {one["mutant"]: one for one in known}
-    todo = [one for one in found if not is_kept(one, kept)]
+    chosen.out.touch()
+    known = {one["mutant"]: one for one in map(json.loads, chosen.out.read_text().splitlines())}
+    for mutant in found:
+        diff = difflib.unified_diff(*(text.splitlines() for text in mutant["trial"][1:3]), n=0, lineterm="")
+        mutant["diff"], old = [*diff][3:], known.get(mutant["mutant"], {})
+        if old.get("outcome") in ("killed", "timeout") or old.get("tests") == mutant["tests"]:
+            mutant |= old
     limits = {}
-    for tests in sorted({tuple(sorted(one["now"].tests)) for one in todo}):
+    for tests in sorted({tuple(sorted(one["trial"][-1])) for one in found if "outcome" not in one}):
         begin = time.monotonic()
         if run_tests(ROOT, list(tests)) != "survived":
             sys.exit(f"without a mutation, a test fails of {' '.join(tests)}")
@@ -284,17 +263,13 @@ def main() -> None:
             copies.put(copied(Path(folder) / name))
 
         def tried(mutant: dict[str, Any]) -> dict[str, Any]:
-            now = mutant.pop("now")
-            if is_kept(mutant, kept):
-                return kept[mutant["mutant"]]
-            copy, begin = copies.get(), time.monotonic()
-            try:
-                mutant["outcome"] = outcome(copy, now, limits[tuple(sorted(now.tests))])
-            finally:
+            trial = mutant.pop("trial")
+            if "outcome" not in mutant:
+                copy, begin = copies.get(), time.monotonic()
+                mutant["outcome"] = outcome(copy, trial, limits[tuple(sorted(trial[-1]))])
+                mutant["seconds"] = round(time.monotonic() - begin, 1)
                 copies.put(copy)
-            mutant["seconds"] = round(time.monotonic() - begin, 1)
-            results.write(json.dumps(mutant) + "\n")
-            results.flush()
+                print(json.dumps(mutant), file=results, flush=True)
             return mutant
 
         survivors = 0
