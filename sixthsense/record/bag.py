@@ -62,7 +62,8 @@ class BagWriter:
     its first beam, as in ROS; it is earlier than the tick's if the scan has a sweep time. Chunks end with a tick and
     are flushed twice per second of wall time, so that a killed run loses at most the last one.
     If a log states the covariance of the motion since its last tick, it is written as the odometry's pose.covariance
-    (axes of the previous robot frame; z, roll and pitch 1e6). Otherwise that is zero.
+    (axes of the previous robot frame; z, roll and pitch 1e6). Otherwise that is zero, and its first entry is -1 where
+    nothing has measured the motion.
     Raises OSError that names the file if it cannot be written.
     """
 
@@ -132,10 +133,10 @@ class BagWriter:
     def _record(self, tick: Tick, trace: Trace) -> None:
         stamp, make = tick.stamp_ns, self._messages
         self._begin(stamp, trace.config.laser.mount)
-        if tick.increment_cov is None:
+        if tick.increment_cov is None and not tick.is_unmeasured:
             self._write_pose("/odom", stamp, (tick.odometry.x, tick.odometry.y, tick.odometry.theta))
         else:
-            self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov))
+            self._write("/odom", stamp, make.odometry(stamp, tick.odometry, tick.increment_cov, tick.is_unmeasured))
         if tick.truth is not None:
             self._write_pose("/truth", stamp, (tick.truth.x, tick.truth.y, tick.truth.theta))
         if tick.scan is not None:

@@ -68,13 +68,13 @@ class Messages:
         poses = [self.pose_stamped(stamp_ns, Pose(x, y)) for x, y in path_world.tolist()]
         return self._types["nav_msgs/msg/Path"](self.header(stamp_ns, WORLD), poses)
 
-    def odometry(self, stamp_ns: int, pose: Pose, increment_cov: Array | None) -> Any:
+    def odometry(self, stamp_ns: int, pose: Pose, increment_cov: Array | None, is_unmeasured: bool = False) -> Any:
         """nav_msgs/Odometry, with the (3, 3) covariance of the motion since the last one, if it is known."""
         pose_with_cov = self._types["geometry_msgs/msg/PoseWithCovariance"]
         return self._types["nav_msgs/msg/Odometry"](
             self.header(stamp_ns, ODOM),
             ROBOT,
-            pose_with_cov(self.pose(pose), increment_covariance(increment_cov)),
+            pose_with_cov(self.pose(pose), increment_covariance(increment_cov, is_unmeasured)),
             self._types["geometry_msgs/msg/TwistWithCovariance"](self.twist(0.0, 0.0), np.zeros(36)),
         )
 

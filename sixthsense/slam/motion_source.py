@@ -73,12 +73,12 @@ def make_motion_source(config: Config, estimator: Estimator) -> MotionSource:
     if config.no_odometry:
         return LastVelocity()
     if not config.calibrate_wheels:
-        return Wheels(config.assumed)
+        return Intermittent(Wheels(config.assumed))
     if not isinstance(estimator, Filter):
         raise ConfigError(f"calibrate_wheels: found true with {config.estimator}, allowed: {NEEDS_FILTER}")
     prior = wheel_prior(config.assumed)
     estimator.estimate_wheels(prior)
-    source = CalibratedWheels(config.assumed)
+    source = Intermittent(CalibratedWheels(config.assumed))
     source.at_keyframe(prior)
     return source
 
@@ -318,3 +318,50 @@ class LastVelocity:
         self._velocity, self._cov = np.zeros(3), np.diag(_SIGMAS**2)
         self._stated_s = self._predicted_s = 0.0
         self._begin_anew()
+
+
+class Intermittent:
+    """Wheels, and the last velocity where a log says that nothing has measured the motion."""
+
+    def __init__(self, wheels: Wheels) -> None:
+        self._wheels, self._velocity = wheels, LastVelocity()
+        self._source: MotionSource = wheels
+
+    @property
+    def is_guess(self) -> bool:
+        """Whether nothing has measured the motion since the last tick."""
+        return self._source.is_guess
+
+    def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
+        """The motion by the wheels, or where they have not measured it, by a velocity that begins as unknown."""
+        if not tick.is_unmeasured:
+            self._source = self._wheels
+        elif self._source is not self._velocity:
+            self._velocity.lost()
+            self._source = self._velocity
+        return self._source.increment(before, tick, duration_s, since)
+
+    def is_carried(self, increment: Odometry) -> bool:
+        """As the present source of motion says."""
+        return self._source.is_carried(increment)
+
+    def aligned(self, since: Odometry, found: Odometry | None) -> Odometry:
+        """As the present source of motion says."""
+        return self._source.aligned(since, found)
+
+    def for_tracking(self, since: Odometry) -> Odometry:
+        """As the present source of motion says."""
+        return self._source.for_tracking(since)
+
+    def for_estimator(self, since: Odometry) -> Odometry:
+        """As the present source of motion says."""
+        return self._source.for_estimator(since)
+
+    def at_end(self, since: Odometry) -> Odometry:
+        """As the present source of motion says."""
+        return self._source.at_end(since)
+
+    def at_keyframe(self, wheels: WheelEstimate | None) -> None:
+        """Begin anew at a keyframe."""
+        self._wheels.at_keyframe(wheels)
+        self._velocity.at_keyframe(wheels)

@@ -173,10 +173,15 @@ def spatial_covariance(cov: Array) -> Array:
     return cov6
 
 
-def increment_covariance(cov: Array | None) -> Array:
-    """(36,) pose.covariance of an odometry: that of the motion since the previous one, or zero if it is unknown."""
-    if cov is None:
-        return np.zeros(36)
+def increment_covariance(cov: Array | None, is_unmeasured: bool = False) -> Array:
+    """(36,) pose.covariance of an odometry: that of the motion since the previous one, or zero if it is unknown.
+
+    Of a motion that nothing has measured the first entry is -1, as sensors of ROS say that they have no data.
+    """
+    if cov is None or is_unmeasured:
+        none = np.zeros(36)
+        none[0] = -float(is_unmeasured)
+        return none
     cov6 = spatial_covariance(cov)
     cov6[2, 2] = cov6[3, 3] = cov6[4, 4] = NOT_MEASURED
     return cov6.ravel()
@@ -186,6 +191,11 @@ def read_increment_covariance(message: Any) -> Array | None:
     """(3, 3) from a message with `increment_covariance`, None if zero; ValueError for an invalid covariance."""
     cov6 = np.asarray(message.pose.covariance, dtype=np.float64).reshape(6, 6)
     return check_covariance("increment", cov6[_PLANE]) if cov6[2, 2] > 0.0 else None
+
+
+def is_unmeasured(message: Any) -> bool:
+    """Whether nothing has measured the motion of an odometry with `increment_covariance`."""
+    return float(message.pose.covariance[0]) < 0.0
 
 
 def to_bytes(observations: Mapping[LandmarkId, Observation]) -> np.ndarray[Any, np.dtype[np.uint8]]:

@@ -22,6 +22,7 @@ from sixthsense.sources.logs.ros_messages import (
     ODOMETRY,
     checked_stamp,
     from_cloud,
+    is_unmeasured,
     planar,
     read_increment_covariance,
     scan,
@@ -69,7 +70,8 @@ def read_run(folder: str | Path, laser: LaserConfig) -> RunLog:
                 last_ns = ticks[-1].stamp_ns if ticks else -1
                 if checked_stamp(str(file), record_ns) <= last_ns:
                     raise LogError(f"{file}: found a tick at {record_ns} ns after {last_ns} ns, allowed: ascending")
-                ticks.append(Tick(record_ns, pose, increment_cov=read_increment_covariance(message)))
+                cov = read_increment_covariance(message)
+                ticks.append(Tick(record_ns, pose, increment_cov=cov, is_unmeasured=is_unmeasured(message)))
             elif topic in paths:
                 points = [(p.pose.position.x, p.pose.position.y) for p in message.poses]
                 paths[topic].append((record_ns, np.array(points, dtype=np.float64).reshape(-1, 2)))
