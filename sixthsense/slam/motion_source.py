@@ -33,8 +33,10 @@ _UNSTEADY = 0.4  # share of these that no parameter describes: the floor, the lo
 class MotionSource(Protocol):
     """The motion between ticks, and what the motion since the last keyframe is worth."""
 
-    is_guess: bool
-    """whether nothing has measured the motion: the scan alone tells it, and a doubtful alignment is searched again"""
+    @property
+    def is_guess(self) -> bool:
+        """Whether nothing has measured the motion: the scan alone tells it; a doubtful alignment is searched again."""
+        ...
 
     def increment(self, before: Pose, tick: Tick, duration_s: float, since: Pose) -> Odometry:
         """The motion since the last tick, `duration_s` ago.
