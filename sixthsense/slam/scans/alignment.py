@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import inverse
 from sixthsense.slam.scans.partners import partners_of
-from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.scan_store import Returns, bearings_at
 
 SIGMA_M = 0.03  # of a return's distance from a line: noise, roughness and curvature of real walls
 SCALE_M = 0.05  # of the Cauchy loss on that distance
@@ -78,11 +78,12 @@ def add_one_way(returns: Returns, target: int, source: int, pose: Array, loss: L
     per_scale = 1.0 / loss.scale_m
     points, normals, moved = returns.points[target], returns.normals[target], returns.points[source]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    stride = bearings_at(returns, source).stride
     partners, shared = partners_of(returns, target, source, pose, loss.gate_m)
     # Numbers instead of rows of `sums`: a compiler keeps them in registers.
     xx = xy = xt = yy = yt = tt = gx = gy = gt = weights = hits = squares = fxx = fxy = fxt = fyy = fyt = ftt = 0.0
     for i in range(len(partners)):
-        q, k = partners[i], i * returns.bearings.stride
+        q, k = partners[i], i * stride
         if q < 0:
             continue
         px, py = moved[k, 0], moved[k, 1]

@@ -43,7 +43,8 @@ class MapViews:
         self._max_range = scan.max_range
         self.usual_agreement = 1.0
         """nothing is known of what has changed since the map was made"""
-        self.store = ScanStore(math.inf, full_turn(scan))
+        self._bearings = full_turn(scan)
+        self.store = ScanStore(math.inf, self._bearings)
 
     @property
     def obstacles(self) -> Array:
@@ -64,7 +65,7 @@ class MapViews:
 
     def _cast(self, at: Array) -> int:
         """Keep the view from a place in the map; its row."""
-        first, step, beams = self.store.returns.bearings[:3]
+        first, step, beams = self._bearings[:3]
         x, y = (at[:2] - self._corner) / self._cell_m
         bearings = first + step * np.arange(beams, dtype=np.float64)
         ranges = self._cell_m * _cast(self._cells, self._surfaces, x, y, bearings, self._max_range / self._cell_m)

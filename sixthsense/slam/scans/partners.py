@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.bearings import Bearings, cell_of, direction
-from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.scan_store import Returns, bearings_at
 
 _MAX_REACH_RAD = 0.21  # to either side that a partner is searched in
 _SINE_OF_REACH = 0.99  # less than sin(a) / a up to there
@@ -26,7 +26,7 @@ _SPARSE_CELLS = 6  # where beams are far apart, the partner may be this many bea
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
 def partner(returns: Returns, target: int, x: float, y: float, gate_m: float) -> int:
     """The cell of the target's return that is nearest to a point in the target's frame; -1 for none within the gate."""
-    return _nearest(returns.points[target], returns.bearings, x, y, gate_m)
+    return _nearest(returns.points[target], bearings_at(returns, target), x, y, gate_m)
 
 
 @numba.njit(cache=True, error_model="numpy", fastmath={"nsz", "contract", "arcp"})
@@ -65,14 +65,14 @@ def partners_of(
     returns: Returns, target: int, source: int, pose: Array, gate_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """(k,) the cell of each moved return's partner, or -1, and (beams,) how many returns a cell is the partner of."""
-    bearings = returns.bearings
+    bearings, own = bearings_at(returns, target), bearings_at(returns, source)
     points, normals = returns.points[target], returns.normals[target]
     moved, turned_normals = returns.points[source], returns.normals[source]
     x, y, c, s = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    found = np.full((bearings.beams - 1) // bearings.stride + 1, -1)
+    found = np.full((own.beams - 1) // own.stride + 1, -1)
     shared = np.zeros(bearings.beams, dtype=np.int64)
     for i in range(len(found)):
-        k = i * bearings.stride
+        k = i * own.stride
         if moved[k, 2] == 0.0:
             continue
         px, py = moved[k, 0], moved[k, 1]

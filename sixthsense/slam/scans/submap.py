@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.scan_store import Returns, bearings_at
 
 CELL_M = 0.1
 VOXEL_M = 0.05  # of the points that a submap is made of
@@ -52,10 +52,10 @@ def pyramid(points: Array) -> Pyramid:
 @numba.njit(cache=True, error_model="numpy")
 def _gathered(returns: Returns, keys: NDArray[np.int64], poses: Array, voxel_m: float) -> Array:
     seen = np.zeros((2 * _HALF_CELLS, 2 * _HALF_CELLS), np.bool_)
-    out, n = np.empty((len(keys) * returns.bearings.beams, 2)), 0
+    out, n = np.empty((len(keys) * returns.points.shape[1], 2)), 0
     for k in range(len(keys)):
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
-        for i in range(returns.bearings.beams):
+        for i in range(bearings_at(returns, keys[k]).beams):
             px, py, r = returns.points[keys[k], i, 0], returns.points[keys[k], i, 1], returns.points[keys[k], i, 2]
             if r == 0.0 or r > _RANGE_M:
                 continue

@@ -16,6 +16,7 @@ from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix
 from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
+from sixthsense.slam.scans.scan_store import bearings_at
 from sixthsense.slam.scans.submap import VOXEL_M, pyramid, submap_points
 from sixthsense.slam.scans.visibility import Agreement, judged
 
@@ -151,6 +152,6 @@ def aligned(views: Views, prior: Prior, start: Array, gate_m: float) -> Tracked:
     off = pose - prior.pose
     off[2] = wrap_angle(float(off[2]))
     information = (matrix(sums, HESSIAN) - matrix(sums, SPREAD)) / (SIGMA_M**2 * max(1, len(views.targets)))
-    ranges = views.returns.points[views.source, :: views.returns.bearings.stride, 2]
+    ranges = views.returns.points[views.source, :: bearings_at(views.returns, views.source).stride, 2]
     support = most / max(int(np.count_nonzero(ranges)), 1)
     return Tracked(pose, information, support, prior.squared(off), off, Agreement(*judged(views, pose)))

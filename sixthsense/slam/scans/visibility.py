@@ -16,7 +16,7 @@ from sixthsense.core.geometry import Array
 from sixthsense.slam.scans.alignment import SCALE_M, SURFACE_M, Views
 from sixthsense.slam.scans.bearings import cell_of, direction
 from sixthsense.slam.scans.partners import NORMALS_AGREE, partner
-from sixthsense.slam.scans.scan_store import Returns
+from sixthsense.slam.scans.scan_store import Returns, bearings_at
 
 _LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
 
@@ -39,7 +39,7 @@ class Agreement(NamedTuple):
 @numba.njit(cache=True, error_model="numpy")
 def look_at(returns: Returns, target: int, x: float, y: float) -> int:
     """What `target` saw at (x, y) in its frame: `SURFACE`, `THROUGH` or `UNSEEN`."""
-    points, bearings = returns.points, returns.bearings
+    points, bearings = returns.points, bearings_at(returns, target)
     distance = math.sqrt(x * x + y * y)
     centre = math.floor(cell_of(bearings, direction(x, y)) + 0.5)
     if not bearings.closed and (centre < 1 or centre >= bearings.beams - 1):
@@ -67,7 +67,7 @@ def judged(views: Views, pose: Array) -> tuple[float, float]:
     through. Those of the targets count by 1 / R.
     """
     returns, source, targets, at = views
-    points, bearings = returns.points, returns.bearings
+    points, bearings = returns.points, bearings_at(returns, source)
     state = np.zeros(bearings.beams, np.int64)
     hits, violations = 0.0, 0.0
     for r in range(len(targets)):
@@ -80,6 +80,8 @@ def judged(views: Views, pose: Array) -> tuple[float, float]:
             px, py = points[source, k, 0], points[source, k, 1]
             if points[source, k, 2] > 0.0 and state[k] < 2:
                 state[k] = max(state[k], look_at(returns, target, x + c * px - s * py, y + s * px + c * py))
+        seen = bearings_at(returns, target)
+        for k in range(0, seen.beams, seen.stride):
             if points[target, k, 2] > 0.0:
                 px, py = points[target, k, 0] - x, points[target, k, 1] - y
                 saw = look_at(returns, source, c * px + s * py, c * py - s * px)
@@ -98,7 +100,7 @@ def judged(views: Views, pose: Array) -> tuple[float, float]:
 @numba.njit(cache=True, error_model="numpy")
 def compare_views(returns: Returns, target: int, source: int, pose: Array) -> tuple[int, int, int]:
     """Hits, violations and number of the returns of `source`, at `pose` (3,) in the frame of `target`, one way."""
-    points, bearings = returns.points, returns.bearings
+    points, bearings = returns.points, bearings_at(returns, source)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     hits = violations = count = 0
     for k in range(0, bearings.beams, bearings.stride):
@@ -138,7 +140,7 @@ def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
     The first is a sum of weights. A point well behind a return is hidden from the target. One a little behind it, or
     before it, is contradicted.
     """
-    points, bearings = returns.points, returns.bearings
+    points, bearings, seen = returns.points, bearings_at(returns, source), bearings_at(returns, target)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total = np.zeros(3)
     for k in range(0, bearings.beams, bearings.stride):
@@ -148,11 +150,11 @@ def explained(returns: Returns, target: int, source: int, pose: Array) -> Array:
         x = pose[0] + c * points[source, k, 0] - s * points[source, k, 1]
         y = pose[1] + s * points[source, k, 0] + c * points[source, k, 1]
         weight = on_line(returns, target, source, k, pose[2], x, y)
-        centre = math.floor(cell_of(bearings, math.atan2(y, x)) + 0.5)
+        centre = math.floor(cell_of(seen, math.atan2(y, x)) + 0.5)
         farthest = 0.0
         for beam in range(centre - 1, centre + 2):
-            if bearings.closed or 0 <= beam < bearings.beams:
-                farthest = max(farthest, points[target, beam % bearings.beams, 2])
+            if seen.closed or 0 <= beam < seen.beams:
+                farthest = max(farthest, points[target, beam % seen.beams, 2])
         if weight > 0.0 or (farthest > 0.0 and math.hypot(x, y) < farthest + 2.0 * SURFACE_M):
             total[0] += weight
             total[1] += 1.0

@@ -29,6 +29,7 @@ from sixthsense.slam.scans.apparent import private_covariance, reported
 from sixthsense.slam.scans.bearings import direction
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances
 from sixthsense.slam.scans.partners import partners_of
+from sixthsense.slam.scans.scan_store import bearings_at
 from sixthsense.slam.scans.visibility import compare_views
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)
@@ -46,7 +47,7 @@ def reference(returns, target, source, pose, loss):
     points, normals = returns.points.astype(float), returns.normals.astype(float)
     rows, seen = [], points[target, :, 2] > 0
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    for k in range(0, points.shape[1], returns.bearings.stride):
+    for k in range(0, points.shape[1], bearings_at(returns, source).stride):
         if points[source, k, 2] == 0:
             continue
         arm = np.array([[c, -s], [s, c]]) @ points[source, k, :2]

@@ -26,6 +26,7 @@ from sixthsense.slam.scans.bearings import Bearings
 from sixthsense.slam.scans.links import covariances
 from sixthsense.slam.scans.normals import fit_normals
 from sixthsense.slam.scans.partners import partners_of
+from sixthsense.slam.scans.scan_store import bearings_at
 from sixthsense.slam.scans.visibility import SURFACE, THROUGH, UNSEEN, judged, look_at
 
 LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])
@@ -54,7 +55,7 @@ def plain_sums(seen, pose, loss, both):
         for onto, moved, way in ways:
             partners, shared = partners_of(returns, onto, moved, way, loss.gate_m)
             for i in np.flatnonzero(partners >= 0):
-                q, point = partners[i], points[moved, i * returns.bearings.stride, :2]
+                q, point = partners[i], points[moved, i * bearings_at(returns, moved).stride, :2]
                 n = normals[onto, q, :2]
 
                 def off(x, n, onto=onto, point=point, q=q, at=at):
@@ -110,7 +111,7 @@ def test_an_aligned_pose_balances_the_scans_and_what_was_known_before(laser, sli
 @LASERS
 def test_what_a_scan_saw_at_a_place_is_that_of_the_three_beams_around_it(laser):
     seen = views(laser)
-    points, bearings = seen.returns.points[0].astype(float), seen.returns.bearings
+    points, bearings = seen.returns.points[0].astype(float), bearings_at(seen.returns, 0)
     found = {UNSEEN: 0, THROUGH: 0, SURFACE: 0}
     for x, y in np.random.default_rng(2).uniform(-5.0, 5.0, (600, 2)):
         cell = ((math.atan2(y, x) - bearings.first) % (2.0 * math.pi)) / bearings.spacing
@@ -133,7 +134,7 @@ def test_what_a_scan_saw_at_a_place_is_that_of_the_three_beams_around_it(laser):
 @LASERS
 def test_returns_are_judged_both_ways_and_those_of_the_scan_once(laser):
     seen, pose = views(laser), (SOUGHT @ Pose(0.25, -0.1, 0.2)).array()
-    points, stride = seen.returns.points.astype(float), seen.returns.bearings.stride
+    points, stride = seen.returns.points.astype(float), bearings_at(seen.returns, 0).stride
     hits = violations = 0.0
     best = np.zeros(points.shape[1])
     for target, at in zip(seen.targets, seen.at, strict=True):

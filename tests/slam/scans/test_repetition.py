@@ -16,6 +16,7 @@ from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import align_pairs
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
+from sixthsense.slam.scans.scan_store import bearings_at
 from sixthsense.slam.scans.verification import verified
 from sixthsense.slam.scans.visibility import explained
 from sixthsense.slam.slam import Slam
@@ -159,7 +160,7 @@ def test_what_is_explained_is_what_a_plain_loop_over_points_finds(laser):
     returns = stored(*(scan_at(pose, walls, laser, rng=rng) for pose in poses)).returns
     pose = between(poses[0].array(), poses[1].array()) + np.array([0.05, 0.02, 0.01])
     weight, visible, count = explained(returns, 0, 1, pose)
-    points, normals, bearings = returns.points.astype(float), returns.normals.astype(float), returns.bearings
+    points, normals, bearings = returns.points.astype(float), returns.normals.astype(float), bearings_at(returns, 0)
     total = np.zeros(3)
     for k in np.arange(0, bearings.beams, bearings.stride):
         if points[1, k, 2] == 0.0:
