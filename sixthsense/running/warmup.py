@@ -124,9 +124,8 @@ def _keep_imports() -> None:
 def warm_up_scans() -> None:
     """Compile the hot loops of scan matching, or load them compiled: tracking, links and loop closures."""
     # Here, so that runs with landmarks do not load them.
-    from sixthsense.slam.scans.branch_and_bound import Apart, Window, peaks
-    from sixthsense.slam.scans.scan_store import ScanStore
-    from sixthsense.slam.scans.submap import pyramid, submap_points
+    from sixthsense.slam.scans.places import Apart, Window, peaks, pyramid, submap_points
+    from sixthsense.slam.scans.returns import ScanStore
     from sixthsense.slam.scans.uncertainty import UncertaintyGraph
     from sixthsense.slam.scans.visibility import explained
 

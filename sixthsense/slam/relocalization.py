@@ -17,7 +17,6 @@ from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.scans.branch_and_bound import Window
 from sixthsense.slam.scans.evidence import followed_back
 from sixthsense.slam.scans.map_views import MapViews
 from sixthsense.slam.scans.place_search import (
@@ -28,7 +27,7 @@ from sixthsense.slam.scans.place_search import (
     is_same_place,
     recent_points,
 )
-from sixthsense.slam.scans.submap import pyramid
+from sixthsense.slam.scans.places import Window, pyramid
 from sixthsense.slam.scans.verification import vote_for
 from sixthsense.slam.scans.votes import Vote, Votes
 

@@ -13,11 +13,10 @@ from sixthsense.core.laser import Scan
 from sixthsense.core.se2 import transformed_covariance
 from sixthsense.slam.prior_map import PriorMap, PriorMapError
 from sixthsense.slam.scans.alignment import Prior, Views
-from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import WIDE_GATE_M
 from sixthsense.slam.scans.map_views import MapViews
 from sixthsense.slam.scans.place_search import MOST_POINTS, is_same_place
-from sixthsense.slam.scans.submap import pyramid
+from sixthsense.slam.scans.places import PLACE, Window, peaks, pyramid
 from sixthsense.slam.scans.tracking import LEAST_SCORE, Tracked, aligned
 from sixthsense.slam.scans.visibility import Agreement, judged
 

@@ -19,7 +19,7 @@ from sixthsense.core.se2 import between, compose, inverse
 from sixthsense.slam.scans.alignment import HITS
 from sixthsense.slam.scans.graph import REACH_M, ScanGraph
 from sixthsense.slam.scans.links import LEAST_HITS, SEEN_SHARE, WIDE_GATE_M, align_pairs
-from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.visibility import explained
 
 _PARTNERS = 2  # known scans that each is compared with

@@ -1,4 +1,11 @@
-"""The graph of keyframes: their poses, and each link once, as the estimator was given it."""
+"""The graph of keyframes: their poses, and each link once, as the estimator was given it.
+
+Thinning: where enough keyframes show a place from much the same pose, later ones leave the graph.
+
+A robot that comes back to the same rooms all day adds keyframes for ever, and says nothing new by them. Keeping the
+poses that are there already, once a place is known, is the reduced pose graph of Johannsson, Kaess, Fallon and Leonard,
+ICRA 2013. A keyframe leaves some time after it was made. Its links are lost, so that nothing is counted twice.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +26,7 @@ from sixthsense.slam.front_end import PoseLinks
 from sixthsense.slam.scans.alignment import SUMS
 from sixthsense.slam.scans.links import NEAR_GATE_M, TRACKED_GATE_M, WIDE_GATE_M, Alignments, align_pairs, covariances
 from sixthsense.slam.scans.mount import Mount
-from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.returns import ScanStore
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 RECENT_GROUP = -2
@@ -280,3 +287,117 @@ class ScanGraph:
     def linked_old(self, key: int) -> NDArray[np.int64]:
         """Old keyframes that a keyframe is linked to."""
         return np.array(self.old_links.get(key, ())[:_OLD], dtype=np.int64)
+
+
+_CONTRADICTION = 60.0  # squared Mahalanobis distance of a link that contradicts the graph, 3 degrees of freedom
+_FIRST = -1  # the group of links before the first loop closure
+
+
+class Closings:
+    """The loop closures so far. A link to an old keyframe belongs to the last of them, which made its pose known."""
+
+    def __init__(self, graph: ScanGraph) -> None:
+        self._graph = graph
+        self._own: dict[int, list[int]] = {_FIRST: []}
+        """of each loop closure that stands: ids of the links that it was closed with"""
+        self._latest = _FIRST
+        self.accepted = 0
+        """loop closures accepted so far"""
+        self.undone = 0
+        """loop closures taken back so far"""
+
+    @property
+    def links(self) -> list[KeyframeLink]:
+        """Links to old keyframes."""
+        return [link for link in self._graph.links.values() if link.group != RECENT_GROUP]
+
+    @property
+    def own_keys(self) -> set[int]:
+        """Keyframes of the links that loops were closed with."""
+        return {key for own in self._own.values() for link in self._of(own) for key in (link.target, link.source)}
+
+    def link(self, key: int) -> None:
+        """Link a new keyframe to those before it, and to old ones around those that they are linked to."""
+        self._graph.link(key, self._graph.near_linked(key), self._latest)
+
+    def link_old(self, key: int, targets: NDArray[np.int64]) -> None:
+        """Link a keyframe to old ones near it."""
+        if len(targets):
+            self._graph.link_old(key, targets, self._latest)
+
+    def close(self, links: list[tuple[Alignments, int]]) -> bool:
+        """Close a loop with the links of a place, rows of alignments; whether it stays closed."""
+        graph = self._graph
+        self._latest = closure = self.accepted
+        self.accepted += 1
+        broken = self._broken(closure)
+        ids = graph.with_loss(graph.give(links, np.inf, closure), OLD_LOSS)
+        self._own[closure] = ids
+        while contradicted := [g for g in self._own if self._contradiction(g) > _CONTRADICTION]:
+            self._undo(max(contradicted, key=self._contradiction))
+        if closure in self._own and self._broken(closure) - broken > len(links):
+            self._undo(closure)
+        return closure in self._own
+
+    def _of(self, ids: list[int]) -> list[KeyframeLink]:
+        return [self._graph.links[i] for i in ids]
+
+    def _contradiction(self, g: int) -> float:
+        """Median squared Mahalanobis distance from the estimate of the links that a loop was closed with."""
+        own = self._of(self._own[g])
+        return float(np.median(self._graph.squares(own))) if own else 0.0
+
+    def _broken(self, newest: int) -> int:
+        """How many links of all loop closures but the newest one contradict the estimate."""
+        others = [link for link in self.links if link.group != newest]
+        return int(np.count_nonzero(self._graph.squares(others) > _CONTRADICTION))
+
+    def _undo(self, g: int) -> None:
+        """Take back a loop closure and all links that followed from it."""
+        del self._own[g]
+        self._graph.remove([i for i, link in self._graph.links.items() if link.group == g])
+        self.undone += 1
+        if g == self._latest:
+            self._latest = max(self._own)
+
+
+_BATCH = 10  # keyframes that leave together: each time costs the estimator a solution
+_NEAR_M, _NEAR_RAD = 0.5, 0.35  # between poses from which a place looks the same
+_ENOUGH = 8  # such keyframes
+_LEAST_OLD_LINKS = 2  # of a keyframe whose place is known
+
+
+class Thinning:
+    """Which keyframes leave the graph."""
+
+    def __init__(self, graph: ScanGraph, closings: Closings) -> None:
+        self._graph, self._closings = graph, closings
+        self._next = 1
+        """the first keyframe that was not judged yet"""
+        self._spare: list[int] = []
+        """keyframes that will leave with the next ones"""
+
+    def look(self, key: int) -> None:
+        """Judge keyframes that are old enough at the newest one, `key`."""
+        for k in range(self._next, key - OLD_AGE + 1):
+            if self._is_spare(k):
+                self._spare.append(k)
+            self._next = k + 1
+        # A loop may have been closed with some of them since they were judged.
+        self._spare = [k for k in self._spare if k not in self._closings.own_keys]
+        if len(self._spare) >= _BATCH:
+            self._graph.take_out(self._spare)
+            self._spare = []
+
+    def _is_spare(self, k: int) -> bool:
+        """Whether a keyframe and those that are linked to it are known by old ones, of which there are enough."""
+        old_links, graph = self._graph.old_links, self._graph
+        if any(len(old_links.get(j, ())) < _LEAST_OLD_LINKS for j in range(k, k + RECENT + 1)):
+            return False
+        if k in self._closings.own_keys:
+            return False
+        kept = graph.is_kept[:k].copy()
+        kept[self._spare] = False
+        off = graph.poses[:k][kept] - graph.poses[k]
+        near = (np.hypot(off[:, 0], off[:, 1]) < _NEAR_M) & (np.abs(wrap_angle(off[:, 2])) < _NEAR_RAD)
+        return bool(np.count_nonzero(near) >= _ENOUGH)

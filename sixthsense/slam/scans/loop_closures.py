@@ -19,10 +19,8 @@ from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between
 from sixthsense.slam.front_end import LoopClosureCounts
 from sixthsense.slam.motion_source import WHEELS_M_PER_M
-from sixthsense.slam.scans.closing import Closings
-from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, ScanGraph
+from sixthsense.slam.scans.graph import M_PER_RAD, OLD_AGE, Closings, ScanGraph, Thinning
 from sixthsense.slam.scans.place_search import PlaceSearch, of_last_metres
-from sixthsense.slam.scans.thinning import Thinning
 from sixthsense.slam.scans.tracking import Tracked
 from sixthsense.slam.scans.verification import vote_for
 from sixthsense.slam.scans.votes import NEW_M, Vote, Votes

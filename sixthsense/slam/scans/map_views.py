@@ -13,8 +13,7 @@ from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.laser import Scan
 from sixthsense.slam.mapping.evidence import are_obstacles
 from sixthsense.slam.mapping.submap import Submap
-from sixthsense.slam.scans.bearings import full_turn
-from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.returns import ScanStore, full_turn
 
 _APART_M = 0.5  # side of the tiles in which one view stands for all
 _UNSEEN, _FREE, _OBSTACLE = range(3)

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from sixthsense.config.pipeline import ScansConfig
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.evidence import BACK_M, OldPass, PlacedScans, Surroundings, evidence_of, followed_back
 from sixthsense.slam.scans.graph import REACH_M, ScanGraph
-from sixthsense.slam.scans.submap import VOXEL_M, Pyramid, pyramid, submap_points
+from sixthsense.slam.scans.places import PLACE, VOXEL_M, Pyramid, Window, peaks, pyramid, submap_points
 
 _RECENT_M = 6.0  # travel of the submap that is searched for
 _RECENT_VOXEL_M = 0.2  # of these points; those of old submaps are denser

@@ -14,10 +14,9 @@ import numpy as np
 from sixthsense.core.geometry import Array, wrap_angle
 from sixthsense.core.se2 import between, compose
 from sixthsense.slam.scans.alignment import HESSIAN, SIGMA_M, SPREAD, SUMS, Prior, Views, align, matrix
-from sixthsense.slam.scans.branch_and_bound import PLACE, Window, peaks
 from sixthsense.slam.scans.links import FEW_RETURNS, NEAR_GATE_M, WIDE_GATE_M
-from sixthsense.slam.scans.scan_store import bearings_at
-from sixthsense.slam.scans.submap import VOXEL_M, pyramid, submap_points
+from sixthsense.slam.scans.places import PLACE, VOXEL_M, Window, peaks, pyramid, submap_points
+from sixthsense.slam.scans.returns import bearings_at
 from sixthsense.slam.scans.visibility import Agreement, judged
 
 SLIP_SIGMAS = 6.0

@@ -13,10 +13,8 @@ import numba
 import numpy as np
 
 from sixthsense.core.geometry import Array
-from sixthsense.slam.scans.alignment import SCALE_M, SURFACE_M, Views
-from sixthsense.slam.scans.bearings import cell_of, direction
-from sixthsense.slam.scans.partners import NORMALS_AGREE, partner
-from sixthsense.slam.scans.scan_store import Returns, bearings_at
+from sixthsense.slam.scans.alignment import NORMALS_AGREE, SCALE_M, SURFACE_M, Views, partner
+from sixthsense.slam.scans.returns import Returns, bearings_at, cell_of, direction
 
 _LEAST_JUDGED = 15.0  # returns; a scan of which less is judged is no evidence
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from sixthsense.core.geometry import Array
 from sixthsense.core.se2 import between, compose
-from sixthsense.slam.scans.branch_and_bound import Apart
 from sixthsense.slam.scans.evidence import PlacedScans
 from sixthsense.slam.scans.links import Alignments
+from sixthsense.slam.scans.places import Apart
 
 NEW_M = 1.5  # travel that shows something new: between two votes that count both, and two searches of alike places
 _LASTS_M = 10.0  # travel after which a vote is dropped

@@ -9,7 +9,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.laser import Scan, beam_bearings
 from sixthsense.core.ray_casting import cast_rays
 from sixthsense.core.source import Tick
-from sixthsense.slam.scans.scan_store import ScanStore
+from sixthsense.slam.scans.returns import ScanStore
 
 ROOM = np.array([[[-4, -3], [4, -3]], [[4, -3], [4, 3]], [[4, 3], [-4, 3]], [[-4, 3], [-4, -3]],
                  [[1, 0], [1, 1.5]], [[-2, -3], [-2, -1]]], dtype=float)  # fmt: skip

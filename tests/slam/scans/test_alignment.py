@@ -22,14 +22,12 @@ from sixthsense.slam.scans.alignment import (
     add_one_way,
     inverse,
     matrix,
+    partners_of,
     solved,
     turned,
 )
-from sixthsense.slam.scans.apparent import private_covariance, reported
-from sixthsense.slam.scans.bearings import direction
-from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances
-from sixthsense.slam.scans.partners import partners_of
-from sixthsense.slam.scans.scan_store import bearings_at
+from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances, private_covariance, reported
+from sixthsense.slam.scans.returns import bearings_at, direction
 from sixthsense.slam.scans.visibility import compare_views
 
 A, B = Pose(-0.4, 0.3, 0.2), Pose(-0.15, 0.4, 0.45)

@@ -12,7 +12,7 @@ from sixthsense.core.motion import Odometry
 from sixthsense.slam.estimators import register_estimator
 from sixthsense.slam.estimators.ekf import EKF
 from sixthsense.slam.scans.alignment import Views
-from sixthsense.slam.scans.closing import Closings
+from sixthsense.slam.scans.graph import Closings
 from sixthsense.slam.scans.mount import Mount, seen_from
 from sixthsense.slam.scans.visibility import Agreement, judged
 from sixthsense.slam.slam import Slam

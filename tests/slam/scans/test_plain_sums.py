@@ -21,12 +21,10 @@ from sixthsense.slam.scans.alignment import (
     add_all,
     align,
     matrix,
+    partners_of,
 )
-from sixthsense.slam.scans.bearings import Bearings
 from sixthsense.slam.scans.links import covariances
-from sixthsense.slam.scans.normals import fit_normals
-from sixthsense.slam.scans.partners import partners_of
-from sixthsense.slam.scans.scan_store import bearings_at
+from sixthsense.slam.scans.returns import Bearings, bearings_at, fit_normals
 from sixthsense.slam.scans.visibility import SURFACE, THROUGH, UNSEEN, judged, look_at
 
 LASERS = pytest.mark.parametrize("laser", [ROUND, HALF], ids=["full circle", "half circle"])

@@ -16,7 +16,7 @@ from sixthsense.slam.scans.graph import ScanGraph
 from sixthsense.slam.scans.links import align_pairs
 from sixthsense.slam.scans.mount import Mount
 from sixthsense.slam.scans.place_search import Hypothesis
-from sixthsense.slam.scans.scan_store import bearings_at
+from sixthsense.slam.scans.returns import bearings_at
 from sixthsense.slam.scans.verification import verified
 from sixthsense.slam.scans.visibility import explained
 from sixthsense.slam.slam import Slam

@@ -9,8 +9,18 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from sixthsense.core.geometry import Pose
-from sixthsense.slam.scans.branch_and_bound import PLACE, STEP_RAD, Apart, Window, peaks
-from sixthsense.slam.scans.submap import BLOCK, CELL_M, PEAK, pyramid, submap_points
+from sixthsense.slam.scans.places import (
+    BLOCK,
+    CELL_M,
+    PEAK,
+    PLACE,
+    STEP_RAD,
+    Apart,
+    Window,
+    peaks,
+    pyramid,
+    submap_points,
+)
 from sixthsense.slam.scans.uncertainty import UncertaintyGraph
 
 
