@@ -31,13 +31,13 @@ HERE = Path(__file__).resolve()
 PACKAGE = HERE.parent.parent / "sixthsense"
 LOG = "fr079"
 GROUPS = {
-    "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "partners.NORMALS_AGREE"),
-    "normals": ("normals._REACH_M", "normals._GRAZING_RAD"),
+    "aligner": ("alignment.SIGMA_M", "alignment.SCALE_M", "alignment.NORMALS_AGREE"),
+    "normals": ("returns._REACH_M", "returns._GRAZING_RAD"),
     "gates": ("links.TRACKED_GATE_M", "links.NEAR_GATE_M", "links.SEEN_SHARE"),
     "link covariance": ("links.FEW_RETURNS", "links._SHAPE_SHARE", "graph._RECENT_LOSS", "graph.OLD_LOSS"),
     "links": ("graph.RECENT", "graph._OLD", "graph.REACH_M", "graph.AGREEMENT"),
     "visibility": ("visibility._LEAST_JUDGED",),
-    "odometry": ("odometry_prior.WHEELS_M_PER_M", "odometry_prior._RAD_PER_RAD", "odometry_prior._UNSTEADY"),
+    "odometry": ("motion_source.WHEELS_M_PER_M", "motion_source._RAD_PER_RAD", "motion_source._UNSTEADY"),
     "slips": (
         "tracking.SLIP_SIGMAS", "tracking._DOUBTED", "tracking._LOST", "tracking._CLEARLY", "front_end._NEWEST_SHARE",
     ),
@@ -51,8 +51,8 @@ GROUPS = {
     ),
     "evidence": ("evidence._CLEARLY", "evidence._PARTNERS", "evidence._SCANS_BEYOND"),
     "verification": ("verification._GOOD_SHARE",),
-    "votes": ("votes.NEW_M", "closing._CONTRADICTION"),
-    "thinning": ("thinning._ENOUGH", "thinning._NEAR_M"),
+    "votes": ("votes.NEW_M", "graph._CONTRADICTION"),
+    "thinning": ("graph._ENOUGH", "graph._NEAR_M"),
 }  # fmt: skip
 SHARES = {"NORMALS_AGREE", "AGREEMENT", "_DOUBTED", "_AS_GOOD"}
 """least shares, which cannot be doubled"""
@@ -71,7 +71,8 @@ class Constant(NamedTuple):
 def constant(name: str) -> Constant:
     """The number that a module of scan matching binds to a name, alone or in a tuple; `name` is `module.NAME`."""
     module, _, wanted = name.partition(".")
-    path = PACKAGE / "slam" / "scans" / f"{module}.py"
+    rooms = PACKAGE / "slam" / "scans", PACKAGE / "slam"
+    path = next(file for file in (room / f"{module}.py" for room in rooms) if file.is_file())
     for node in ast.parse(path.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.Assign):
             target = node.targets[0]
