@@ -9,7 +9,8 @@ from auditing.test_laws import Drawn, drawn, squared
 from scipy.stats import chi2
 
 import sixthsense as ss
-from sixthsense.auditing.statistics import Factor, Findings
+from sixthsense.auditing.pairing import Errors
+from sixthsense.auditing.statistics import Factor, Findings, is_other_frame
 from sixthsense.evaluation.effective import effective_number, effective_samples_of_errors, whitened_errors
 
 
@@ -246,6 +247,30 @@ REFUSED = [
     (([], []), {}, "estimate: found none"),
     ((arrays(GOOD)[0], None), {}, "truth: found nothing"),
 ]
+
+
+def with_nees(nees, heading):
+    """A run whose NEES are given, at general headings."""
+    root = np.array([[0.3, 0.0, 0.0], [0.1, 0.2, 0.0], [-0.1, 0.05, 0.4]])
+    error, cov = np.sqrt(nees)[:, None] * root[:, 0], np.tile(root @ root.T, (len(nees), 1, 1))
+    c, s = np.cos(heading), np.sin(heading)
+    turns = np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
+    return [Errors(np.arange(len(nees)), error, cov, turns)]
+
+
+def test_the_other_frame_is_noted_only_if_the_nees_surely_depends_on_the_heading_less_there_and_is_smaller_there():
+    rng = np.random.default_rng(8)
+    heading, noise = rng.uniform(-3.0, 3.0, 300), rng.uniform(0.3, 0.7, 300)
+    depends, even = 3.0 + np.cos(2.0 * heading - 0.7) + noise, 2.9 + 0.01 * noise
+    stronger = 1.5 + 1.4 * np.cos(2.0 * heading - 0.7)
+
+    def noted(read, other):
+        return is_other_frame(with_nees(read, heading), with_nees(other, heading))
+
+    assert noted(depends, even)
+    assert not noted(3.0 + noise, 2.9 + 0.0 * noise)  # read so, it does not depend on the heading
+    assert not noted(depends, stronger)
+    assert not noted(depends, 2.0 * even)
 
 
 @pytest.mark.parametrize(

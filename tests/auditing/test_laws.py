@@ -90,6 +90,7 @@ def test_errors_covariances_and_ratios_are_those_of_matrices_in_either_frame(see
     one = drawn(seed, n)
     found = one.audit(frame=frame)
     run = found.runs[0]
+    assert run.stamps_ns.tolist() == [round(1e9 * stamp) for stamp in one.stamps]
     squares, ratios = [], []
     for k, (estimate, truth, cov) in enumerate(zip(one.estimate, one.truth, one.covs, strict=True)):
         turn = axes(estimate[:n, :n])
