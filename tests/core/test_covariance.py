@@ -3,14 +3,10 @@
 import math
 
 import numpy as np
-import pytest
 
-from sixthsense.config import AssumedConfig, MotionNoise
-from sixthsense.core.arcs import arc, arc_jacobian
-from sixthsense.core.covariance import root_information
+from sixthsense.core.covariance import composed_covariance, root_information, turned_covariance
 from sixthsense.core.geometry import Array, Pose
-from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians, odometry, variance
-from sixthsense.core.odometry_kernels import Slip, slipped
+from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.se2 import composed_covariance, transformed_covariance, turned_covariance
 
 RNG = np.random.default_rng(0)
@@ -55,15 +51,3 @@ def test_covariances_of_motions_in_a_row_are_composed_by_their_jacobians():
 def test_a_standstill_before_or_after_a_motion_leaves_it_as_it_is():
     motion = Odometry(Pose(0.3, -0.1, 0.2), covariance())
     assert motion.then(STANDSTILL) is motion and STANDSTILL.then(motion) is motion
-
-
-@pytest.mark.parametrize("motion", [Pose(0.2, 0.01, 0.1), Pose(-0.3, 0.0, 0.0), Pose(0.0, 0.0, -0.4)])
-def test_the_covariance_of_an_increment_is_that_of_its_arc_and_of_slip(motion):
-    assumed = AssumedConfig(motion=MotionNoise(slip_position_per_sqrt_m=0.02), floor_m=0.0, floor_rad=0.0)
-    (distance, turn), noise = arc(motion), assumed.motion
-    g = arc_jacobian(distance, turn)
-    scales = (noise.speed * distance, noise.turn_rate * turn)
-    q = np.diag([variance(noise.distribution, scale) for scale in scales])
-    position, heading = slipped(Slip.of(noise), distance, turn)
-    expected = g @ q @ g.T + np.diag([position, position, heading])
-    assert np.allclose(odometry(Pose(), motion, assumed).cov, expected, rtol=1e-12)

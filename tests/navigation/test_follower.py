@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,7 +7,16 @@ from sixthsense.config import Config, FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.path_driver import DriverLimits, Following, FollowLimits, GoalDrive, followed, steered
+from sixthsense.navigation.path_driver import (
+    STEERED,
+    DriverLimits,
+    Following,
+    FollowLimits,
+    GoalDrive,
+    advanced,
+    followed,
+    is_there,
+)
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 
@@ -118,8 +125,8 @@ def at_goal(off_m: float) -> tuple[float, float, float]:
 def test_the_mission_is_asked_at_the_goal_without_progress_and_after_a_turn_alone(
     drive: GoalDrive, pose: tuple[float, float, float], stamp_ns: int, is_all: bool
 ) -> None:
-    after, speed, turn_rate, found = steered(drive, pose, stamp_ns, DRIVER)
-    assert found == is_all
+    after, speed, turn_rate, event = advanced(drive, pose, stamp_ns, DRIVER)
+    assert (not is_there(drive, pose, DRIVER) and event == STEERED) == is_all
     if is_all and drive.is_following:
         assert (speed, turn_rate) == followed(pose, drive.following, OWN)[:2] and not after.is_turning
     elif is_all:

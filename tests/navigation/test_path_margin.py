@@ -44,38 +44,10 @@ def planned(grid: Grid, start: Array, goal: Array, wanted: float = 0.3, detour: 
     return plan, kept
 
 
-@pytest.mark.parametrize("margin", [0.013, 0.1, 0.27, -0.03, -0.2, -math.inf])
-def test_a_margin_equals_the_inflation_of_a_robot_larger_by_it(margin: float) -> None:
-    walls = [(1.0, -1.0, 1.0, 2.0), (-2.0, 0.5, -1.0, 1.3), (0.3, -1.7, 0.31, -1.7)]
-    grid = grid_of(*walls)
-    larger = grid_of(*walls, radius=max(RADIUS + margin, 0.0), clearance=0.05 if margin > -0.2 else 0.0)
-    if margin == -0.2:
-        larger = grid_of(*walls, radius=0.05, clearance=0.0)
-    space, expected = grid.free_space(margin_m=margin), larger.free_space()
-
-    def blocked(space: object) -> set[tuple[int, int]]:
-        rows, cols = np.nonzero(space.blocked)  # type: ignore[attr-defined]
-        y, x = space.origin[1] / 0.05, space.origin[0] / 0.05  # type: ignore[attr-defined]
-        return set(zip((rows + round(y)).tolist(), (cols + round(x)).tolist(), strict=True))
-
-    assert blocked(space) == blocked(expected)
-    if margin == -math.inf:
-        assert np.count_nonzero(space.blocked) == np.count_nonzero(grid.obstacles)
-
-
 def test_a_margin_leaves_a_free_rim_around_what_it_blocks() -> None:
     space = grid_of((5.9, -1.0, 5.9, 1.0)).free_space(margin_m=2.0)
     for edge in (space.blocked[0], space.blocked[-1], space.blocked[:, 0], space.blocked[:, -1]):
         assert not edge.any()
-
-
-def test_the_margin_but_not_the_inflation_is_dropped_around_given_points() -> None:
-    grid, near = grid_of((1.0, -1.0, 1.0, 1.0)), (0.7, 0.0)
-    assert grid.free_space(margin_m=0.3).is_blocked(near)
-    space = grid.free_space(near, margin_m=0.3)
-    assert not space.is_blocked(near)
-    assert space.is_blocked((0.8, 0.0)) and space.is_blocked((0.7, 0.6))
-    assert path_is_free(space, AStar().plan(space, near, (-2.0, 0.0)).path_world)
 
 
 @pytest.mark.parametrize("margin", [math.nan, math.inf])
@@ -136,29 +108,3 @@ def test_an_enclosed_goal_is_unreachable_with_any_margin() -> None:
     grid = grid_of((1, -1, 3, -1), (3, -1, 3, 1), (3, 1, 1, 1), (1, 1, 1, -1))
     plan, kept = planned(grid, np.array([-1.0, 0.0]), np.array([2.0, 0.0]))
     assert plan.status == "no path" and kept == 0.0
-
-
-def test_exactly_the_cells_that_no_path_of_a_length_can_reach_are_blocked() -> None:
-    space = grid_of((1.0, -1.0, 1.0, 2.0)).free_space()
-    a, b, length = np.array([-1.0, 0.5]), np.array([2.0, 0.2]), 3.5
-    between = space.between(Ellipse(a, b, length))
-    rows, cols = np.indices(space.blocked.shape)
-    x, y = space.origin[0] + (cols + 0.5) * 0.05, space.origin[1] + (rows + 0.5) * 0.05
-    length_via = np.hypot(x - a[0], y - a[1]) + np.hypot(x - b[0], y - b[1])
-    assert np.array_equal(between.blocked, space.blocked | (length_via > length + 0.1))
-
-
-@pytest.mark.parametrize("margin", [-0.2, 0.0, 0.13, 0.3])
-def test_an_inflation_within_an_ellipse_is_that_of_the_whole_map_there(margin: float) -> None:
-    walls = [(1.0, -1.0, 1.0, 2.0), (-2.0, 0.5, -1.0, 1.3), (0.3, -1.7, 0.31, -1.7), (-4.0, -3.0, 4.0, -3.0)]
-    grid = grid_of(*walls)
-    for a, b, length in (
-        ((-1.0, 0.5), (2.0, 0.2), 3.5),
-        ((1.1, 0.0), (-3.0, -2.0), 5.0),
-        ((9.0, 9.0), (0.0, 0.0), 14.0),
-    ):
-        ellipse, ends = Ellipse(np.array(a), np.array(b), length), (a, b)
-        space = grid.free_space(*ends, margin_m=margin, within=ellipse)
-        whole = grid.free_space(*ends, margin_m=margin).between(ellipse)
-        assert space.origin == whole.origin and np.array_equal(space.seen, whole.seen)
-        assert np.array_equal(space.blocked, whole.blocked)

@@ -6,8 +6,6 @@ import math
 import numpy as np
 import pytest
 
-from sixthsense.navigation.gridsearch import costs_from
-from sixthsense.navigation.gridsearch.prices import cheapest_way
 from sixthsense.navigation.guard import GuardLimits, Returns, checked, stopping_distance
 from sixthsense.navigation.path_driver import (
     STEERED,
@@ -21,7 +19,7 @@ from sixthsense.navigation.path_driver import (
     followed,
     is_there,
 )
-from sixthsense.navigation.tour import TileWays, shorten, stop_order, tour_length
+from sixthsense.navigation.tour import TileWays, shorten, tour_length
 from sixthsense.navigation.visibility import expected_gain, line_of_sight, visible_cells
 
 
@@ -87,22 +85,6 @@ def test_no_reversed_or_moved_part_makes_a_shortened_tour_shorter(seed):
             assert min(tour_length(lengths, other) for other in others) > length - 2e-6
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_first_stop_is_that_of_the_best_tour_with_its_way_counted_a_little_more(seed):
-    points = np.random.default_rng(seed).uniform(0.0, 30.0, (8, 2))
-    lengths = np.hypot(*(points[:, None] - points).transpose(2, 0, 1))
-
-    def cost(order):
-        return tour_length(lengths, np.array([0, *order, 7])) + 0.15 * lengths[0, order[0]]
-
-    order = stop_order(lengths)
-    for first in range(1, 7):
-        rest = np.array([first, *(k for k in range(1, 7) if k != first), 7])
-        shorten(lengths, rest)
-        assert cost(order) <= cost(rest[:-1]) * 1.1
-    assert cost(order) <= 1.03 * min(cost(np.random.default_rng(k).permutation(6) + 1) for k in range(4000))
-
-
 def test_ways_over_tiles_are_kept_up_to_date_as_if_drawn_anew():
     rng = np.random.default_rng(3)
     free = rng.random((64, 88)) < 0.75
@@ -118,29 +100,6 @@ def test_ways_over_tiles_are_kept_up_to_date_as_if_drawn_anew():
         anew.update(free)
         cells = np.argwhere(free)[rng.integers(np.count_nonzero(free), size=8)]
         assert np.array_equal(ways.matrix(cells), anew.matrix(cells))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_cheapest_way_over_dear_cells_costs_what_is_said(seed):
-    rng = np.random.default_rng(seed)
-    prices = rng.choice(np.array([0, 1, 1, 4, 30], np.uint8), (17, 24))
-    prices[3, 5] = 1
-    costs = costs_from(prices, 3, 5)
-    for row, col in np.argwhere(costs > 0)[::17]:
-        way = cheapest_way(prices, costs, row, col)
-        assert way[0].tolist() == [3, 5] and way[-1].tolist() == [row, col]
-        cost = 0
-        for (r, c), (to_r, to_c) in itertools.pairwise(way):
-            touched = prices[min(r, to_r) : max(r, to_r) + 1, min(c, to_c) : max(c, to_c) + 1].astype(int)
-            assert max(abs(to_r - r), abs(to_c - c)) == 1 and prices[to_r, to_c] > 0
-            if r != to_r and c != to_c:
-                entered = [touched[k] for k in np.ndindex(2, 2) if (k[0] + min(r, to_r), k[1] + min(c, to_c)) != (r, c)]
-                assert min(entered) > 0
-                cost += 7 * max(entered)
-            else:
-                cost += 5 * int(prices[to_r, to_c])
-        assert cost == costs[row, col]
-    assert len(cheapest_way(prices, costs, *np.argwhere(costs < 0)[0])) == 0
 
 
 LIMITS = FollowLimits(distance_slack_m=0.06, heading_slack_rad=0.05, speed=0.4, turn_rate=0.9, period_s=0.1)

@@ -10,7 +10,7 @@ from sixthsense.core.geometry import Pose, wrap_angle
 from sixthsense.core.landmarks import Kind, Observation
 from sixthsense.core.motion import Odometry
 from sixthsense.slam.association.observed import ends
-from sixthsense.slam.association.records import Footprint, Record, correlation, less_certain
+from sixthsense.slam.association.records import Footprint, Record, less_certain
 from sixthsense.slam.estimators import make_estimator
 
 FILTERS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"]
@@ -19,20 +19,6 @@ FILTERS = ["ekf", "ekf-fej", "ekf-oc", "ekf-invariant"]
 def footprint(first, last, robot=(0.0, -2.0)):
     """Of a wall along the x axis, seen from a place."""
     return Footprint.of(Pose(*robot, 0.0), np.array([[first, 0.0], [last, 0.0]]))
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "expected"),
-    [
-        (footprint(-1.0, 1.0), footprint(-1.0, 1.0), 1.0),
-        (footprint(-1.0, 1.0), footprint(1.5, 3.0), 0.0),
-        (footprint(-1.0, 1.0), footprint(0.0, 2.0, (1.0, -2.0)), 1.0 / 3.0),
-        (footprint(-1.0, 1.0), footprint(-1.0, 1.0, (0.0, 2.0)), 0.0),
-    ],
-    ids=["same", "no overlap", "overlap", "other side"],
-)
-def test_an_error_of_shape_stays_for_what_both_observations_see_from_one_side(one, other, expected):
-    assert correlation(one, other) == pytest.approx(expected, abs=1e-6)
 
 
 def wall_from(pose, cov):

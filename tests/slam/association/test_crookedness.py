@@ -1,67 +1,16 @@
 """Walls that are not straight determine less, by what their own returns say."""
 
-import math
-
 import numpy as np
 import pytest
 from scanned import look
 
 from sixthsense.config import preset
 from sixthsense.core.geometry import Pose
-from sixthsense.core.landmarks import Kind, Observation, WallShape, initialize_landmark, innovations, predict_walls
+from sixthsense.core.landmarks import WallShape, initialize_landmark, innovations, predict_walls
 from sixthsense.slam.association.records import Crookedness, MeanShape, less_certain
 from sixthsense.slam.features import extract
 
 VARIANCES = (4e-6, 9e-6)
-
-
-def shapes(rng, count, excess=0.0):
-    """Shapes of walls whose amplitudes vary by `excess` times the noise, seen once each."""
-    scale = math.sqrt(1.0 + excess)
-    for _ in range(count):
-        first, second = rng.normal(0.0, scale * np.sqrt(VARIANCES))
-        yield WallShape((float(first), float(second)), VARIANCES)
-
-
-def test_straight_walls_have_no_excess_and_crooked_ones_have_theirs():
-    rng, along = np.random.default_rng(1), []
-    for _ in range(20):
-        straight = Crookedness()
-        for seen in shapes(rng, 300):
-            straight.add(seen)
-            along.append(sum(straight.excess))
-        assert straight.excess == (0.0, 0.0)
-    assert np.mean(along) < 0.01
-    crooked = Crookedness()
-    for seen in shapes(rng, 3000, excess=3.0):
-        crooked.add(seen)
-    assert 1.8 < min(crooked.excess) <= max(crooked.excess) < 3.8
-
-
-def test_a_straight_wall_loses_hardly_any_information():
-    rng = np.random.default_rng(2)
-    means = [MeanShape() for _ in range(300)]
-    for mean in means:
-        for seen in shapes(rng, 10):
-            mean.add(seen)
-    single = sum(VARIANCES)
-    assert np.mean([mean.square_m2((0.0, 0.0)) for mean in means]) < 0.01 * single
-
-
-def test_a_bend_that_no_single_scan_shows_is_found_in_many():
-    rng, mean = np.random.default_rng(3), MeanShape()
-    bend = math.sqrt(VARIANCES[0])  # one sigma of a single scan
-    for seen in shapes(rng, 60):
-        mean.add(WallShape((seen.amplitudes_m[0] + bend, seen.amplitudes_m[1]), VARIANCES))
-    assert mean.square_m2((0.0, 0.0)) == pytest.approx(bend**2, rel=0.5)
-
-
-def test_where_walls_are_crooked_a_new_wall_is_taken_to_be():
-    mean = MeanShape()
-    mean.add(WallShape((0.0, 0.0), VARIANCES))
-    # The posterior variance of an amplitude with the prior 3 v and the noise v.
-    assert mean.square_m2((3.0, 3.0)) == pytest.approx(0.75 * sum(VARIANCES))
-    assert mean.square_m2((0.0, 0.0)) == 0.0
 
 
 def test_an_unknown_shape_says_nothing():
@@ -70,17 +19,6 @@ def test_an_unknown_shape_says_nothing():
     crookedness.add(WallShape())
     assert mean.square_m2((3.0, 3.0)) == 0.0
     assert crookedness.excess == (0.0, 0.0)
-
-
-def test_a_crooked_wall_is_less_certain_about_its_middle():
-    wall = Observation(Kind.WALL, np.array([0.3, -2.0]), np.diag([1e-6, 1e-6]), (1.0, 3.0))
-    less = less_certain(wall, 1e-4)
-    lever = np.array([-2.0, 1.0])  # the offset at the middle of what was seen
-    assert lever @ (less.cov - wall.cov) @ lever == pytest.approx(1e-4)
-    assert less.cov[0, 0] - wall.cov[0, 0] == pytest.approx(3e-4)  # half of its length is 1 m
-    assert less_certain(wall, 0.0) is wall
-    point = Observation(Kind.END, np.array([1.0, 1.0]), 1e-4 * np.eye(2))
-    assert less_certain(point, 1e-4) is point
 
 
 def arc(radius_m, segment_m=0.03):

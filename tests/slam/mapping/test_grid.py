@@ -163,22 +163,6 @@ def test_the_incremental_inflation_equals_a_full_inflation(seed: int, radius: fl
     assert toggled_off > 0
 
 
-@pytest.mark.parametrize("radius", [0.05, 0.12, 0.31])
-def test_a_disc_at_the_centre_of_a_free_cell_touches_no_obstacle_cell(radius: float) -> None:
-    grid = Grid(replace(CONFIG, clearance_m=0.0), radius)
-    pose = Pose(0.03, -0.21, 0.3)
-    grid.add(pose, scan_of_room(pose), NO_WALLS)
-    space, obstacles = grid.free_space(), np.argwhere(grid.obstacles)
-    angles = np.linspace(0.0, 2 * math.pi, 90)
-    rim = radius * np.stack([np.sin(angles), np.cos(angles)], axis=1) / CONFIG.cell_m
-    occupied = {(int(r), int(c)) for r, c in obstacles}
-    for row, col in np.argwhere(~space.blocked):
-        if np.abs(obstacles - (row, col)).max(axis=1).min() > 5:
-            continue
-        touched = np.floor(np.array([row + 0.5, col + 0.5]) + rim).astype(int)
-        assert occupied.isdisjoint(map(tuple, touched.tolist()))
-
-
 def test_a_stray_return_is_cleared_by_enough_passes() -> None:
     grid = Grid(replace(CONFIG, passes_per_hit=4.0), 0.2)
     stray = scan_of([2.05])

@@ -13,18 +13,12 @@ from sixthsense.slam.scans.alignment import (
     GRADIENT,
     HESSIAN,
     HITS,
-    SPREAD,
     SQUARES,
     SUMS,
     WEIGHT,
     Loss,
-    add_both_ways,
     add_one_way,
-    inverse,
-    matrix,
     partners_of,
-    solved,
-    turned,
 )
 from sixthsense.slam.scans.links import NEAR_GATE_M, align_pairs, covariances, private_covariance, reported
 from sixthsense.slam.scans.returns import bearings_at, direction
@@ -78,25 +72,6 @@ def test_the_kernel_agrees_with_its_reference(laser):
     assert np.allclose(sums[:12], expected[:12], rtol=0.05, atol=0.05 * sums[WEIGHT] ** 0.5)
 
 
-@LASERS
-@pytest.mark.parametrize("add", [add_one_way, add_both_ways])
-def test_the_gradient_is_that_of_the_squares(laser, add):
-    returns, true = pair(laser, np.random.default_rng(2))
-    loss, pose = Loss(0.3, 1e6), true + np.array([0.01, 0.005, 0.004])
-
-    def at(x):
-        sums = np.zeros(SUMS)
-        add(returns, 0, 1, x, loss, sums)
-        return sums
-
-    here = at(pose)
-    for k, step in enumerate(1e-7 * np.eye(3)):
-        ahead, behind = at(pose + step), at(pose - step)
-        if ahead[HITS] == behind[HITS]:
-            slope = 0.5 * (ahead[SQUARES] - behind[SQUARES]) / 2e-7
-            assert slope == pytest.approx(here[GRADIENT + k], rel=0.02, abs=0.02)
-
-
 def test_returns_that_share_a_partner_are_worth_two_pairs_at_most():
     near, far = Pose(6.0, 0.0, np.pi), Pose(0.0, 0.0)
     returns, relative = pair(HALF, a=far, b=near, walls=CORRIDOR)
@@ -109,43 +84,11 @@ def test_returns_that_share_a_partner_are_worth_two_pairs_at_most():
     assert sums[HITS] < 2 * np.count_nonzero(shared) < 0.5 * shared.sum()
 
 
-@LASERS
-def test_the_sums_both_ways_are_those_of_either_way_by_one_pose(laser):
-    returns, true = pair(laser, np.random.default_rng(3))
-    loss, pose = Loss(0.1, 0.05), true + np.array([0.02, -0.01, 0.01])
-    both, there, back = np.zeros(SUMS), np.zeros(SUMS), np.zeros(SUMS)
-    add_both_ways(returns, 0, 1, pose, loss, both)
-    add_one_way(returns, 0, 1, pose, loss, there)
-    add_one_way(returns, 1, 0, inverse(pose), loss, back)
-    steps = 1e-6 * np.eye(3)
-    jacobian = np.column_stack([(inverse(pose + h) - inverse(pose - h)) / 2e-6 for h in steps])
-    for at in (HESSIAN, SPREAD):
-        assert np.allclose(matrix(both, at), matrix(there, at) + jacobian.T @ matrix(back, at) @ jacobian)
-    gradient = slice(GRADIENT, GRADIENT + 3)
-    assert np.allclose(both[gradient], there[gradient] + jacobian.T @ back[gradient])
-    assert np.allclose(both[[WEIGHT, HITS, SQUARES]], (there + back)[[WEIGHT, HITS, SQUARES]])
-
-
 def test_a_direction_is_that_of_atan2_to_a_thousandth_of_a_beam():
     angles = np.linspace(-math.pi, math.pi, 10_001)
     found = [direction(2.5 * math.cos(a), 2.5 * math.sin(a)) for a in angles]
     assert np.abs(wrap_angle(np.array(found) - angles)).max() < 1.2e-5
     assert direction(0.0, 0.0) == 0.0
-
-
-def test_small_matrices_are_turned_and_solved_as_numpy_does():
-    rng = np.random.default_rng(7)
-    for _ in range(50):
-        sums, angle, rows = rng.normal(size=SUMS), rng.uniform(-4, 4), rng.normal(size=(5, 3))
-        c, s = math.cos(angle), math.sin(angle)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        assert np.allclose(turned(sums, 3, c, s), turn @ matrix(sums, 3) @ turn.T)
-        a, b = rows.T @ rows + 0.1 * np.eye(3), rng.normal(size=3)
-        assert np.allclose(solved(a, b), np.linalg.solve(a, b))
-
-
-def test_the_inverse_of_a_pose_is_its_inverse():
-    assert np.allclose(inverse(B.array()), B.inverse().array())
 
 
 def test_a_full_circle_has_normals_where_it_begins_and_ends():
@@ -154,14 +97,6 @@ def test_a_full_circle_has_normals_where_it_begins_and_ends():
     for one in (returns, turned):
         assert (np.abs(np.hypot(*one.normals[0, :, :2].T) - 1.0) < 1e-3).mean() > 0.9
     assert np.allclose(np.abs(returns.normals[0, [0, 1, -1], 0]), 1.0, atol=1e-3)
-
-
-def test_normals_point_to_the_laser_and_are_those_of_the_walls():
-    points, normals, _ = stored(scan_at(A)).returns
-    is_fitted = np.hypot(*normals[0, :, :2].T) > 0
-    assert ((normals[0, :, :2] * points[0, :, :2]).sum(axis=1)[is_fitted] < 0).all()
-    world = np.arctan2(normals[0, is_fitted, 1], normals[0, is_fitted, 0]) + A.theta
-    assert np.mean(np.abs(wrap_angle(4 * world)) < 0.05) > 0.9  # all walls are parallel to an axis
 
 
 def link_covariance(found, sigma_m=0.01):
@@ -191,17 +126,6 @@ def test_alignment_finds_the_motion_within_its_covariance(laser):
     assert len(squared) > 40
     assert np.sum(squared) < chi2.ppf(0.999, 3 * len(squared))  # not overconfident
     assert np.mean(squared) > 0.3  # nor worthless
-
-
-@pytest.mark.parametrize(("along", "is_observed"), [(2.0, False), (30.0, True)])
-def test_a_direction_of_which_few_returns_tell_is_not_observed(along, is_observed):
-    sums = np.zeros((1, SUMS))
-    # Both ways each return counts twice.
-    sums[0, HESSIAN : HESSIAN + 6] = 2.0 * np.array([along, 0.0, 0.0, 200.0, 0.0, 800.0])
-    sums[0, WEIGHT], sums[0, SQUARES] = 400.0, 400.0 * 2.0 * 0.01**2
-    cov = covariances(sums, np.array([2.0]), 0.01)[0]
-    assert cov[1, 1] < 0.002**2
-    assert cov[0, 0] < 0.01**2 if is_observed else cov[0, 0] > 1.0
 
 
 def test_along_a_corridor_the_covariance_claims_nothing():
