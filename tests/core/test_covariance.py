@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from sixthsense.core.covariance import composed_covariance, root_information, turned_covariance
+from sixthsense.core.covariance import root_information
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import STANDSTILL, Odometry, compose_jacobians
 from sixthsense.core.se2 import composed_covariance, transformed_covariance, turned_covariance
