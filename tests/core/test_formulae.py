@@ -18,8 +18,8 @@ from sixthsense.core.landmarks import (
     rotation_generator,
 )
 from sixthsense.core.laser import Scan, sweep_ns, sweep_times
-from sixthsense.core.motion import STANDSTILL, Odometry, fold_from, odometry, since_keyframe
-from sixthsense.core.odometry_kernels import OdometryNoise, Slip, folded
+from sixthsense.core.motion import Odometry, odometry
+from sixthsense.core.odometry_kernels import Slip
 from sixthsense.core.ray_casting import NearWalls, cast_rays, cast_sweep
 from sixthsense.core.sensor import Sensor, sensor_prior
 from sixthsense.core.wheels import wheel_prior
@@ -92,22 +92,6 @@ def test_the_noise_of_odometry_is_that_of_a_straight_drive_by_hand(distribution,
     spot = odometry(Pose(2.0, 3.0, 0.4), Pose(2.0, 3.0, 0.1), assumed).cov  # by -0.3 rad: two floors
     across, heading = 0.0009 * 0.3 + 0.0002, 0.0025 * 0.3 + 9.8e-5 + 0.06**2 / divisor
     assert spot == pytest.approx(np.diag([across, across, heading]), abs=1e-12)
-
-
-def test_ticks_that_a_kernel_sums_up_are_those_that_are_composed_one_by_one():
-    rng, assumed = np.random.default_rng(8), AssumedConfig(wheel_scale_error=0.03, drift_rad_per_m=0.02)
-    pose, at, whole = Pose(-3.0, 1.5, 2.9), Pose(4.0, -2.0, 0.6), STANDSTILL
-    sums = fold_from(at, pose, STANDSTILL)
-    for k in range(6):
-        after = at if k == 2 else at @ Pose(*rng.normal(size=3) * [0.1, 0.01, 0.2])
-        one = odometry(at, after, assumed)
-        sums, motion, cov = folded(sums, (after.x, after.y, after.theta), OdometryNoise.of(assumed))
-        assert motion == pytest.approx(one.motion.array()) and cov == pytest.approx(one.cov)
-        whole, pose, at = whole.then(one), pose @ one.motion, after
-        sums = fold_from(Pose(*sums.odometry), Pose(*sums.pose), since_keyframe(sums)) if k == 3 else sums
-    assert sums.pose == pytest.approx(pose.array()) and sums.odometry == pytest.approx(at.array())
-    assert since_keyframe(sums).motion.array() == pytest.approx(whole.motion.array())
-    assert since_keyframe(sums).cov == pytest.approx(whole.cov)
 
 
 def test_a_motion_is_carried_if_its_position_is_known_to_a_quarter_of_a_metre_only():
