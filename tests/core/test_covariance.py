@@ -50,4 +50,5 @@ def test_covariances_of_motions_in_a_row_are_composed_by_their_jacobians():
 
 def test_a_standstill_before_or_after_a_motion_leaves_it_as_it_is():
     motion = Odometry(Pose(0.3, -0.1, 0.2), covariance())
-    assert motion.then(STANDSTILL) is motion and STANDSTILL.then(motion) is motion
+    for same in (motion.then(STANDSTILL), STANDSTILL.then(motion)):
+        assert same.motion == motion.motion and np.array_equal(same.cov, motion.cov)
