@@ -22,7 +22,7 @@ from sixthsense.config import (
     save_config,
 )
 from sixthsense.config.errors import nearest, reason_of
-from sixthsense.config.names import Names
+from sixthsense.config.names import ESTIMATORS, Names
 from sixthsense.config.tree import task_of
 
 
@@ -186,6 +186,7 @@ def test_a_number_in_degrees_is_answered_in_radians_where_that_is_allowed() -> N
     )
 
 
+ESTIMATORS.add("Own")
 GOAL, TOUR = (1.0, 2.0), ((3.0, 4.0),)
 
 
@@ -197,6 +198,7 @@ GOAL, TOUR = (1.0, 2.0), ((3.0, 4.0),)
         ({"tour": TOUR}, {"goal": None}, {"goal": None, "tour": TOUR}),
         ({}, {"front_end": "scan-matching"}, {"estimator": "isam2"}),
         ({"estimator": "isam2"}, {"front-end": "scan-matching"}, {"estimator": "isam2"}),
+        ({"estimator": "Own"}, {"front_end": "scan-matching"}, {"estimator": "Own"}),
         ({"front_end": "scan-matching"}, {"estimator": "ekf"}, {"front_end": "landmarks"}),
         ({"front_end": "scan-matching"}, {"estimator": "isam2"}, {"front_end": "scan-matching"}),
         ({"estimator": "isam2"}, {"estimator": "ekf"}, {"front_end": "landmarks", "estimator": "ekf"}),

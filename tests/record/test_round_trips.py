@@ -120,7 +120,7 @@ DAMAGES: dict[str, Callable[[list[dict[str, Any]]], int]] = {
     "a keyframe at the time of the last": lambda lines: lines[2].update(keyframe=lines[1]["keyframe"]) or 2,
     "a scan without truth": lambda lines: lines[-2].pop("truth") and -2,
     "a number that is not finite": lambda lines: lines[-2].update(estimate=[0.5, math.inf, 0.5]) or -2,
-    "a line after the end": lambda lines: lines.append(lines[-2]) or -1,
+    "a line after the end": lambda lines: lines.append({"plan": [[1.5, 2.5]]}) or -1,
     "a count below 0": lambda lines: lines[-1].update(culled=-1) or -1,
     "a count missing": lambda lines: lines[-1].pop("guard_stops") and -1,
     "an unknown stage": lambda lines: lines[1].update(ms={"rest": 1.0}) or 1,
