@@ -1,4 +1,5 @@
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,7 @@ from sixthsense.config import Config, FollowConfig, RobotConfig
 from sixthsense.core.geometry import Array, Pose
 from sixthsense.core.motion import rk4
 from sixthsense.core.source import Command
-from sixthsense.navigation.path_driver import (
-    STEERED,
-    DriverLimits,
-    Following,
-    FollowLimits,
-    GoalDrive,
-    advanced,
-    followed,
-    is_there,
-)
+from sixthsense.navigation.path_driver import DriverLimits, Following, FollowLimits, GoalDrive, PathDriver, followed
 
 FOLLOW, ROBOT = FollowConfig(), RobotConfig()
 
@@ -101,7 +93,7 @@ def test_a_way_point_within_the_slack_of_distance_is_reached_and_none_is_oversho
 
 DRIVER = DriverLimits(goal_slack_m=0.06, patience_ns=7e9, turn_rate=1.1, follow=OWN)
 DRIVE = GoalDrive((4.1, 2.0), True, Following(WAY, 1, True), is_watched=True, anchor=(3 * 10**9, AT[0], AT[1]))
-TURN = DRIVE._replace(is_following=False, is_turning=True, heading=AT[2] - 0.02, left_rad=0.05)
+TURN = DRIVE._replace(is_following=False, is_turning=True, heading=3.13, left_rad=0.05)  # across the cut
 
 
 def at_goal(off_m: float) -> tuple[float, float, float]:
@@ -109,30 +101,35 @@ def at_goal(off_m: float) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize(
-    ("drive", "pose", "stamp_ns", "is_all"),
+    ("drive", "pose", "stamp_ns", "events"),
     [
-        (DRIVE, at_goal(0.0601), 4 * 10**9, True),
-        (DRIVE, at_goal(0.0599), 4 * 10**9, False),
-        (DRIVE, AT, 10 * 10**9, True),
-        (DRIVE, AT, 10 * 10**9 + 1, False),
-        (DRIVE._replace(is_watched=False), AT, 10 * 10**9 + 1, True),
-        (DRIVE, (AT[0] + 0.0999 * 0.8, AT[1] - 0.0999 * 0.6, 0.6), 10 * 10**9 + 1, False),
-        (DRIVE, (AT[0] + 0.1001 * 0.8, AT[1] - 0.1001 * 0.6, 0.6), 10 * 10**9 + 1, True),
-        (TURN, (AT[0], AT[1], AT[2] + 0.0299), 4 * 10**9, True),
-        (TURN, (AT[0], AT[1], AT[2] + 0.0301), 4 * 10**9, False),
-        (TURN, (AT[0], AT[1], AT[2] - 0.0701), 4 * 10**9, False),
+        (DRIVE, at_goal(0.0601), 4 * 10**9, []),
+        (DRIVE, at_goal(0.0599), 4 * 10**9, ["arrived"]),
+        (DRIVE, AT, 10 * 10**9, []),
+        (DRIVE, AT, 10 * 10**9 + 1, ["stuck"]),
+        (DRIVE._replace(is_watched=False), AT, 10 * 10**9 + 1, []),
+        (DRIVE, (AT[0] + 0.0999 * 0.8, AT[1] - 0.0999 * 0.6, 0.6), 10 * 10**9 + 1, ["stuck"]),
+        (DRIVE, (AT[0] + 0.1001 * 0.8, AT[1] - 0.1001 * 0.6, 0.6), 10 * 10**9 + 1, []),
+        (TURN, (AT[0], AT[1], 3.1799 - math.tau), 4 * 10**9, []),
+        (TURN, (AT[0], AT[1], 3.1801 - math.tau), 4 * 10**9, ["turned around"]),
+        (TURN, (AT[0], AT[1], 3.0799), 4 * 10**9, ["turned around"]),
     ],
     ids=["before", "at goal", "patient", "stuck", "not watched", "no progress", "progress", "turns", "turned", "back"],
 )
 def test_the_mission_is_asked_at_the_goal_without_progress_and_after_a_turn_alone(
-    drive: GoalDrive, pose: tuple[float, float, float], stamp_ns: int, is_all: bool
+    drive: GoalDrive, pose: tuple[float, float, float], stamp_ns: int, events: list[str]
 ) -> None:
-    after, speed, turn_rate, event = advanced(drive, pose, stamp_ns, DRIVER)
-    assert (not is_there(drive, pose, DRIVER) and event == STEERED) == is_all
-    if is_all and drive.is_following:
-        assert (speed, turn_rate) == followed(pose, drive.following, OWN)[:2] and not after.is_turning
-    elif is_all:
-        assert (speed, turn_rate, after.left_rad) == (0.0, 1.1, pytest.approx(0.0001))
+    told: list[str] = []
+    nowhere = SimpleNamespace(free_space=lambda *_: None)
+    driver = PathDriver(nowhere, Pose(*AT), np.array(drive.goal), None, Config())  # type: ignore[arg-type]
+    driver.limits, driver.drive = DRIVER, drive
+    command = driver.step(Pose(*pose), stamp_ns, SimpleNamespace(handle=lambda event, _: told.append(event) or True))
+    assert told == events
+    if drive.is_following and not events:
+        assert (command.speed, command.turn_rate) == followed(pose, drive.following, OWN)[:2]
+    elif not drive.is_following:
+        assert (command.speed, command.turn_rate) == (0.0, 0.0 if events else 1.1)
+        assert driver.drive.is_turning != bool(events)
 
 
 @settings(max_examples=40, deadline=None)
