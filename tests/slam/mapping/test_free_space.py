@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from sixthsense.config import GridConfig, LaserConfig
+from sixthsense.config.errors import InputError
 from sixthsense.config.platform import LaserNoise
 from sixthsense.core.geometry import Pose
 from sixthsense.core.laser import Scan
-from sixthsense.slam.mapping.changes import TILE, Box, grown_box
+from sixthsense.slam.mapping.changes import TILE, Box, cell_box, grown_box
 from sixthsense.slam.mapping.evidence import EvidenceRules
 from sixthsense.slam.mapping.freespace import Ellipse
 from sixthsense.slam.mapping.grid import Grid
@@ -129,6 +130,8 @@ def test_a_box_that_must_grow_grows_by_a_tile_and_a_quarter_of_its_extent_at_lea
     assert grown_box(box, np.array([-90.0, 30.0]), np.array([900.0, 220.0])) is box
     assert grown_box(box, np.array([-90.0, 10.0]), np.array([800.0, 200.0])) == Box(-100, 10 - TILE, 900, 220)
     assert grown_box(box, np.array([-90.0, 30.0]), np.array([1100.0, 230.0])) == Box(-100, 20, 1100 + 300, 230 + TILE)
+    with pytest.raises(InputError, match=r"within 2\^48 of the origin"):
+        cell_box(np.array([2.0**48 - 8.0, 3.0]), np.array([2.0**48 + 8.0, 9.0]))
     begun = grown_box(Box(0, 0, 0, 0), np.array([3.0, 5.0]), np.array([40.0, 30.0]))
     assert begun == Box(3 - TILE, 5 - TILE, 40 + TILE, 30 + TILE)
 
